@@ -19,7 +19,6 @@ from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
     from robot_ik.figure.abilities import Abilities
-    from robot_ik.figure.lion import Lion
     from robot_ik.figure.session import FigureFrame
     from robot_ik.jobs.figure import FigureReport
     from robot_ik.robot import Robot
@@ -87,27 +86,44 @@ class FigureOptions:
 
 
 def run(options: FigureOptions) -> int:
-    """Runs the figure."""
+    """Runs the figure; 1 where a hand did not come to its ball."""
     options = _checked(options)
+    from robot_ik.figure.decide import Decider
     from robot_ik.figure.lion import Lion, is_lion
+    from robot_ik.jobs.figure import frames_table, read_balls, record, run_lion
+    from robot_ik.motion.keyframes import Keyframes
     from robot_ik.robot import load_robot
 
     robot = load_robot(options.model)
-    if robot.file.figure is None and is_lion(robot):
-        return _lion(Lion(robot), options)
-    abilities = _abilities(robot)
-    from robot_ik.jobs.figure import decide_balls, frames_table, read_balls
-
+    lion = robot.file.figure is None and is_lion(robot)
+    if lion and (options.path or options.mode != "active"):
+        raise wrong("--model", f"{robot.name} stands where it is", "a lion takes --ball or --balls")
+    who = Lion(robot) if lion else _abilities(robot)
     if options.balls is not None:
-        for row in decide_balls(abilities, read_balls(options.balls), _stance(options)):
-            console.print_json_line(row)
+        stance = _stance(options)
+        for ball in read_balls(options.balls):
+            decision = who.decide(ball) if isinstance(who, Lion) else Decider(who).decide(ball, stance)
+            console.print_json_line({"ball": ball, **asdict(decision)})
         return console.DONE
-    figure = abilities.figure
     with claimed(options.frames, overwrite=options.overwrite):
-        report = _watch(robot, figure.hands, _frames(abilities, options), options)
+        if isinstance(who, Lion):
+            balls = _LION_BALLS if options.ball is None else (options.ball,)
+            report = _watch(robot, {paw: paw for paw in who.paws}, run_lion(who, balls), options)
+        else:
+            report = _watch(robot, who.figure.hands, _frames(who, options), options)
         if options.frames is not None:
-            write_atomically(options.frames, frames_table(figure, report.frames, options.seed))
-    return _finish(robot, report, options)
+            if isinstance(who, Lion):
+                q = [frame.q for frame in report.frames]
+                Keyframes(robot, np.arange(len(q)) / 60.0, q).save_csv(options.frames)
+            else:
+                write_atomically(options.frames, frames_table(who.figure, report.frames, options.seed))
+    if options.record is not None and not options.ar:
+        with console.kept(options.record), console.progress() as bar:
+            progress = console.counted_on(bar, f"painting {options.record}")
+            record(robot, report.frames, options.record, progress, overwrite=options.overwrite)
+    _print(report, options)
+    went = bool(report.misses) or options.ball is None
+    return console.DONE if went and report.arrived else console.NOT_ACHIEVED
 
 
 def _checked(options: FigureOptions) -> FigureOptions:
@@ -134,39 +150,6 @@ def _checked(options: FigureOptions) -> FigureOptions:
     drawn = "--ar draws into the camera's pictures"
     require(not (options.ar and options.viewer), "--viewer", drawn, "one of both")
     return options
-
-
-def _lion(lion: Lion, options: FigureOptions) -> int:
-    from robot_ik.jobs.figure import read_balls, run_lion
-
-    if options.path or options.mode != "active":
-        raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
-    if options.balls is not None:
-        for ball in read_balls(options.balls):
-            console.print_json_line({"ball": ball, **asdict(lion.decide(ball))})
-        return console.DONE
-    balls = (options.ball,) if options.ball is not None else _LION_BALLS
-    with claimed(options.frames, overwrite=options.overwrite):
-        report = _watch(lion.robot, {paw: paw for paw in lion.paws}, run_lion(lion, balls), options)
-        if options.frames is not None:
-            from robot_ik.motion.keyframes import Keyframes
-
-            q = [frame.q for frame in report.frames]
-            Keyframes(lion.robot, np.arange(len(q)) / 60.0, q).save_csv(options.frames)
-    return _finish(lion.robot, report, options)
-
-
-def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
-    """Film, printout and exit code."""
-    if options.record is not None and not options.ar:
-        from robot_ik.jobs.figure import record
-
-        with console.kept(options.record), console.progress() as bar:
-            progress = console.counted_on(bar, f"painting {options.record}")
-            record(robot, report.frames, options.record, progress, overwrite=options.overwrite)
-    _print(report, options)
-    went = bool(report.misses) or options.ball is None
-    return console.DONE if went and report.arrived else console.NOT_ACHIEVED
 
 
 def _abilities(robot: Robot) -> Abilities:

@@ -172,7 +172,10 @@ class _Way:
         figure, start, goal = self.figure, self.start, self.goal
         t = np.arange(1, round((duration + self.hold) / DT) + 1, dtype=np.float64) * DT
         s = minimum_jerk(t / duration)
-        posture = start + (goal - start) * s[:, None] + _elbows(figure, s, abduction, self.arms)
+        away = abduction * 16 * (s * (1 - s)) ** 2  # on the way, elbows from the body
+        rolls = {f"{side}_shoulder_roll": away for side in self.arms}
+        aside = figure.posture(rolls, np.zeros((len(s), figure.robot.nq)))
+        posture = start + (goal - start) * s[:, None] + aside
         trunk = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
         here, there = figure.center(start)[:2], figure.center(goal)[:2]
         center = point = here + (there - here) * s[:, None]
@@ -195,13 +198,6 @@ class _Way:
         change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / DT  # of a joint's speed
         yield
         return frames, inside, inside >= 0.0 and change <= _ABRUPT
-
-
-def _elbows(figure: Figure, s: Array, abduction: float, arms: Sequence[str]) -> Array:
-    """(n, nq) what is added to a posture so that elbows keep away from the body on the way."""
-    away = abduction * 16 * (s * (1 - s)) ** 2
-    rolls = {f"{side}_shoulder_roll": away for side in arms}
-    return figure.posture(rolls, np.zeros((len(s), figure.robot.nq)))
 
 
 def take_slices(

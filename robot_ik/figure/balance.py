@@ -8,7 +8,6 @@ corrected by the zero-moment point that MuJoCo's inverse dynamics finds for the 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -19,28 +18,10 @@ from robot_ik.motion.keyframes import monotone_slope
 from robot_ik.ports import Array
 
 
-@dataclass(frozen=True)
-class CenterPlan:
-    """The centre of mass over a piecewise linear zero-moment point."""
-
-    times: Array  # (k + 1,) where the pieces begin, and the end
-    start: Array  # (k, 2) zero-moment point at the beginning of each piece, and its speed
-    slope: Array
-    growing: Array  # (k, 2) factors of e^{ωu} and e^{−ωu}
-    shrinking: Array
-    omega: float  # ω, 1/s
-
-    def at(self, t: Array) -> tuple[Array, Array]:
-        """(n, 2) centre of mass and (n, 2) zero-moment point at times (n,)."""
-        piece = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.start) - 1)
-        u = (np.clip(t, self.times[0], self.times[-1]) - self.times[piece])[:, None]
-        point = self.start[piece] + self.slope[piece] * u
-        e = np.exp(self.omega * u)
-        return point + self.growing[piece] * e + self.shrinking[piece] / e, point
-
-
-def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float) -> CenterPlan:
-    """Centre of mass for a zero-moment point that runs straight from node to node and rests at the last.
+def plan_center(
+    nodes: Sequence[tuple[float, Array]], x: Array, omega: float, t: Array
+) -> tuple[Array, Array]:
+    """(n, 2) centre of mass and (n, 2) zero-moment point, which runs straight from node to node, then rests.
 
     In the first piece the zero-moment point is constant, wherever it must be for a body at rest at ``x`` to
     meet the second: this is the shift backwards and to the swinging foot before the first step.
@@ -49,6 +30,7 @@ def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float) ->
         nodes: (time, (2,) zero-moment point); the first gives the time of the start only.
         x: (2,) the centre of mass at the start.
         omega: ω, 1/s.
+        t: (n,) times.
     """
     times = np.array([t for t, _ in nodes])
     points = np.array([p for _, p in nodes])
@@ -62,13 +44,17 @@ def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float) ->
     start = points[:-1].copy()
     e = np.exp(-omega * (times[1] - times[0]))
     start[0], slope[0], diverging[0] = (diverging[1] * e - x) / (e - 1.0), 0.0, x
+    # Factors of e^{ωu} and e^{−ωu} in each piece.
     growing, shrinking, at = np.empty((count, 2)), np.empty((count, 2)), x.copy()
     for k in range(count):
         growing[k] = (diverging[k] - start[k] - slope[k] / omega) / 2
         shrinking[k] = at - start[k] - growing[k]
         u = times[k + 1] - times[k]
         at = start[k] + slope[k] * u + growing[k] * np.exp(omega * u) + shrinking[k] * np.exp(-omega * u)
-    return CenterPlan(times, start, slope, growing, shrinking, omega)
+    piece = np.clip(np.searchsorted(times, t, side="right") - 1, 0, count - 1)
+    passed = (np.clip(t, times[0], times[-1]) - times[piece])[:, None]
+    point, grown = start[piece] + slope[piece] * passed, np.exp(omega * passed)
+    return point + growing[piece] * grown + shrinking[piece] / grown, point
 
 
 def derivatives(figure: Figure, q: Array) -> tuple[Array, Array, Array]:

@@ -37,6 +37,7 @@ _SAME_ARM = 0.02
 _HEADINGS = np.radians(np.arange(-180.0, 180.0, 15.0))
 _RADIUS, _PER_RADIAN, _TALL = 0.35, 0.35, 1.9
 _CELL = 0.1
+_UP_AND_DOWN = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 # How many of the best stand points are looked at, how many balls seen from there are tried by a solve, and
 # each from so many poses; so many times more of both for a ball this near, m, for the best are on its feet.
 _TRIES, _SOLVES, _FEW = 6, 3, 3
@@ -304,30 +305,22 @@ def inside_body(figure: Figure, local: Array) -> str:
     """Name of the body part, arms excepted, that holds a point seen from the feet; empty where none does."""
     model = figure.model
     geoms, positions, matrices = _trunk_shapes(figure)
-    kinds = mujoco.mjtGeom
-    away = local - positions
-    for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
+    near = ((local - positions) ** 2).sum(axis=1) <= model.geom_rbound[geoms] ** 2
+    for i in np.flatnonzero(near).tolist():
         g = int(geoms[i])
-        x, size = matrices[i].T @ away[i], model.geom_size[g]
-        kind = model.geom_type[g]
-        if kind == kinds.mjGEOM_CAPSULE:
-            x[2] -= np.clip(x[2], -size[1], size[1])
-        if kind == kinds.mjGEOM_BOX:
-            held = (np.abs(x) <= size).all()
-        elif kind == kinds.mjGEOM_ELLIPSOID:
-            held = ((x / size) ** 2).sum() <= 1.0
-        else:
-            held = x @ x <= size[0] ** 2
-        if held:
+        size, kind = model.geom_size[g], min(int(model.geom_type[g]), int(mujoco.mjtGeom.mjGEOM_BOX))
+        # Shapes are convex: from inside, rays up and down both meet the surface; of a mesh its box counts.
+        met = (mujoco.mju_rayGeom(positions[i], matrices[i], size, local, way, kind) for way in _UP_AND_DOWN)
+        if min(met) >= 0.0:
             return str(model.body(int(model.geom_bodyid[g])).name).replace("_", " ")
     return ""
 
 
 @once_each
 def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
-    """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 3, 3) rotations at home."""
+    """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 9) rotations at home."""
     model, data, frame = figure.model, figure.at(figure.home), figure.robot.frame
     trunk = frame(figure.trunk).body
     arms = [body for hand in figure.hands.values() for body in chain(model, frame(hand).body, trunk)]
     geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, arms))
-    return geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].reshape(-1, 3, 3).copy()
+    return geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].copy()

@@ -2,7 +2,7 @@
 
 A foot rolls on its true sole (``figure.Sole``), so that it neither slips nor sinks by construction; in the
 air its lowest point follows the same curve with a clearance.  The centre of mass is planned over a
-zero-moment point under the feet and corrected twice by the whole body's own dynamics (``balance``).  The
+zero-moment point under the feet and corrected four times by the whole body's own dynamics (``balance``).  The
 pelvis goes as high as legs let it.  Human numbers: ``docs/theory/figure.md``.
 """
 
@@ -25,7 +25,7 @@ from robot_ik.figure.balance import (
     zero_moment_slices,
 )
 from robot_ik.figure.figure import DT, GRAVITY, SIDES, Figure
-from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once, finished
+from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.geometry import axis_rotations
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
@@ -130,11 +130,12 @@ def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Foo
 
 
 def prints_of(figure: Figure, q: Array) -> tuple[Footprint, Footprint]:
-    """Where the feet stand at q."""
-    found = []
+    """Where the feet stand at q; their yaws differ by no more than π, also where a figure faces backwards."""
+    found: list[Footprint] = []
     for side, name in enumerate(SIDES):
         (x, y, _), matrix = figure.pose(q, figure.feet[name].frame)
         yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
+        yaw += 2 * np.pi * round((found[0].yaw - yaw) / (2 * np.pi)) if found else 0.0
         found.append(Footprint(side, float(x), float(y), yaw))
     return found[0], found[1]
 
@@ -271,7 +272,7 @@ class _Plan:
             was = mine[-1].print if mine else at
             share = min(1.0, float(np.hypot(at.x - was.x, at.y - was.y)) / (2 * gait.length))
             mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
-        self.com, self.zmp = plan_center(self._pressure(), x, self.omega).at(self.times)
+        self.com, self.zmp = plan_center(self._pressure(), x, self.omega, self.times)
         self.foot_positions = np.empty((2, len(self.times), 3))
         self.yaw, self.pitch = np.empty((2, len(self.times))), np.empty((2, len(self.times)))
         self.toes = np.zeros((2, len(self.times)))
@@ -498,16 +499,6 @@ def walk_slices(figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gai
 
 
 walk = at_once(walk_slices)
-
-
-def solve_walk_once(figure: Figure, prints: Sequence[Footprint]) -> int:
-    """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
-    plan = _Plan(figure, prints, WALK, figure.center(figure.home)[:2])
-    pelvis, _, heading = plan.trunk()
-    height = plan.pelvis_height(
-        pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], WALK.knee_deg
-    )
-    return len(finished(_solve(plan, figure.home, height, np.zeros_like(plan.com))).q)
 
 
 def _solve(plan: _Plan, q: Array, height: Array, shift: Array) -> Slices[Frames]:

@@ -6,7 +6,7 @@ it follows a zero-moment point from mid foot to the toes and back.  In flight th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ class JumpPlan:
     landed: float  # when the landing is absorbed
     ends: Array  # of waiting, crouch, push, flight, absorption and rising, s
     rising: float  # from when on before take-off the heels rise, s
-    abduction: float = 0.0  # of the other arm from the trunk in flight, rad
+    abduction: float  # of the other arm from the trunk in flight, rad
 
     @property
     def flight(self) -> float:
@@ -121,10 +121,10 @@ def highest_take_off(figure: Figure) -> float:
 def forward_at_take_off(figure: Figure) -> float:
     """How far before the middle of the feet the centre of mass takes off, m, in a jump of middling height."""
     plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)
-    return _forward(plan).jump
+    return float(_forward(plan, np.array([plan.apex]))[0][0])
 
 
-def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
+def plan_jump(figure: Figure, ball: Array, arm: str, speed: float, abduction: float = 0.0) -> JumpPlan:
     """A jump of a figure at home in its own frame with that speed at take-off, m/s.
 
     Raises:
@@ -146,9 +146,10 @@ def plan_jump(figure: Figure, ball: Array, arm: str, speed: float) -> JumpPlan:
     brake = 1.35 * speed**2 / (2 * (high - landed))
     rise = min(0.7, float(np.sqrt(17 * (wait - landed) / brake)))  # longer overshoots: a0 <= 20 d / T²
     ends = np.cumsum([0.45, 0.5, push, flight, absorb, rise])
-    return JumpPlan(figure, ready, ball, arm, speed, wait, low, high, landed, ends, 0.7 * push)
+    return JumpPlan(figure, ready, ball, arm, speed, wait, low, high, landed, ends, 0.7 * push, abduction)
 
 
+@once_each
 def _ready(figure: Figure) -> Array:
     """Standing with slightly bent knees."""
     rows = FrameRows(figure, 12)
@@ -162,21 +163,12 @@ def _ready(figure: Figure) -> Array:
     return rows.solve(home, figure.stiffnesses(STIFF), home, speeds=None).q[-1]
 
 
-@dataclass(eq=False)
-class _Forward:
-    """The centre of mass forwards, and the zero-moment point that moves it."""
+def _forward(plan: JumpPlan, times: Array, error: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
+    """At ``times`` (n,) the centre of mass forwards, and the zero-moment point that moves it; (n,) each.
 
-    t: Array
-    x: Array
-    p: Array
-    jump: float
-
-
-def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forward:
-    """x'' = ω² (x − p), ω² = (g + z'') / z: at rest at take-off, after landing and at the end.
-
-    p goes from mid foot to the toes and back, and bumps of it meet the end conditions, which are linear in
-    their sizes.  ``error``: times and what the whole body's zero-moment point was off by.
+    x'' = ω² (x − p), ω² = (g + z'') / z: at rest at take-off, after landing and at the end.  p goes from mid
+    foot to the toes and back, and bumps of it meet the end conditions, which are linear in their sizes.
+    ``error``: times and what the whole body's zero-moment point was off by.
     """
     T, dt = plan.ends, _FINE
     t = np.arange(0, T[5] + 0.3, dt)
@@ -216,7 +208,7 @@ def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forwa
     sizes = np.linalg.solve(np.stack([miss(1.0, 0.0) - r0, miss(0.0, 1.0) - r0], axis=1), -r0)
     miss(*sizes)
     wanted = np.where(t < T[2], p + size * b, after(*sizes)) + off
-    return _Forward(t, out, wanted, x)
+    return np.interp(times, t, out), np.interp(times, t, wanted)
 
 
 def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -265,11 +257,6 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     return out
 
 
-def _palm(plan: JumpPlan, forward: _Forward) -> Array:
-    """(3,) the ball seen from the centre of mass at the apex."""
-    return plan.ball - np.array([forward.jump, 0.0, float(plan.height(np.array([plan.apex]))[0])])
-
-
 def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
     """(nq,) the arm's angles with the palm at its position beside the centre of mass, the trunk upright."""
     figure, arm = plan.figure, plan.arm
@@ -289,8 +276,9 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
 
 
 def _frames(
-    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, before: Array | None
+    plan: JumpPlan, x: Array, palm: Array, top: Array, t: Array, start: Array, before: Array | None
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
+    """Frames at times ``t`` (n,) with the centre of mass at ``x`` (n,) forwards; and the feet's contact."""
     figure, T = plan.figure, plan.ends
     n = len(t)
     pitch, lift, contact = _feet(plan, t)
@@ -309,7 +297,7 @@ def _frames(
         position = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
         poses[side] = position, axis_rotations("y", pitch)
     rows.feet(poses, standing)
-    z, x = plan.height(t), np.interp(t, forward.t, forward.x)
+    z = plan.height(t)
     center = np.column_stack([x, np.zeros(n), z])
     begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
     was = figure.center(start)
@@ -329,7 +317,6 @@ def _frames(
         within = min(max(0.6, glance_time(figure, start, plan.ball)), 1.0)  # before the push at the latest
         to = seen + (plan.ball - seen) * minimum_jerk(t / within)[:, None]
         rows.aim(to, 6.0)
-    palm = _palm(plan, forward)
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
     near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
@@ -389,9 +376,9 @@ def jump_slices(
     start, stance = to_stance(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
     found: Motion | None = None
-    for abduction, more in _WAYS:
-        plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
-        motion = yield from _motion(replace(plan, abduction=abduction), start)
+    ways = ((max(speed, min(speed + more, TAKE_OFF)), abduction) for abduction, more in _WAYS)
+    for faster, abduction in dict.fromkeys(ways):  # near the fastest take-off some are the same
+        motion = yield from _motion(plan_jump(figure, ball, arm, faster, abduction), start)
         found = found or motion
         if not touches_itself(figure, motion.q):
             found = motion
@@ -413,21 +400,23 @@ def _motion(plan: JumpPlan, start: Array) -> Slices[Motion]:
     error: tuple[Array, Array] | None = None
     before: Array | None = None
     for k in range(_CORRECTIONS + 1):
-        forward = _forward(plan, error)
+        x, p = _forward(plan, t, error)
+        # The ball seen from the centre of mass at the apex.
+        palm = plan.ball - [np.interp(plan.apex, t, x), 0.0, plan.height(np.array([plan.apex]))[0]]
         yield
         if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
-            top = yield from _arm_at_apex(plan, _palm(plan, forward))
-        frames, contact = yield from _frames(plan, forward, top, t, start, before)
+            top = yield from _arm_at_apex(plan, palm)
+        frames, contact = yield from _frames(plan, x, palm, top, t, start, before)
         if k == _CORRECTIONS:
             break
         before = frames.q
         points, force = yield from zero_moment_slices(figure, frames.q)
         held = (contact != AIR) & (force > 0.42 * figure.mass * GRAVITY)
-        off = np.where(held, np.clip(points[:, 0] - np.interp(t, forward.t, forward.p), -0.25, 0.25), 0.0)
+        off = np.where(held, np.clip(points[:, 0] - p, -0.25, 0.25), 0.0)
         off[:2], off[-2:] = 0.0, 0.0
         off = smooth(off, 0.02 / DT)
         error = (t, off if error is None else error[1] + 0.7 * off)
-    zmp = np.column_stack([np.interp(t, forward.t, forward.p), np.zeros(len(t))])
+    zmp = np.column_stack([p, np.zeros(len(t))])
     both = np.column_stack([contact, contact])
     free = (t > plan.ends[5] + 0.1) | (t < 0.2)
     return Motion("jump", frames.q, both, frames.miss, zmp, free, "jump")

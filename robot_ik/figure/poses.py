@@ -112,7 +112,7 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
         if not wide.flaw and not touches_itself(figure, wide.q[None]):
             return wide
     best = best_pose(figure, ball, arm, kind, starts, untouched=True) or natural
-    return best if not best.flaw or best.miss < natural.miss else natural
+    return best if not best.flaw or (natural.flaw and best.miss < natural.miss) else natural
 
 
 def best_pose(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.decide import Decider, Decision
+from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
@@ -142,9 +142,6 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
             yield session.step()
         return
     for ball in request.balls:
-        if request.mode == "passive":  # leaving it frees the ball
-            session.set_mode("active")
-            session.set_mode("passive")
         session.set_ball(ball)
         if request.mode == "passive":
             session.start_passive()
@@ -162,39 +159,28 @@ def run_marker(
     """Frames of a figure whose ball is a marker: ``positions`` at times, seen from where the world begins."""
     moved = MarkerFigure(abilities, request)
     for t, position in positions:
-        moved.show(position)
-        yield from moved.until(t)
+        yield from moved.until(t, position)
 
 
 class MarkerFigure:
-    """A figure that acts on a marker in the pictures of a camera; also the motion of ``jobs.ar``."""
+    """A figure that acts on a marker in the pictures of a camera; ``frames`` are all that it did."""
 
-    def __init__(self, abilities: Abilities, request: FigureRequest, drawn: DrawnRobot | None = None) -> None:
+    def __init__(self, abilities: Abilities, request: FigureRequest) -> None:
         self._session = FigureSession(abilities, mode=request.mode, stance=request.stance)
-        self._drawn, self._shown = drawn, np.full(3, np.inf)
+        self._shown = np.full(3, np.inf)
         self.frames: list[FigureFrame] = []
 
-    def show(self, position: Array | None) -> None:
-        """The ball at ``position`` (3,); where it was last for None."""
+    def until(self, t: float, position: Array | None) -> list[FigureFrame]:
+        """Frames up to a time, s, with the ball at ``position`` (3,); where it was last for None."""
         if position is not None and float(np.linalg.norm(position - self._shown)) > _NOISE:
             self._shown = position
             self._session.set_ball(position)
             if self._session.mode == "passive" and self._session.ball is None:
                 self._session.start_passive()
-
-    def until(self, t: float) -> Iterator[FigureFrame]:
-        """Frames up to a time, s."""
+        first = len(self.frames)
         while len(self.frames) / RATE <= t:
             self.frames.append(self._session.step())
-            yield self.frames[-1]
-
-    def q(self, time: float, seen: Seen | None) -> Array:
-        """(nq,) at ``time``: see ``jobs.ar.motion.DrawnMotion``."""
-        assert self._drawn is not None
-        self.show(None if seen is None else marker_from_base(seen, self._drawn))
-        for _ in self.until(time):
-            pass
-        return self.frames[-1].q
+        return self.frames[first:]
 
 
 def draw_on_camera(
@@ -204,8 +190,13 @@ def draw_on_camera(
     made: list[MarkerFigure] = []
 
     def mover(robot: Robot, drawn: DrawnRobot) -> DrawnMotion:
-        made.append(MarkerFigure(abilities, request, drawn))
-        return DrawnMotion(made[-1].q)
+        made.append(moved := MarkerFigure(abilities, request))
+
+        def q(time: float, seen: Seen | None) -> Array:
+            moved.until(time, None if seen is None else marker_from_base(seen, drawn))
+            return moved.frames[-1].q
+
+        return DrawnMotion(q)
 
     report = run_ar(camera, progress, robot=abilities.figure.robot, mover=mover)
     return report, made[-1].frames
@@ -385,12 +376,3 @@ def record(
         for done, frame in enumerate(picked, start=1):
             sink.write(painter.paint(frame), frame.t)
             progress(done, len(picked))
-
-
-def decide_balls(
-    abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float]
-) -> Iterator[dict[str, object]]:
-    """A decision for each ball, each on its own, without moving."""
-    decider = Decider(abilities)
-    for ball in balls:
-        yield {"ball": ball, **asdict(decider.decide(ball, stance))}

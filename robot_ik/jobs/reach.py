@@ -34,6 +34,7 @@ from robot_ik.jobs.verdict import (
     quantisation,
 )
 from robot_ik.jobs.vision import SeenTarget, Vision, open_vision
+from robot_ik.motion.keyframes import column_names
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.ports import Array
@@ -201,7 +202,7 @@ def run_reach(
         compiling = stack.enter_context(Precompilation.solver(request.robot, method))
         setup = prepare_robot(request)
         if request.record is not None:
-            setup.record(stack.enter_context(open_recording(request.record, setup.robot.joints)))
+            setup.record(stack.enter_context(open_recording(request.record, column_names(setup.robot))))
         vision = open_vision(request, setup, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)

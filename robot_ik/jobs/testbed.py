@@ -26,6 +26,7 @@ from robot_ik.jobs.pictures import draw_markers
 from robot_ik.jobs.recording import Moment, Recording, open_recording, require_recording
 from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for
+from robot_ik.motion.keyframes import column_names
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_file import catalogue
@@ -161,16 +162,16 @@ def film(
             write = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite)).write
         recorder: Recorder | None = None
         rows: Recording | None = None
-        joints: tuple[str, ...] = ()
+        names: tuple[str, ...] = ()
         for session in replayed(log):
             recorder = recorder or Recorder(session, artist, size, write)
             view = session.view()
             if (view.tick - 1) % every == 0:
                 recorder.draw(view)
                 if record is not None and rows is None:
-                    joints = session.robot.joints
-                    rows = stack.enter_context(open_recording(record, joints))
-                if rows is not None and session.robot.joints == joints:  # one recording is of one robot
+                    names = column_names(session.robot)
+                    rows = stack.enter_context(open_recording(record, names))
+                if rows is not None and column_names(session.robot) == names:  # of one robot
                     for k, one in enumerate(view.instances):
                         text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
                         moment = Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot)

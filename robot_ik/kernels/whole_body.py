@@ -14,11 +14,10 @@ take over a bound are held there and it is solved again.
 
 import math
 
-from numba import types
-
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.linalg import reduced_system
 from robot_ik.kernels.residuals import rotation_error
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
@@ -71,8 +70,7 @@ WHOLE_BODY = Layout(
     step="floats nv",
     low="floats nv",
     high="floats nv",
-    held="ints nv",
-    bound="floats nv",
+    side="ints nv",  # -1 or 1 of a joint that is held at its lower or upper bound, else 0
     hard_solved="table h nv",  # ``hard`` times L⁻ᵀ of the factor
     schur="table h h",
     multiplier="floats h",
@@ -279,13 +277,13 @@ def cholesky(matrix, n):
 
 
 @pure
-def substitute(matrix, x, r, n):
-    """x[r] = L⁻¹ x[r]."""
+def substitute(matrix, x, n):
+    """x = L⁻¹ x."""
     for i in range(n):
-        s = x[r, i]
+        s = x[i]
         for k in range(i):
-            s -= matrix[i, k] * x[r, k]
-        x[r, i] = s * matrix[i, i]
+            s -= matrix[i, k] * x[k]
+        x[i] = s * matrix[i, i]
 
 
 @pure
@@ -301,42 +299,23 @@ def substitute_back(matrix, x, n):
 @outlined
 def solve_held(body, count, slack):
     """The step with the held joints at their bounds: body.step."""
-    factor, matrix, hard_solved, schur = body.factor, body.matrix, body.hard_solved, body.schur
-    held, bound, step, row = body.held, body.bound, body.step, body.row
-    multiplier, n = body.multiplier, body.gradient.shape[0]
-    first = types.int64(0)
-    for i in range(n):
-        for j in range(i + 1):
-            factor[i, j] = matrix[i, j]
-        row[first, i] = body.gradient[i]
+    factor, side, step, multiplier = body.factor, body.side, body.step, body.multiplier
+    hard_solved, schur, n = body.hard_solved, body.schur, body.gradient.shape[0]
+    reduced_system(body.matrix, body.gradient, body.low, body.high, side, factor, step)
+    cholesky(factor, n)
     for r in range(count):
         multiplier[r] = body.wanted[r]
         for v in range(n):
             hard_solved[r, v] = body.hard[r, v]
-    for p in range(n):
-        if held[p] == 0:
-            continue
-        for j in range(p):
-            row[first, j] -= matrix[p, j] * bound[p]
-            factor[p, j] = 0.0
-        for i in range(p + 1, n):
-            row[first, i] -= matrix[i, p] * bound[p]
-            factor[i, p] = 0.0
-        factor[p, p] = 1.0
-        for r in range(count):
-            multiplier[r] -= hard_solved[r, p] * bound[p]
-            hard_solved[r, p] = 0.0
-    for p in range(n):
-        if held[p] != 0:
-            row[first, p] = 0.0
-    cholesky(factor, n)
-    substitute(factor, row, first, n)
-    for r in range(count):
-        substitute(factor, hard_solved, r, n)
+            if side[v] != 0:
+                multiplier[r] -= hard_solved[r, v] * step[v]
+                hard_solved[r, v] = 0.0
+        substitute(factor, hard_solved[r], n)
+    substitute(factor, step, n)
     for r in range(count):
         s = multiplier[r]
         for v in range(n):
-            s -= hard_solved[r, v] * row[first, v]
+            s -= hard_solved[r, v] * step[v]
         multiplier[r] = s
         for c in range(r + 1):
             s = 0.0
@@ -346,21 +325,12 @@ def solve_held(body, count, slack):
     for r in range(count):
         schur[r, r] += slack
     cholesky(schur, count)
-    for r in range(count):
-        s = multiplier[r]
-        for c in range(r):
-            s -= schur[r, c] * multiplier[c]
-        multiplier[r] = s * schur[r, r]
+    substitute(schur, multiplier, count)
     substitute_back(schur, multiplier, count)
-    for v in range(n):
-        step[v] = row[first, v]
     for r in range(count):
         for v in range(n):
             step[v] += hard_solved[r, v] * multiplier[r]
     substitute_back(factor, step, n)
-    for p in range(n):
-        if held[p] != 0:
-            step[p] = bound[p]
 
 
 @outlined
@@ -368,14 +338,13 @@ def hold_and_solve(body, count, slack):
     """body.step, with joints held at the bounds that it would cross; returns its longest part."""
     n = body.step.shape[0]
     for v in range(n):
-        body.held[v] = 0
+        body.side[v] = 0
     for _ in range(_HOLDS):
         solve_held(body, count, slack)
         more = False
         for v in range(n):
-            if body.held[v] == 0 and not (body.low[v] - 1e-12 <= body.step[v] <= body.high[v] + 1e-12):
-                body.held[v] = 1
-                body.bound[v] = body.low[v] if body.step[v] < body.low[v] else body.high[v]
+            if body.side[v] == 0 and not (body.low[v] - 1e-12 <= body.step[v] <= body.high[v] + 1e-12):
+                body.side[v] = -1 if body.step[v] < body.low[v] else 1
                 more = True
         if not more:
             break

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -123,10 +123,8 @@ class Bvh:
     def poses(self) -> tuple[Array, Array]:
         """Positions (n, joints, 3), and rotations (n, joints, 3, 3), in the file's units and world."""
         count = len(self.values)
-        positions, rotations = (
-            np.zeros((count, len(self.joints), 3)),
-            np.zeros((count, len(self.joints), 3, 3)),
-        )
+        positions = np.zeros((count, len(self.joints), 3))
+        rotations = np.zeros((count, len(self.joints), 3, 3))
         for j, joint in enumerate(self.joints):
             offset = np.tile(np.array(joint.offset), (count, 1))
             for axis, name in enumerate(POSITION):
@@ -276,10 +274,7 @@ class _Reader:
                     self.token("Site")
                     self.token("{")
                     self.token("OFFSET")
-                    last = joints[above[-1]]
-                    joints[above[-1]] = BvhJoint(
-                        last.name, last.parent, last.offset, last.channels, self.vector()
-                    )
+                    joints[above[-1]] = replace(joints[above[-1]], end=self.vector())
                     self.token("}")
                     continue
                 above.pop()

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.alias_generators import to_snake
@@ -42,9 +42,13 @@ RATE = 60
 """Ticks a second."""
 
 
+@dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class Command:
-    """Something that a person asked for; the fields are what a log holds."""
+    """Something that a person asked for: a frozen dataclass, as every subclass; a log holds its fields."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
 
     @classmethod
     def key(cls) -> str:
@@ -59,21 +63,18 @@ class SetupCommand(Command):
     """
 
 
-@dataclass(frozen=True)
 class SetRobot(SetupCommand):
     """Another robot: a name of the catalogue or the path of a model."""
 
     name: Annotated[str, Field(max_length=4096)]
 
 
-@dataclass(frozen=True)
 class SetCount(SetupCommand):
     """One robot, or two or four side by side."""
 
     count: Count
 
 
-@dataclass(frozen=True)
 class SetMethod(SetupCommand):
     """The method of one instance, with its default options."""
 
@@ -81,7 +82,6 @@ class SetMethod(SetupCommand):
     method: Annotated[str, Field(max_length=100)]
 
 
-@dataclass(frozen=True)
 class SetOption(SetupCommand):
     """One option of an instance's method."""
 
@@ -90,14 +90,12 @@ class SetOption(SetupCommand):
     value: bool | int | float | Annotated[str, Field(max_length=100)]
 
 
-@dataclass(frozen=True)
 class SetGoalKind(SetupCommand):
     """What the ball asks of the tool."""
 
     kind: GoalKind
 
 
-@dataclass(frozen=True)
 class SetExtraGoal(SetupCommand):
     """A goal beside the ball's on or off, and its priority: 0 is served first."""
 
@@ -106,35 +104,30 @@ class SetExtraGoal(SetupCommand):
     priority: Annotated[int, Field(ge=0, le=9)] = 0
 
 
-@dataclass(frozen=True)
 class SetLimits(SetupCommand):
     """Joint limits on or off."""
 
     on: bool
 
 
-@dataclass(frozen=True)
 class SetMotion(Command):
     """How the ball moves."""
 
     motion: Motion
 
 
-@dataclass(frozen=True)
 class SetRunning(Command):
     """Goes on, or holds still."""
 
     running: bool
 
 
-@dataclass(frozen=True)
 class SetSpeed(Command):
     """Speed of the ball: 1 is real time."""
 
     speed: Annotated[float, Field(ge=0.0, le=3.0)]
 
 
-@dataclass(frozen=True)
 class MoveGoal(Command):
     """The ball to a position (metres, world), oriented as before or as given; it then moves by hand."""
 
@@ -142,14 +135,12 @@ class MoveGoal(Command):
     wxyz: Wxyz | None = None
 
 
-@dataclass(frozen=True)
 class Nudge(Command):
     """The ball by a step (metres, world)."""
 
     step: Point
 
 
-@dataclass(frozen=True)
 class DragLink(Command):
     """A grabbed point of a body follows the mouse.
 
@@ -162,43 +153,36 @@ class DragLink(Command):
     to: Point
 
 
-@dataclass(frozen=True)
 class Release(Command):
     """The grabbed body is let go; the ball goes to where the tool is now."""
 
 
-@dataclass(frozen=True)
 class Reset(Command):
     """Robots home, ball on the curve, statistics empty."""
 
 
-@dataclass(frozen=True)
 class ShowBranches(SetupCommand):
     """All branches of a closed form as ghosts, on or off."""
 
     on: bool
 
 
-@dataclass(frozen=True)
 class PickBranch(Command):
     """The first instance goes on from the branch of that number."""
 
     index: Annotated[int, Field(ge=0, le=63)]
 
 
-@dataclass(frozen=True)
 class SetFigure(SetupCommand):
     """A figure decides by itself: it follows the ball (active), acts on demand (passive), or not."""
 
     mode: Literal["off", "active", "passive"]
 
 
-@dataclass(frozen=True)
 class Act(Command):
     """A passive figure acts on the ball where it is now."""
 
 
-@dataclass(frozen=True)
 class SetArm(Command):
     """The servo arm: follow the first instance, hold, let go (torque off), record a hand, or repeat that."""
 

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import IO, Any
 
 from numba.core import event
@@ -115,7 +115,6 @@ class Compilers:
             self._end()
 
 
-@dataclass(frozen=True)
 class SetupDone(Command):
     """A command that was prepared beside the loop, and what came of it."""
 

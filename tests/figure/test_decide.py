@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
-from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace
+from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, inside_body
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.frames import Frames, PreparedRows
-from robot_ik.figure.poses import BEND, REACH, best_pose, touches_itself
+from robot_ik.figure.poses import BEND, REACH, best_pose, find_pose, touches_itself
 from robot_ik.geometry import axis_rotations
 from robot_ik.robot import load_robot
 
@@ -60,6 +61,19 @@ def test_every_action_is_decided_anywhere(
 def test_nothing_says_why(decider: Decider, ball: tuple[float, ...] | None, reason: str) -> None:
     found = decider.decide(ball)
     assert found.action == "nothing" and reason in found.reason
+
+
+def test_a_ball_is_inside_a_body_of_any_shape() -> None:
+    """Off the middle of each shape, by more than its first size: a cylinder was taken for a sphere."""
+    robot = load_robot("humanoid")
+    model, kinds, torso = robot.model, mujoco.mjtGeom, 0
+    figure = load_figure(robot)
+    data = figure.at(figure.home)
+    middle, axis = data.geom_xpos[torso].copy(), data.geom_xmat[torso].reshape(3, 3)[:, 2].copy()
+    for kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER, kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
+        model.geom_type[torso], model.geom_size[torso], model.geom_rbound[torso] = kind, (0.05, 0.5, 0.5), 1.0
+        found = [inside_body(figure, middle + along * axis) == "torso" for along in (0.4, -0.4, 0.7)]
+        assert found == [True, True, False], kind
 
 
 @pytest.mark.parametrize("ball", [(0.0, 0.0, 0.05), (-0.05, 0.0, 0.05), (-0.05, 0.1, 0.05)])
@@ -270,6 +284,13 @@ def test_the_judge_says_today_what_it_said(figure: Figure) -> None:
 def test_decisions_agree_on_a_thousand_balls_judged_now(figure: Figure, decider: Decider) -> None:
     judge = _judge.Judge(figure)
     agreement(decider, [(ball, judge.label(ball, _judge.STARTS, k)) for k, ball in _judge.drawn(1000, 77)])
+
+
+def test_an_admissible_pose_is_not_left_for_one_that_is_not(figure: Figure) -> None:
+    """The natural pose hardly touches the body; from a start that runs into it the hand comes nearer."""
+    ball, start = np.array([0.0648, -0.2155, 1.2582]), figure.posture({"left_shoulder_roll": -0.5})
+    assert best_pose(figure, ball, "right", REACH, start[None]).flaw  # type: ignore[union-attr]
+    assert not find_pose(figure, ball, "right", REACH, start[None]).flaw
 
 
 def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities) -> None:

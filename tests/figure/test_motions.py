@@ -11,7 +11,7 @@ from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, plan_center
 from robot_ik.figure.figure import Figure
 from robot_ik.figure.gait import SHUFFLE, Walk, prints_of, shuffle_prints, walk, walk_prints
-from robot_ik.figure.jump import jump
+from robot_ik.figure.jump import jump, jump_slices
 from robot_ik.geometry import axis_rotations
 
 Array = NDArray[np.float64]
@@ -158,9 +158,26 @@ def test_a_jump_in_which_bodies_would_touch_is_made_another_way(
     assert near <= 0.005 and measure.self_contact == 0
 
 
+def test_no_jump_is_tried_twice(figure: Figure) -> None:
+    """At the fastest take-off bodies touch, and there is one other way: the arm aside, no faster."""
+
+    def slices(ball: tuple[float, float, float], speed: float) -> int:
+        return sum(1 for _ in jump_slices(figure, figure.home, np.array(ball), "right", speed))
+
+    assert slices((0.024, -0.028, 2.582), 2.6) < 2.5 * slices((0.2, -0.2, 2.35), 2.5)
+
+
 def test_a_jump_too_high_is_refused(figure: Figure) -> None:
     with pytest.raises(InvalidGoalError, match=r"more than 2\.6 m/s"):
         jump(figure, figure.home, np.array([0.2, 0.0, 3.0]), "right", 3.5)
+
+
+def test_feet_either_side_of_backwards_walk_on(figure: Figure) -> None:
+    """Yaws of π less and −π more than a little: as numbers a whole turn apart, which a foot would make."""
+    turned = figure.posture({"left_hip_yaw": 1e-6, "right_hip_yaw": 1e-6})
+    q = figure.placed(turned, 0.0, 0.0, np.pi)
+    found = walk(figure, q, walk_prints(figure, prints_of(figure, q), np.array([-2.0, 0.0, np.pi])))
+    assert found.frames.miss.max() < 1e-5
 
 
 def test_the_center_of_mass_follows_its_zero_moment_point() -> None:
@@ -173,9 +190,8 @@ def test_the_center_of_mass_follows_its_zero_moment_point() -> None:
         (3.5, np.array([0.1, 0.0])),
     ]
     omega = 3.2
-    plan = plan_center(nodes, np.array([0.02, 0.0]), omega)
     t = np.linspace(0.0, 3.5, 7001)
-    x, p = plan.at(t)
+    x, p = plan_center(nodes, np.array([0.02, 0.0]), omega, t)
     h = t[1] - t[0]
     force = np.diff(x, n=2, axis=0) / h**2 - omega**2 * (x - p)[1:-1]
     smooth = np.all([np.abs(t[1:-1] - at) > 2 * h for at, _ in nodes], axis=0)

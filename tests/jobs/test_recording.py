@@ -13,6 +13,7 @@ from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.recording import Moment, open_recording
 from robot_ik.jobs.testbed import film
+from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import CommandLog, Start
 from tests.testbed.test_frontends import SCRIPT
 
@@ -93,3 +94,16 @@ def test_a_film_has_a_recording_beside_it(tmp_path: Path) -> None:
     assert main(["video", *out, "--size", "96", "64", "--backend", "painter"]) == 0
     found = rows_of(tmp_path / "a.csv")
     assert {row["robot"] for row in found} == {"0", "1", "2"} and float(found[-1]["goal_x"]) == 0.2
+
+
+def test_every_number_of_a_free_base_has_its_own_name(tmp_path: Path) -> None:
+    """A joint is one name and up to seven numbers: names were given out to numbers one by one."""
+    table, numbers = tmp_path / "a.csv", tmp_path / "numbers.csv"
+    film(CommandLog(Start("humanoid"), ()), None, record=table, numbers=numbers, seconds=0.05)
+    with table.open() as file:
+        head, *rows = csv.reader(file)
+    found = dict(zip(head, rows[-1], strict=True))
+    said = dict(item.split("=") for item in rows_of(numbers)[-1]["q"].split())
+    home = load_robot("humanoid").home
+    assert float(found["commanded.root_qw"]) == float(said["root_qw"]) == pytest.approx(home[3], abs=0.1)
+    assert float(said["root_z"]) == pytest.approx(home[2], abs=0.1)

@@ -25,6 +25,7 @@ from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
 from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
+from robot_ik.motion.keyframes import column_names
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue
@@ -148,7 +149,7 @@ class ScriptRun:
             with contextlib.ExitStack() as stack:
                 self._prepare(stack, progress)
                 if self._record is not None:
-                    setup.record(stack.enter_context(open_recording(self._record, now.robot.joints)))
+                    setup.record(stack.enter_context(open_recording(self._record, column_names(now.robot))))
                 stack.enter_context(setup.connected())
                 setup.enable_torque()
                 now.begin = setup.clock.now()

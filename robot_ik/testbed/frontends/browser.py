@@ -35,7 +35,7 @@ from robot_ik.testbed.frontends.panels import (
     page,
     pressed,
 )
-from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
+from robot_ik.testbed.frontends.scene import BrowserScene
 from robot_ik.testbed.session import Session, View
 
 LOG = logging.getLogger(__name__)
@@ -144,9 +144,9 @@ class Page(Closing):
         arcs = gui.add_checkbox("Turn handles", False, hint="Arcs that turn the ball's pose")
         Control(arcs, lambda value: setattr(self._gizmo, "disable_rotations", not value))
         self._axes = gui.add_checkbox("Tool frames", False, hint="x red, y green, z blue")
-        Control(self._axes, self._show_axes)
+        Control(self._axes, lambda shown: self._scene.show_axes(shown))
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
-        Control(self._reach, self._show_reach)
+        Control(self._reach, lambda shown: self._scene.show_reach(shown))
         dark = gui.add_checkbox("Dark", self._page_server.dark, hint="For all browsers that look")
         Control(dark, self._page_server.theme)
         if self._camera is not None:
@@ -186,12 +186,6 @@ class Page(Closing):
         self._trails.handle.value = shown
         self._scene.show_overlay(shown)
 
-    def _show_axes(self, shown: bool) -> None:
-        self._scene.show_axes(shown)
-
-    def _show_reach(self, shown: bool) -> None:
-        self._scene.show_cloud(reach_cloud(self._scene.robot) if shown else None)
-
     def _add_gizmo(self) -> None:
         self._gizmo = self.server.scene.add_transform_controls(
             "/goal", scale=0.2, line_width=3.0, disable_sliders=True, disable_rotations=True, depth_test=False
@@ -212,8 +206,7 @@ class Page(Closing):
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_overlay(self._overlay)
         scene.show_axes(self._axes.value)
-        if self._reach.value:
-            scene.show_cloud(reach_cloud(scene.robot))
+        scene.show_reach(self._reach.value)
         self._gizmo.scale = _GIZMO * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.

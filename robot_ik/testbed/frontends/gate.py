@@ -22,6 +22,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from operator import attrgetter
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -175,18 +176,20 @@ class Gate:
         """
         message = _decoded(raw)
         kind = message["type"]
-        check = _CHECKS.get(kind)
-        if not budget.take() or check is None:
+        row = _CHECKS.get(kind)
+        if not budget.take() or row is None:
             self.dropped[kind[:40]] += 1
             return False
         assert isinstance(raw, bytes)
         vm.Message.deserialize(raw)  # fields and their types as viser has them; it raises whatever it likes
         if self._server is None or not _finite(message):
             raise Malformed(kind)
-        if _is_gone(self._server, message):
+        named, registry, check = row
+        handle = attrgetter(registry)(self._server).get(message[named]) if registry else None
+        if registry and handle is None:  # a change of method or robot takes some away
             self.dropped[f"{kind} to what is gone"] += 1
             return False
-        if not check(self._server, message):
+        if not check(handle, message):
             raise Malformed(kind)
         if kind == "ViewerCameraMessage" or message.get("uuid") in self.always:
             return True
@@ -289,7 +292,7 @@ def _numbers(message: Mapping[str, Any], **sizes: int) -> bool:
     return True
 
 
-def _camera(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
+def _camera(handle: Any, message: Mapping[str, Any]) -> bool:
     good = _numbers(message, wxyz=4, position=3, fov=0, near=0, far=0, look_at=3, up_direction=3)
     size = message.get("image_width"), message.get("image_height")
     if not good or not all(isinstance(one, int) and 0 <= one <= 100_000 for one in size):
@@ -297,29 +300,15 @@ def _camera(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
     return 0.01 < math.sqrt(sum(one * one for one in message["wxyz"])) < 100.0
 
 
-def _is_gone(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    """Whether there is no such widget or node (any more: a change of method or robot takes some away)."""
-    match message["type"]:
-        case "ViewerCameraMessage":
-            return False
-        case "CommandTriggerMessage":
-            return message["uuid"] not in server.gui._command_handle_from_uuid
-        case "GuiUpdateMessage":
-            return message["uuid"] not in server.gui._gui_input_handle_from_uuid
-        case "SceneNodeDragMessage":
-            return message["name"] not in server.scene._handle_from_node_name
-    return message["name"] not in server.scene._handle_from_transform_controls_name
+def _transform(handle: Any, message: Mapping[str, Any]) -> bool:
+    return _numbers(message, wxyz=4, position=3)
 
 
-def _command(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    return True  # it carries nothing but its name
+def _name_alone(handle: Any, message: Mapping[str, Any]) -> bool:
+    return True
 
 
-def _transform(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    return message["type"] != "TransformControlsUpdateMessage" or _numbers(message, wxyz=4, position=3)
-
-
-def _drag(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
+def _drag(handle: Any, message: Mapping[str, Any]) -> bool:
     index = message.get("instance_index")
     if index is not None and not (isinstance(index, int) and 0 <= index < 4):
         return False
@@ -328,9 +317,8 @@ def _drag(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
     )
 
 
-def _value(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
+def _value(handle: Any, message: Mapping[str, Any]) -> bool:
     """Whether a widget could have sent this value: viser itself takes any attribute, type and range."""
-    handle: Any = server.gui._gui_input_handle_from_uuid[message["uuid"]]
     updates = message.get("updates")
     if not isinstance(updates, dict) or set(updates) != {"value"}:
         return False
@@ -347,16 +335,18 @@ def _value(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
     return isinstance(value, str) and isinstance(now, str) and len(value) < _LONGEST
 
 
-_CHECKS: Mapping[str, Callable[[viser.ViserServer, Mapping[str, Any]], bool]] = {
-    "ViewerCameraMessage": _camera,
-    "CommandTriggerMessage": _command,
-    "GuiUpdateMessage": _value,
-    "TransformControlsUpdateMessage": _transform,
-    "TransformControlsDragStartMessage": _transform,
-    "TransformControlsDragEndMessage": _transform,
-    "SceneNodeDragMessage": _drag,
+_CONTROLS = "scene._handle_from_transform_controls_name"
+_CHECKS: Mapping[str, tuple[str, str, Callable[[Any, Mapping[str, Any]], bool]]] = {
+    "ViewerCameraMessage": ("", "", _camera),
+    "CommandTriggerMessage": ("uuid", "gui._command_handle_from_uuid", _name_alone),
+    "GuiUpdateMessage": ("uuid", "gui._gui_input_handle_from_uuid", _value),
+    "TransformControlsUpdateMessage": ("name", _CONTROLS, _transform),
+    "TransformControlsDragStartMessage": ("name", _CONTROLS, _name_alone),
+    "TransformControlsDragEndMessage": ("name", _CONTROLS, _name_alone),
+    "SceneNodeDragMessage": ("name", "scene._handle_from_node_name", _drag),
 }
-"""What a browser may send, and what must hold of it.  Everything else is dropped unread."""
+"""What a browser may send: the field that names a widget or node, where the server has these, and what must
+hold of the message, given its widget or node.  Everything else is dropped unread."""
 
 
 def _plain(status: http.HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:

@@ -19,6 +19,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.motion.keyframes import column_names
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
@@ -66,14 +67,15 @@ class Recorder:
         """One picture and one row for each instance."""
         if self._write is not None:
             self._write(self.picture(view), view.now)
+        names = column_names(self.session.robot)
         for k, one in enumerate(view.instances):
-            joints = dict(zip(self.session.robot.joints, one.q.tolist(), strict=False))
+            angles = zip(names, one.q.tolist(), strict=True)
             self._rows.append(
                 [
                     view.tick, f"{view.now:.6f}", view.robot, k + 1, one.method, one.status, one.iterations,
                     *view.ball.position.tolist(), one.miss, one.angle,
                     f"{one.statistics.mean:.9f}", f"{one.statistics.solved:.4f}",
-                    " ".join(f"{name}={value!r}" for name, value in joints.items()),
+                    " ".join(f"{name}={value!r}" for name, value in angles),
                 ]
             )  # fmt: skip
 

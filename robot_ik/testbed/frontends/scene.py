@@ -290,14 +290,17 @@ class BrowserScene:
         if self._axes is not None:
             self._axes.visible = on
 
-    def show_cloud(self, points: Array | None) -> None:
-        """Places (n, 3) that the tool can reach, or None."""
+    def show_reach(self, on: bool) -> None:
+        """Places that the tool can reach: at random joint angles within the limits, by MuJoCo."""
         if self._cloud is not None:
             self._cloud.remove()
             self._cloud = None
-        if points is not None:
+        if on:
+            rng = np.random.default_rng(0)
+            robot = self.robot
+            points = [robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)]
             self._cloud = self._server.scene.add_point_cloud(
-                "/robot/reach", points.astype(np.float32), colors=GOAL_COLOUR,
+                "/robot/reach", np.array(points, np.float32), colors=GOAL_COLOUR,
                 point_size=0.006 * self.arrangement.extent, point_shape="circle",
             )  # fmt: skip
 
@@ -360,9 +363,3 @@ class BrowserScene:
                 self._ghosts[name] = Ghosts(self._server, self.robot.model, name, colour, count)
             if name in self._ghosts:
                 self._ghosts[name].draw(poses, self.arrangement.offsets[0])
-
-
-def reach_cloud(robot: Robot) -> Array:
-    """(n, 3) positions of the tool at random joint angles within the limits, by MuJoCo."""
-    rng = np.random.default_rng(0)
-    return np.array([robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)])

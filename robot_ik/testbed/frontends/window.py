@@ -335,11 +335,7 @@ class SessionWindow(_ViewerWindow):
         body = int(self._model.body(_BALL).id)
         with self._viewer.lock():
             self._viewer.perturb.select = body
-            self._kept = (
-                self._viewer.opt.flags.copy(),
-                self._viewer.opt.geomgroup.copy(),
-                self._viewer.user_scn.flags.copy(),
-            )
+            self._kept = [flags.copy() for flags in self._flags()]
         self._arrange()
 
     def _arrange(self) -> None:
@@ -396,12 +392,13 @@ class SessionWindow(_ViewerWindow):
             x, y, z = (float(value) for value in position)
             self.session.send(MoveGoal((x, y, z)))
 
+    def _flags(self) -> tuple[Any, ...]:
+        return self._viewer.opt.flags, self._viewer.opt.geomgroup, self._viewer.user_scn.flags
+
     def _restore_flags(self) -> None:
         """What MuJoCo's own keys switched: every letter of the testbed is one of them, too."""
-        flags, groups, scene = self._kept
-        self._viewer.opt.flags[:] = flags
-        self._viewer.opt.geomgroup[:] = groups
-        self._viewer.user_scn.flags[:] = scene
+        for flags, kept in zip(self._flags(), self._kept, strict=True):
+            flags[:] = kept
 
     def _draw_others(self, view: View) -> None:
         """Trails, and the other instances: their geoms shifted."""
