@@ -74,6 +74,10 @@ def shipped() -> dict[str, Path]:
 def _found(name: str) -> Path:
     path = Path(name).expanduser()
     known = shipped()
+    if path.is_dir() and name not in known:
+        own = next(iter(sorted(path.glob("*.toml"))), None)
+        hint = "" if own is None else f"a script in it: robot-ik run {own}"
+        raise ConfigError("this is a folder", file=name, allowed="one script", hint=hint)
     if path.is_file() or path.suffix or path.name != name:
         return path
     if name not in known:
