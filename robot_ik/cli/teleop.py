@@ -29,7 +29,7 @@ from robot_ik.robot_file import SERVO_ROBOT
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.teleop import Jog, Operator
+    from robot_ik.jobs.teleop import Jog, Operator, TeleopReport
 
 KEYS, GAMEPAD = "keys", "gamepad"
 """As ``--leader``: no arm, but the keys of the terminal, or the first gamepad."""
@@ -50,6 +50,7 @@ class TeleopOptions:
     leader is back they are engaged anew. Ctrl-C ends it.
 
     Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or environment.
+    130: Ctrl-C.
     """
 
     leader: Annotated[str, arg(metavar="FILE|NAME|keys|gamepad")] = KEYS
@@ -107,14 +108,17 @@ def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Calla
     from robot_ik.jobs.teleop import teleoperate
 
     with attempt():
-        report = teleoperate(operator, follower, seconds=options.seconds, over=over)
+        teleoperate(operator, follower, seconds=options.seconds, over=over, done=_show)
+    return console.DONE
+
+
+def _show(report: TeleopReport) -> None:
     lost = f", the leader lost {console.count_of(report.lost, 'time')}" if report.lost else ""
     engaged = console.count_of(report.engaged, "time")
     console.say(
         f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
         f"engaged {engaged}{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
     )
-    return console.DONE
 
 
 def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
