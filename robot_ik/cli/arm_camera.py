@@ -19,11 +19,12 @@ from robot_ik.cli.arguments import (
     Dictionary,
     Json,
     NeededBoard,
+    Range,
+    Speed,
     pose_option,
     pose_text,
     request_of,
     require,
-    require_share,
     robot_argument,
     single,
 )
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 
 Report = TypeVar("Report")
+VIEWS = Range(4, 100, " views")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,10 +57,9 @@ class ArmCameraOptions:
     """Its calibration."""
     board: NeededBoard = ""
     dictionary: Dictionary = ""
-    views: Annotated[int, arg(metavar="N")] = 15
+    views: Annotated[int, arg(metavar="N"), VIEWS] = 15
     """How many pictures to take: 4 to 100."""
-    speed: float = 1.0
-    """Share of the joints' speed limits, above 0 and up to 1."""
+    speed: Speed = 1.0
     dry_run: bool = False
     """Plan the views and print them; nothing moves."""
     seed: int = 0
@@ -75,11 +76,7 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
         ConfigError, CameraError: A malformed option.
     """
     from robot_ik.camera.boards.board import parse_board
-    from robot_ik.camera.calibration.handeye import LEAST_VIEWS
 
-    views = f"{LEAST_VIEWS} to 100"
-    require(LEAST_VIEWS <= options.views <= 100, "--views", f"{options.views} views", views)
-    require_share("--speed", options.speed)
     without = f"an arm without servos has no {why_servos}"
     require(options.bus != "none", "--bus", without, "sim, pty or a serial port")
     return {

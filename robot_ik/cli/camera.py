@@ -21,10 +21,10 @@ from robot_ik.cli.arguments import (
     BoardName,
     Dictionary,
     Json,
+    Range,
     pose_option,
     pose_text,
     request_of,
-    require,
     several,
     single,
 )
@@ -298,7 +298,7 @@ class CameraLocateOptions:
     dictionary: Dictionary = ""
     parent: str = "world"
     """Name of the frame that the board's pose is given in."""
-    frames: Annotated[int, arg(metavar="N")] = 20
+    frames: Annotated[int, arg(metavar="N"), Range(1, 10_000, " pictures")] = 20
     """How many pictures to average, where the source has more than one."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the extrinsics go."""
@@ -311,7 +311,6 @@ def run_locate(options: CameraLocateOptions) -> int:
     """Looks, fits, writes; 1 when no picture is believed."""
     from robot_ik.jobs import locate
 
-    require(1 <= options.frames <= 10_000, "--frames", f"{options.frames} pictures", "1 to 10000")
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
     request = request_of(locate.LocateRequest, options, pose_parent_board=pose, pictures=options.frames)
     with claimed(options.out, overwrite=options.overwrite):

@@ -18,12 +18,14 @@ from robot_ik.cli.arguments import (
     XYZ_WXYZ,
     joint_degrees,
     pose_option,
+    positive,
     request_of,
     require,
     several,
     single,
 )
 from robot_ik.cli.arm_camera import (
+    VIEWS,
     ArmCameraOptions,
     arm_camera_values,
     measured,
@@ -57,9 +59,9 @@ class CameraVerifyOptions(ArmCameraOptions):
     """Where the board is, seen from the frame that carries it."""
     board_sigma: Annotated[tuple[float, ...], single("MM DEG", "0.2 0.1")] = ()
     """How well that is known, each axis: --fit cannot know the last joint better."""
-    views: Annotated[int, arg(metavar="N")] = 30
+    views: Annotated[int, arg(metavar="N"), VIEWS] = 30
     """How many pictures to take: 4 to 100."""
-    allowed_mm: Annotated[float, arg(metavar="MM")] = 5.0
+    allowed_mm: Annotated[float, arg(metavar="MM"), positive(what=" mm")] = 5.0
     """Largest error of a pose with which the arm passes."""
     fit: bool = False
     """Estimate by how much each joint's zero is off."""
@@ -155,8 +157,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     from robot_ik.jobs.arm_camera.verify import BOARD_SIGMA, VerifyRequest
     from robot_ik.jobs.robot_setup import Rehearsal
 
-    sigma, allowed = options.board_sigma, options.allowed_mm
-    require(0.0 < allowed < math.inf, "--allowed-mm", f"{allowed:g} mm", "above 0")
+    sigma = options.board_sigma
     known = len(sigma) in (0, 2) and all(0.0 < one < math.inf for one in sigma)
     exact = "a pose that is known exactly or not at all"
     require(known, "--board-sigma", exact, "two numbers above 0")

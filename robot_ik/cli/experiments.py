@@ -12,7 +12,7 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import require, several, single
+from robot_ik.cli.arguments import Range, require, several, single
 
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
@@ -36,7 +36,7 @@ class ExperimentsOptions:
     """a00: only these tests."""
     solvers: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """a00: only these methods."""
-    frames: Annotated[int | None, single("N", "whole; 1000")] = None
+    frames: Annotated[int | None, single("N", "whole; 1000"), Range(1)] = None
     """a00: no more than so many frames of each course; s12: frames of each case."""
     plot: bool = False
     """s12: draw the table, too (needs matplotlib)."""
@@ -44,7 +44,7 @@ class ExperimentsOptions:
     """Where the JSON file and the picture go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
-    seed: int = 0
+    seed: Annotated[int, Range(0)] = 0
     """Of the random targets and of restarts."""
 
 
@@ -84,8 +84,6 @@ def run(options: ExperimentsOptions) -> int:
 def _check(options: ExperimentsOptions) -> None:
     """Raises ``ConfigError`` for what makes no sense before anything is built."""
     a00 = options.experiment == "a00"
-    require(options.frames is None or options.frames >= 1, "--frames", str(options.frames), "1 or more")
-    require(options.seed >= 0, "--seed", str(options.seed), "0 or more")
     which = "--tests" if options.tests else "--solvers"
     require(a00 or not (options.tests or options.solvers), which, "s12 has neither", "with a00 alone")
     require(not (a00 and options.plot), "--plot", "a00 has no picture", "with s12 alone")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, require_share, several, single, wrong
+from robot_ik.cli.arguments import Json, Range, Speed, positive, require, several, single, wrong
 from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 
@@ -86,9 +85,8 @@ class _MotionOptions:
     file: _BookName = ""
     robot: _RobotName = ""
     """Whose motion."""
-    speed: float = 1.0
-    """Part of the joints' speed limits that may be used."""
-    rate: Annotated[float, arg(metavar="HZ")] = 60.0
+    speed: Speed = 1.0
+    rate: Annotated[float, arg(metavar="HZ"), positive(what=" Hz")] = 60.0
     """Frames a second."""
 
 
@@ -101,7 +99,7 @@ class PosesPlayOptions(_MotionOptions):
     Exit code 0: played. 2: wrong input, or no display.
     """
 
-    times: int = 1
+    times: Annotated[int, Range(1)] = 1
     """How often a loop runs round."""
 
 
@@ -137,7 +135,7 @@ class PosesImportOptions:
     """Who shall move."""
     map: Annotated[str, single(None, "bvh.toml beside the robot's model")] = ""
     """Which joint of the file is which part of the figure."""
-    rate: Annotated[float, single("HZ", "the file's")] = 0.0
+    rate: Annotated[float, single("HZ", "the file's"), Range(0.0, what=" Hz")] = 0.0
     """Frames a second; frames are left out, none are made up."""
     up: Annotated[Literal["y", "z"], arg(metavar="y|z")] = "y"
     """The file's axis that points up."""
@@ -196,7 +194,6 @@ def run_play(options: PosesPlayOptions) -> int:
     """Plays it in a window."""
     robot = _load(options.robot, options.file)
     motion = _motion(robot, options)
-    require(options.times >= 1, "--times", f"{options.times}", "1 or more")
     from robot_ik.execution import execute
     from robot_ik.testbed.frontends.window import WindowSink
 
@@ -229,8 +226,6 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.bvh import Bvh
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
-    rate_is_right = 0.0 <= options.rate < math.inf
-    require(rate_is_right, "--rate", f"{options.rate:g} Hz", "a number above 0, or 0: the file's")
     out = _out(options.out, ".csv")
     with claimed(out, overwrite=options.overwrite):
         robot = _load(options.robot)
@@ -272,9 +267,6 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     from robot_ik.motion import Keyframes
 
     name = options.motion
-    require_share("--speed", options.speed)
-    rate_is_right = 0.0 < options.rate < math.inf
-    require(rate_is_right, "--rate", f"{options.rate:g} Hz", "a number above 0")
     if name.endswith(".csv"):
         return Keyframes.load_csv(name, robot)
     book = _book(robot, options.file)

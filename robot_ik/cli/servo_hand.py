@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, RecordFile, require, require_share, several, single, wrong
+from robot_ik.cli.arguments import OnExit, RecordFile, positive, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, model_limits
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
@@ -132,7 +132,7 @@ class ServoCalibrateOptions(BusOptions):
     """The calibrated arm file."""
     pose: Annotated[tuple[str, ...], several("JOINT=DEG", "all joints at 0")] = ()
     """Another pose than zero in which the zeros are taken."""
-    seconds: Annotated[float | None, single("S", "each step until Enter")] = None
+    seconds: Annotated[float | None, single("S", "each step until Enter"), positive(3600.0, " s")] = None
     """Each step takes so long, without Enter."""
     from_lerobot: Annotated[Path | None, single("FILE.json")] = None
     """Take LeRobot's calibration instead of a hand; 0 degrees are the middle of each range, as there."""
@@ -148,7 +148,6 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
     """Measures, checks, writes; 1 when a step was not done as asked."""
     from robot_ik.hardware.calibration_file import calibration_beside
 
-    _check_seconds(options.seconds)
     if options.out.suffix != ".toml" or options.out.name.endswith(".calibration.toml"):
         raise wrong("OUT.toml", f"{options.out}", "a name that ends in .toml")
     if options.check:
@@ -161,11 +160,6 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
     beside = calibration_beside(options.out)
     with claimed(options.out, beside, options.to_lerobot, overwrite=options.overwrite):
         return _calibrate(options, config, pose, beside)
-
-
-def _check_seconds(seconds: float | None) -> None:
-    if seconds is not None:
-        require(0.0 < seconds <= 3600.0, "--seconds", f"{seconds:g} s", "above 0, at most 3600")
 
 
 def _calibrate(
@@ -225,9 +219,9 @@ class ServoTeachOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
     """Where to: times in s, joint angles in rad."""
-    seconds: Annotated[float | None, single("S", "until Enter")] = None
+    seconds: Annotated[float | None, single("S", "until Enter"), positive(3600.0, " s")] = None
     """Record for so long."""
-    rate: Annotated[float, arg(metavar="HZ")] = 50.0
+    rate: Annotated[float, arg(metavar="HZ"), positive(200.0, " Hz")] = 50.0
     """Samples a second, at most 200."""
     overwrite: bool = False
     """An older file of that name may go."""
@@ -239,8 +233,6 @@ def run_teach(options: ServoTeachOptions) -> int:
 
     if options.file.suffix != ".csv":
         raise wrong("FILE.csv", f"{options.file}", "a name that ends in .csv")
-    _check_seconds(options.seconds)
-    require(0.0 < options.rate <= 200.0, "--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     config = load_arm(options.arm).whole
     arm = arm_on(options, config)
     prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)  # may refuse: before it is connected
@@ -276,7 +268,7 @@ class ServoPlayOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
     """A file of teach."""
-    speed: float = 1.0
+    speed: Annotated[float, positive(1.0, " is no share of the speed caps")] = 1.0
     """Share of the recorded speed, above 0 and up to 1."""
     record: RecordFile = None
     overwrite: bool = False
@@ -289,7 +281,6 @@ def run_play(options: ServoPlayOptions) -> int:
     from robot_ik.jobs.teach import load_playable, play_motion
 
     config = load_arm(options.arm).whole
-    require_share("--speed", options.speed, "speed caps")
     motion, stretch = load_playable(options.file, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
     with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:

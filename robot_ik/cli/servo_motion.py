@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, require, require_share, several, single, wrong
+from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.errors import apart
@@ -38,14 +38,13 @@ class ServoMoveOptions(BusOptions):
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
-    speed: Annotated[float, arg(metavar="SHARE")] = 0.25
+    speed: Annotated[float, arg(metavar="SHARE"), positive(1.0, " is no share of the speed caps")] = 0.25
     """Share of the speed caps, above 0 and up to 1."""
     on_exit: OnExit = ""
 
 
 def run_move(options: ServoMoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
-    require_share("--speed", options.speed, "speed caps")
     config = load_arm(options.arm).slowed(options.speed)
     angles = parse_angles(options.to, config)
     if not options.by:

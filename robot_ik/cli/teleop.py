@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import require, single, wrong
+from robot_ik.cli.arguments import Range, positive, require, single, wrong
 from robot_ik.cli.connection import (
     attempt,
     bus_argument,
@@ -61,11 +61,11 @@ class TeleopOptions:
     follower_bus: Annotated[str, bus_argument(default=_ONLY_PORT, text="The same of the follower.")] = ""
     by: Literal["joints", "hand"] = "joints"
     """joints: those of the same name follow, range onto range; hand: the hand does, so arms may differ."""
-    scale: float = 1.0
+    scale: Annotated[float, Range(0.01, 100.0)] = 1.0
     """Hand to hand: metres of the follower for one of the leader."""
-    force_feedback: float = 0.0
+    force_feedback: Annotated[float, Range(0.0, 1.0)] = 0.0
     """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
-    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
+    seconds: Annotated[float | None, single("S", "until Ctrl-C"), positive(86400.0, " s")] = None
     """End by itself after so many seconds."""
     on_exit: Annotated[str, single("torque_off|hold|park", "the arm file's")] = ""
     """How the follower is left; the leader is always left without torque."""
@@ -93,11 +93,6 @@ def run(options: TeleopOptions) -> int:
 
 
 def _check(options: TeleopOptions) -> None:
-    share = options.force_feedback
-    require(0.0 <= share <= 1.0, "--force-feedback", f"{share:g}", "0 (off) to 1")
-    require(0.01 <= options.scale <= 100.0, "--scale", f"{options.scale:g}", "0.01 to 100")
-    if (seconds := options.seconds) is not None:
-        require(0.0 < seconds <= 86400.0, "--seconds", f"{seconds:g} s", "above 0, at most 86400")
     port = options.leader_bus
     real = port != "" and not bus_row(port).virtual
     shared = real and port == options.follower_bus and options.leader not in (KEYS, GAMEPAD)

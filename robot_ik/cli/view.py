@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import ArmFile, require, robot_argument, several, single, wrong
+from robot_ik.cli.arguments import ArmFile, Range, positive, require, robot_argument, several, single, wrong
 from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
 from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from robot_ik.testbed.commands import CommandLog, Start
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
-
-_SIDES = (64, 8192)
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class ViewOptions:
     """Draw shadows; without a GPU the browser is faster with --no-shadows."""
     open: bool = True
     """Open the page in the system's browser."""
-    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
+    seconds: Annotated[float | None, single("S", "until Ctrl-C"), positive(1e6, " s")] = None
     """End by itself after so many seconds."""
     seed: int = 1
     """Of the ball's random places."""
@@ -86,7 +84,6 @@ def run(options: ViewOptions) -> int:
             require(same, f"--{name}", "given with --replay", "one of both: the log says what happens")
         return _replay(options.replay)
     _check_methods(options.method, options.count)
-    _check_seconds(options.seconds, "until Ctrl-C")
     for option, given in (("--arm", options.arm), ("--on-exit", options.on_exit)):
         alone = f"{given} is for servos, and no bus is named"
         require(options.bus != NONE or not given, option, alone, "with --bus sim, pty or PORT")
@@ -95,12 +92,6 @@ def run(options: ViewOptions) -> int:
     require(moved, "--bus", "the recorder moves no servos", "with --viewer browser or window")
     with claimed(options.log, overwrite=options.overwrite):
         return _view(options, viewer)
-
-
-def _check_seconds(seconds: float | None, endless: str) -> None:
-    if seconds is not None:
-        allowed = f"above 0, at most 1e6; left out: {endless}"
-        require(0.0 < seconds <= 1e6, "--seconds", f"{seconds:g} s", allowed)
 
 
 def choose_viewer(asked: str) -> str:
@@ -284,15 +275,15 @@ class VideoOptions:
     """Without a log: robots side by side, 1, 2 or 4."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Without a log: methods."""
-    seconds: Annotated[float | None, single("S", "as long as the log")] = None
+    seconds: Annotated[float | None, single("S", "as long as the log"), positive(1e6, " s")] = None
     """How long the film is, seconds; needed without a log."""
     csv: Annotated[Path | None, single("FILE", "none")] = None
     """Numbers of every picture: angles, misses, times."""
     record: Annotated[Path | None, single("FILE.csv|FILE.mcap", "none")] = None
     """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
-    size: Annotated[tuple[int, int], arg(metavar="W H")] = (1280, 720)
+    size: Annotated[tuple[int, int], arg(metavar="W H"), Range(64, 8192, " pixels")] = (1280, 720)
     """Width and height, pixels."""
-    rate: Annotated[float, arg(metavar="HZ")] = 30.0
+    rate: Annotated[float, arg(metavar="HZ"), Range(1.0, 240.0, " pictures a second")] = 30.0
     """Pictures a second."""
     backend: Literal["gl", "painter"] = "gl"
     """Who draws; without OpenGL the painter does."""
@@ -302,13 +293,9 @@ class VideoOptions:
 
 def run_video(options: VideoOptions) -> int:
     """Films; 0 done."""
-    count, (width, height), rate = len(options.files), options.size, options.rate
+    count, (width, height) = len(options.files), options.size
     given = f"{count} names are given" if count else "no film is named"
     require(1 <= count <= 2, "FILES", given, "OUT, or LOG.jsonl OUT")
-    fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
-    require(fits, "--size", f"{width} x {height}", "64 to 8192 pixels each")
-    require(1.0 <= rate <= 240.0, "--rate", f"{rate:g} pictures a second", "1 to 240")
-    _check_seconds(options.seconds, "as long as the log")
     log, out = _log(options), options.files[-1]
     from robot_ik.jobs.testbed import film
 
@@ -319,7 +306,7 @@ def run_video(options: VideoOptions) -> int:
     ):
         view = film(
             log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
-            rate_hz=rate, size=(width - width % 2, height - height % 2), backend=options.backend,
+            rate_hz=options.rate, size=(width - width % 2, height - height % 2), backend=options.backend,
             overwrite=options.overwrite,
             progress=console.shares_on(bar, "filming"),
         )  # fmt: skip
