@@ -13,6 +13,7 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import (
     Json,
     Lens,
+    Overwrite,
     Range,
     positive,
     request_of,
@@ -82,8 +83,7 @@ class ArOptions:
     """Draw the shadow on the board's plane."""
     out: Annotated[str, single("FILE.mp4|FILE.png|DIR", "ar.mp4, else the folder ar")] = ""
     """A film (extra `video`), the last picture, or a folder of pictures."""
-    overwrite: bool = False
-    """Replace that file, or such pictures in that folder."""
+    overwrite: Overwrite = False
     seconds: Annotated[float | None, single("S", "all; synthetic: the motion's, or 4"), positive()] = None
     """How long the film is, seconds."""
     size: Annotated[tuple[int, int] | None, single("W H", "the camera's"), _SIDES] = None

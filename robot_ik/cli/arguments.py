@@ -121,6 +121,7 @@ Speed = Annotated[
     positive(1.0, " is no share of the speed limits"),
     arg(help="Share of the joints' speed limits, above 0 and up to 1."),
 ]
+Overwrite = Annotated[bool, arg(help="Files of an earlier run may be replaced.")]
 Json = Annotated[bool, arg(help="Print one JSON object instead of tables.")]
 
 

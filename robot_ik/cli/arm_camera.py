@@ -19,6 +19,7 @@ from robot_ik.cli.arguments import (
     Dictionary,
     Json,
     NeededBoard,
+    Overwrite,
     Range,
     Speed,
     pose_option,
@@ -150,8 +151,7 @@ class CameraHandeyeOptions(ArmCameraOptions):
     """Where the board is, roughly, seen from the frame that carries it (eye-to-hand) or from the world."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the camera's pose goes; the samples go beside it."""
-    overwrite: bool = False
-    """Replace both."""
+    overwrite: Overwrite = False
     samples: Annotated[Path | None, single("FILE.json", "measure")] = None
     """Solve what was measured before; nothing moves."""
 

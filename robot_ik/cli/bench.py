@@ -15,7 +15,7 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, Range, positive, several, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, several, single, wrong
 from robot_ik.errors import unknown_name_text
 from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json
@@ -67,8 +67,7 @@ class BenchOptions:
     """Longest time for one method on one set, seconds; what is left then is not tried."""
     out: Annotated[str, single("FOLDER", "runs/<time>-bench")] = ""
     """Where bench.json and the plots go."""
-    overwrite: bool = False
-    """That folder may hold files of an earlier run: they are replaced."""
+    overwrite: Overwrite = False
     plots: bool = True
     """Draw plots (needs matplotlib)."""
 
@@ -280,8 +279,7 @@ class BenchCameraOptions:
     """A tenth of the pictures: for a look, not for the record."""
     json: Annotated[Path | None, single("FILE")] = None
     """Write the figures there, too."""
-    overwrite: bool = False
-    """Replace that file."""
+    overwrite: Overwrite = False
     seed: int = 1
     """Of pictures and noise."""
     photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""

@@ -21,6 +21,7 @@ from robot_ik.cli.arguments import (
     BoardName,
     Dictionary,
     Json,
+    Overwrite,
     Range,
     pose_option,
     pose_text,
@@ -121,8 +122,7 @@ class CameraDetectOptions:
     """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
     draw: Annotated[Path | None, single("DIR")] = None
     """Write each picture there with what was found drawn over it."""
-    overwrite: bool = False
-    """Replace drawings of the same names in that folder."""
+    overwrite: Overwrite = False
     json: Json = False
 
 
@@ -302,8 +302,7 @@ class CameraLocateOptions:
     """How many pictures to average, where the source has more than one."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the extrinsics go."""
-    overwrite: bool = False
-    """Replace that file."""
+    overwrite: Overwrite = False
     json: Json = False
 
 
@@ -395,8 +394,7 @@ class CameraPrintOptions:
     """Paper; it is turned when that makes it fit."""
     dpi: int = 300
     """Pixels per inch of a .png."""
-    overwrite: bool = False
-    """Replace files that are there."""
+    overwrite: Overwrite = False
     body: Annotated[Path | None, single("FILE", "none")] = None
     """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
 

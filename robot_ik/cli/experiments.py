@@ -12,7 +12,7 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Range, require, several, single
+from robot_ik.cli.arguments import Overwrite, Range, require, several, single
 
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
@@ -42,8 +42,7 @@ class ExperimentsOptions:
     """s12: draw the table, too (needs matplotlib)."""
     out: Annotated[str, single("DIR", "runs/<time>-<experiment>")] = ""
     """Where the JSON file and the picture go."""
-    overwrite: bool = False
-    """That folder may hold files of an earlier run: they are replaced."""
+    overwrite: Overwrite = False
     seed: Annotated[int, Range(0)] = 0
     """Of the random targets and of restarts."""
 

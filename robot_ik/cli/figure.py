@@ -13,7 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, Range, positive, request_of, require, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, request_of, require, single, wrong
 from robot_ik.files import claimed, write_atomically
 from robot_ik.geometry import Pose
 
@@ -82,8 +82,7 @@ class FigureOptions:
     seed: int = 0
     """Of random balls."""
     json: Json = False
-    overwrite: bool = False
-    """Files of an earlier run may be replaced."""
+    overwrite: Overwrite = False
 
 
 def run(options: FigureOptions) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, Range, Speed, positive, require, several, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, Speed, positive, require, several, single, wrong
 from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 
@@ -33,8 +33,6 @@ class PosesListOptions:
     """Shows the poses and motions of a file.
 
     robot-ik poses list
-
-    Exit code 0: shown. 2: wrong input.
     """
 
     file: Positional[_BookName] = ""
@@ -94,9 +92,7 @@ class _MotionOptions:
 class PosesPlayOptions(_MotionOptions):
     """Shows a motion in MuJoCo's window, without inverse kinematics.
 
-        robot-ik poses play walk --times 3
-
-    Exit code 0: played. 2: wrong input, or no display.
+    robot-ik poses play walk --times 3
     """
 
     times: Annotated[int, Range(1)] = 1
@@ -107,24 +103,19 @@ class PosesPlayOptions(_MotionOptions):
 class PosesExportOptions(_MotionOptions):
     """Writes a motion as frames: CSV for `robot-ik servo play` and others, BVH for animation programs.
 
-        robot-ik poses export walk walk.bvh
-
-    Exit code 0: written. 2: wrong input.
+    robot-ik poses export walk walk.bvh
     """
 
     out: Annotated[Positional[str], arg(metavar="OUT")]
     """FILE.csv or FILE.bvh."""
-    overwrite: bool = False
-    """Replace the file."""
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
 class PosesImportOptions:
     """Takes motion capture over onto a figure: by inverse kinematics on hands, feet and head.
 
-        robot-ik poses import clip.bvh clip.csv
-
-    Exit code 0: written. 2: wrong input.
+    robot-ik poses import clip.bvh clip.csv
     """
 
     bvh: Annotated[Positional[str], arg(metavar="BVH")]
@@ -139,8 +130,7 @@ class PosesImportOptions:
     """Frames a second; frames are left out, none are made up."""
     up: Annotated[Literal["y", "z"], arg(metavar="y|z")] = "y"
     """The file's axis that points up."""
-    overwrite: bool = False
-    """Replace the file."""
+    overwrite: Overwrite = False
 
 
 def run_list(options: PosesListOptions) -> int:

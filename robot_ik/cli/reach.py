@@ -16,6 +16,7 @@ from robot_ik.cli.arguments import (
     ArmFile,
     Json,
     Lens,
+    Overwrite,
     Range,
     RecordFile,
     Speed,
@@ -112,8 +113,7 @@ class ReachOptions:
     """Also write reach.mp4: the motion as the scene's camera sees it (extra `video`)."""
     out: Annotated[str, single("DIR", "runs/<time>-reach")] = ""
     """Where reach.png, trajectory.csv and summary.json go."""
-    overwrite: bool = False
-    """That folder may hold files of an earlier run: they are replaced."""
+    overwrite: Overwrite = False
     record: RecordFile = None
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""

@@ -13,7 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import RecordFile, robot_argument, single, wrong
+from robot_ik.cli.arguments import Overwrite, RecordFile, robot_argument, single, wrong
 from robot_ik.cli.connection import bus_argument
 from robot_ik.files import claimed
 
@@ -47,8 +47,7 @@ class RunOptions:
     json: Annotated[Path | None, single("FILE|-", "none")] = None
     """Write the report as JSON; with - it goes to stdout instead of the table."""
     record: RecordFile = None
-    overwrite: bool = False
-    """These files may be there from an earlier run: they are replaced."""
+    overwrite: Overwrite = False
 
 
 def run(options: RunOptions) -> int:

@@ -15,7 +15,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, Range, positive, require, several, single
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, require, several, single
 from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_serial_port
 from robot_ik.files import claimed
 
@@ -168,8 +168,7 @@ class ServoBackupOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
     """Where to."""
-    overwrite: bool = False
-    """An older file of that name may go."""
+    overwrite: Overwrite = False
 
 
 def run_backup(options: ServoBackupOptions) -> int:

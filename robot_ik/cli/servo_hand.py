@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, RecordFile, positive, several, single, wrong
+from robot_ik.cli.arguments import OnExit, Overwrite, RecordFile, positive, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, model_limits
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
@@ -140,8 +140,7 @@ class ServoCalibrateOptions(BusOptions):
     """Also write LeRobot's calibration."""
     check: bool = False
     """Only compare an OUT.toml that exists, and its calibration, with the servos."""
-    overwrite: bool = False
-    """Older files of these names may go."""
+    overwrite: Overwrite = False
 
 
 def run_calibrate(options: ServoCalibrateOptions) -> int:
@@ -223,8 +222,7 @@ class ServoTeachOptions(BusOptions):
     """Record for so long."""
     rate: Annotated[float, arg(metavar="HZ"), positive(200.0, " Hz")] = 50.0
     """Samples a second, at most 200."""
-    overwrite: bool = False
-    """An older file of that name may go."""
+    overwrite: Overwrite = False
 
 
 def run_teach(options: ServoTeachOptions) -> int:
@@ -271,8 +269,7 @@ class ServoPlayOptions(BusOptions):
     speed: Annotated[float, positive(1.0, " is no share of the speed caps")] = 1.0
     """Share of the recorded speed, above 0 and up to 1."""
     record: RecordFile = None
-    overwrite: bool = False
-    """The file of --record may exist: it is replaced."""
+    overwrite: Overwrite = False
     on_exit: OnExit = ""
 
 

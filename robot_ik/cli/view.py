@@ -14,7 +14,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import ArmFile, Range, positive, require, robot_argument, several, single, wrong
+from robot_ik.cli.arguments import (
+    ArmFile,
+    Overwrite,
+    Range,
+    positive,
+    require,
+    robot_argument,
+    several,
+    single,
+    wrong,
+)
 from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
 from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
@@ -72,8 +82,7 @@ class ViewOptions:
     """End by itself after so many seconds."""
     seed: int = 1
     """Of the ball's random places."""
-    overwrite: bool = False
-    """The log, or the recorder's film, may be there from an earlier run: it is replaced."""
+    overwrite: Overwrite = False
 
 
 def run(options: ViewOptions) -> int:
@@ -287,8 +296,7 @@ class VideoOptions:
     """Pictures a second."""
     backend: Literal["gl", "painter"] = "gl"
     """Who draws; without OpenGL the painter does."""
-    overwrite: bool = False
-    """These files may be there from an earlier run: they are replaced."""
+    overwrite: Overwrite = False
 
 
 def run_video(options: VideoOptions) -> int:
