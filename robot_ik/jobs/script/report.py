@@ -86,35 +86,29 @@ def junit_report(report: ScriptReport) -> bytes:
 
     Without host and time of day, which would make equal runs unequal.
     """
-    suites = ElementTree.Element("testsuites")
-    suite = ElementTree.SubElement(
-        suites,
-        "testsuite",
-        name=_xml(f"robot_ik.{report.script}"),
-        tests=str(len(report.steps)),
-        failures=str(report.count(FAILED)),
-        errors="0",
-        skipped=str(report.count(NOT_RUN)),
+    suites, name = ElementTree.Element("testsuites"), f"robot_ik.{report.script}"
+
+    def add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
+        clean = {key: _xml(str(value)) for key, value in attributes.items()}
+        return ElementTree.SubElement(parent, tag, clean)
+
+    failed, left_out = report.count(FAILED), report.count(NOT_RUN)
+    suite = add(
+        suites, "testsuite", name=name, tests=len(report.steps), failures=failed, errors=0, skipped=left_out,
         time=f"{report.seconds:.6f}",
-    )
-    properties = ElementTree.SubElement(suite, "properties")
+    )  # fmt: skip
+    properties = add(suite, "properties")
     for key in ("file", "robot", "bus", "seed"):
-        ElementTree.SubElement(properties, "property", name=key, value=_xml(str(getattr(report, key))))
+        add(properties, "property", name=key, value=getattr(report, key))
     for number, step in enumerate(report.steps, start=1):
-        case = ElementTree.SubElement(
-            suite,
-            "testcase",
-            classname=_xml(f"robot_ik.{report.script}"),
-            name=_xml(f"{number:02d} {step.name}"),
-            time=f"{step.seconds:.6f}",
-        )
+        title = f"{number:02d} {step.name}"
+        case = add(suite, "testcase", classname=name, name=title, time=f"{step.seconds:.6f}")
         if step.outcome == FAILED:
-            failure = ElementTree.SubElement(case, "failure", message=_xml(step.found), type=step.do)
-            failure.text = _xml(step.found)
+            add(case, "failure", message=step.found, type=step.do).text = _xml(step.found)
         elif step.outcome == NOT_RUN:
-            ElementTree.SubElement(case, "skipped", message="not run")
+            add(case, "skipped", message="not run")
         elif step.found:
-            ElementTree.SubElement(case, "system-out").text = _xml(step.found)
+            add(case, "system-out").text = _xml(step.found)
     ElementTree.indent(suites)
     text: bytes = ElementTree.tostring(suites, encoding="utf-8", xml_declaration=True)
     return text + b"\n"
