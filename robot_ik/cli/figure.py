@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,7 +20,7 @@ from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
     from robot_ik.figure.abilities import Abilities
-    from robot_ik.figure.lion import Lion
+    from robot_ik.figure.decide import Decision
     from robot_ik.figure.session import FigureFrame
     from robot_ik.jobs.figure import FigureReport
     from robot_ik.robot import Robot
@@ -88,24 +89,33 @@ class FigureOptions:
 def run(options: FigureOptions) -> int:
     """Runs the figure."""
     options = _checked(options)
+    from robot_ik.figure.decide import Decider
     from robot_ik.figure.lion import Lion, is_lion
+    from robot_ik.jobs.figure import frames_table, lion_table, read_balls, run_lion
     from robot_ik.robot import load_robot
 
     robot = load_robot(options.model)
+    decide: Callable[..., Decision]
+    hands: Mapping[str, str]
     if robot.file.figure is None and is_lion(robot):
-        return _lion(Lion(robot), options)
-    abilities = _abilities(robot)
-    from robot_ik.jobs.figure import decide_balls, frames_table, read_balls
-
+        free = not options.path and options.mode == "active"
+        require(free, "--model", f"{robot.name} stands where it is", "a lion takes --ball or --balls")
+        lion = Lion(robot)
+        decide, hands, table = lion.decide, {paw: paw for paw in lion.paws}, partial(lion_table, lion)
+        frames = partial(run_lion, lion, _LION_BALLS if options.ball is None else (options.ball,))
+    else:
+        abilities = _abilities(robot)
+        decide, hands = partial(Decider(abilities).decide, stance=_stance(options)), abilities.figure.hands
+        table = partial(frames_table, abilities.figure, seed=options.seed)
+        frames = partial(_frames, abilities, options)
     if options.balls is not None:
-        for row in decide_balls(abilities, read_balls(options.balls), _stance(options)):
-            console.print_json_line(row)
+        for ball in read_balls(options.balls):
+            console.print_json_line({"ball": ball, **asdict(decide(ball))})
         return console.DONE
-    figure = abilities.figure
     with claimed(options.frames, overwrite=options.overwrite):
-        report = _watch(robot, figure.hands, _frames(abilities, options), options)
+        report = _watch(robot, hands, frames(), options)
         if options.frames is not None:
-            write_atomically(options.frames, frames_table(figure, report.frames, options.seed))
+            write_atomically(options.frames, table(report.frames))
     return _finish(robot, report, options)
 
 
@@ -131,26 +141,6 @@ def _checked(options: FigureOptions) -> FigureOptions:
     drawn = "--ar draws into the camera's pictures"
     require(not (options.ar and options.viewer), "--viewer", drawn, "one of both")
     return options
-
-
-def _lion(lion: Lion, options: FigureOptions) -> int:
-    from robot_ik.jobs.figure import read_balls, run_lion
-
-    if options.path or options.mode != "active":
-        raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
-    if options.balls is not None:
-        for ball in read_balls(options.balls):
-            console.print_json_line({"ball": ball, **asdict(lion.decide(ball))})
-        return console.DONE
-    balls = (options.ball,) if options.ball is not None else _LION_BALLS
-    with claimed(options.frames, overwrite=options.overwrite):
-        report = _watch(lion.robot, {paw: paw for paw in lion.paws}, run_lion(lion, balls), options)
-        if options.frames is not None:
-            from robot_ik.motion.keyframes import Keyframes
-
-            q = [frame.q for frame in report.frames]
-            Keyframes(lion.robot, np.arange(len(q)) / 60.0, q).save_csv(options.frames)
-    return _finish(lion.robot, report, options)
 
 
 def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.decide import Decider, Decision
+from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
@@ -30,6 +30,7 @@ from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, 
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
 from robot_ik.model import compiled, read_spec
+from robot_ik.motion.keyframes import column_names
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
 from robot_ik.reading import is_number, read_csv, shown
@@ -288,6 +289,12 @@ def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -
     return about + csv_table(head, rows)
 
 
+def lion_table(lion: Lion, frames: Sequence[FigureFrame]) -> str:
+    """All frames of a lion as CSV, as ``Keyframes`` reads them."""
+    rows = [[k / RATE, *frame.q.tolist()] for k, frame in enumerate(frames)]
+    return csv_table(["t", *column_names(lion.robot)], rows)
+
+
 def _digits(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.9f}"
 
@@ -385,12 +392,3 @@ def record(
         for done, frame in enumerate(picked, start=1):
             sink.write(painter.paint(frame), frame.t)
             progress(done, len(picked))
-
-
-def decide_balls(
-    abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float]
-) -> Iterator[dict[str, object]]:
-    """A decision for each ball, each on its own, without moving."""
-    decider = Decider(abilities)
-    for ball in balls:
-        yield {"ball": ball, **asdict(decider.decide(ball, stance))}
