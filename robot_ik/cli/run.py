@@ -58,7 +58,7 @@ def run(options: RunOptions) -> int:
         if options != RunOptions():
             hint = f"scripts that come along: {', '.join(shipped())}"
             raise wrong("FILE.toml|NAME", "no script is named, so nothing was run", "a script", hint)
-        rows = [(name, load_script(file).content.about) for name, file in shipped().items()]
+        rows = [(name, load_script(file).about) for name, file in shipped().items()]
         console.show(console.table("script", "what it does", rows=rows))
         return console.DONE
     script = load_script(options.script)

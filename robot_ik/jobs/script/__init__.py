@@ -3,10 +3,9 @@
 ``load_script`` reads one, ``ScriptRun`` runs it; ``shipped`` names those that come along.
 """
 
-from robot_ik.jobs.script.file import load_script, parse_script, shipped
+from robot_ik.jobs.script.file import Script, load_script, parse_script, shipped
 from robot_ik.jobs.script.report import ScriptReport, StepResult, json_report
 from robot_ik.jobs.script.run import ScriptRequest, ScriptRun, run_script
-from robot_ik.jobs.script.state import Script
 
 __all__ = [
     "Script",

@@ -20,14 +20,13 @@ from robot_ik.jobs import Progress
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
-from robot_ik.jobs.script.file import ObjectTable
+from robot_ik.jobs.script.file import ObjectTable, Script
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
-from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
+from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.robot_file import catalogue
 from robot_ik.solvers import solver_name
 
 # ------------------------------------------------------------------------------------------
@@ -111,18 +110,17 @@ class ScriptRun(RunState):
         Raises:
             ConfigError, ModelError: The script asks for what is not there.
         """
-        content = script.content
-        seed = content.seed if request.seed is None else request.seed
+        seed = script.seed if request.seed is None else request.seed
         if seed < 0:
             raise script.wrong(f"not {seed}", "seed", "0, 1, 2, …")
-        robot = request.robot or resolved(script, content.robot)
+        robot = request.robot or script.resolved(script.robot)
         arm_file = request.arm_file
-        if arm_file is None and content.arm is not None and not request.robot:
-            arm_file = Path(resolved(script, content.arm))
+        if arm_file is None and script.arm is not None and not request.robot:
+            arm_file = Path(script.resolved(script.arm))
         setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
         super().__init__(script, setup, solver_name("", setup.robot.file), seed)
         self._record = request.record
-        if content.physics and not self.simulated:
+        if script.physics and not self.simulated:
             allowed = "false, or --bus sim or pty"
             raise script.wrong("servos on a real port move by themselves", "physics", allowed)
         for k, step in enumerate(script.steps):
@@ -169,19 +167,19 @@ class ScriptRun(RunState):
 
     def _prepare(self, stack: contextlib.ExitStack, progress: Progress) -> None:
         """Does what takes long while no servo has torque: compiles the solver, paints the scene."""
-        setup, robot, content = self.setup, self.robot, self.script.content
+        setup, robot, script = self.setup, self.robot, self.script
         if self.simulated:
             self.servos.reseed(self.seed)
-            if content.physics:
+            if script.physics:
                 from robot_ik.hardware.virtual.world import World
 
-                model = with_objects(robot, content.objects) if content.objects else robot.model
-                World(model, self.config, self.servos, contacts=bool(content.objects))
+                model = with_objects(robot, script.objects) if script.objects else robot.model
+                World(model, self.config, self.servos, contacts=bool(script.objects))
         progress("getting ready", 0.0)
         solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=self.solver)
-        if any(step.needs_camera for step in self.script.steps):
-            self.vision = open_camera(setup, content.marker_at, self.seed, stack)
-            if any(step.do == "follow" for step in self.script.steps):
+        if any(step.needs_camera for step in script.steps):
+            self.vision = open_camera(setup, script.marker_at, self.seed, stack)
+            if any(step.do == "follow" for step in script.steps):
                 self.vision.get_ready_to_follow()
 
     def _steps(self, progress: Progress) -> None:
@@ -230,10 +228,3 @@ class ScriptRun(RunState):
             result.outcome = FAILED
             took, permitted = apart(result.seconds, limit or 0.0, digits=2)
             result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))
-
-
-def resolved(script: Script, name: str) -> str:
-    """A robot of the catalogue, or a path relative to the script's folder."""
-    if name in catalogue() or script.folder is None:
-        return name
-    return str(script.folder / Path(name).expanduser())

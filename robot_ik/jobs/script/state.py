@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_ik import errors
-from robot_ik.errors import ConfigError, RobotIkError, apart
+from robot_ik.errors import RobotIkError, apart
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.jobs.script.report import StepResult
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.jobs.script.file import ScriptFile
-    from robot_ik.jobs.script.steps import ScriptStep
+    from robot_ik.jobs.script.file import Script
     from robot_ik.jobs.vision import Vision
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
@@ -42,27 +40,6 @@ def error_classes() -> Mapping[str, type[RobotIkError]]:
         for name, kind in vars(errors).items()
         if name[0] != "_" and isinstance(kind, type) and issubclass(kind, errors.RobotIkError)
     }
-
-
-@dataclass(frozen=True)
-class Script:
-    """A script, and where it came from; paths in it are seen from ``folder``, None: the current one."""
-
-    content: ScriptFile
-    file: str
-    folder: Path | None = None
-
-    @property
-    def name(self) -> str:
-        return self.content.name
-
-    @property
-    def steps(self) -> tuple[ScriptStep, ...]:
-        return self.content.steps
-
-    def wrong(self, problem: str, key: str, allowed: str = "") -> ConfigError:
-        """The error for something in this script."""
-        return ConfigError(problem, file=self.file, key=key, allowed=allowed)
 
 
 @dataclass

@@ -73,7 +73,7 @@ class Move(Tolerant, Action):
 
     def caps(self, now: RunState) -> dict[str, Any]:
         """Speed limits, as ``joint_move`` takes them."""
-        return now.setup.caps(self.speed or now.script.content.speed)
+        return now.setup.caps(self.speed or now.script.speed)
 
     def by_goal(self, now: RunState, goal: Goal) -> Judge:
         """Judges by MuJoCo where the goal's frame is."""
@@ -371,7 +371,7 @@ class FollowStep(Framed, Action):
             report = follow(
                 goals, now.robot, now.solver, setup.sinks, rate=setup.rate, clock=setup.clock,
                 duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
-                speed=self.speed or now.script.content.speed, source=now.arm, on_tick=note,
+                speed=self.speed or now.script.speed, source=now.arm, on_tick=note,
             )  # fmt: skip
         self._judge(now, report, behind, result)
         if not self.needs_camera:
