@@ -85,11 +85,11 @@ ROWS: dict[str, tuple[str, str]] = {
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
     "camera list": ("camera", "cameras of this machine: index, name, who uses them"),
     "camera print": ("camera", "a sheet of markers, a board, a cube or a pattern to print"),
-    "camera calibrate": ("camera_calibrate", "lens and focal length from views of a printed pattern"),
+    "camera calibrate": ("camera", "lens and focal length from views of a printed pattern"),
     "camera detect": ("camera", "markers in pictures: ids, corners, poses"),
     "camera locate": ("camera", "where the camera stands, from a board whose pose is known"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
-    "camera verify": ("camera_verify", "how far the arm is from where its joints say"),
+    "camera verify": ("arm_camera", "how far the arm is from where its joints say"),
     "video": ("view", "a film of the testbed without a screen, from its command log"),
     "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
