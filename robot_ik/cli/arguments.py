@@ -12,8 +12,8 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from inspect import cleandoc
+from dataclasses import dataclass, is_dataclass
+from inspect import cleandoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar, get_type_hints
 
@@ -125,9 +125,9 @@ Overwrite = Annotated[bool, arg(help="Files of an earlier run may be replaced.")
 Json = Annotated[bool, arg(help="Print one JSON object instead of tables.")]
 
 
-def request_of(kind: type[Request], options: object, **others: Any) -> Request:
+def request_of(kind: type[Request], options: object, /, **others: Any) -> Request:
     """The request of a job: options that it has under the same name, and ``others``."""
-    same = {f.name: getattr(options, f.name) for f in fields(kind) if hasattr(options, f.name)}  # type: ignore[arg-type]
+    same = {name: getattr(options, name) for name in signature(kind).parameters if hasattr(options, name)}
     return kind(**same | others)
 
 

@@ -34,7 +34,6 @@ from robot_ik.cli.arguments import (
     single,
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
-from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
 if TYPE_CHECKING:
@@ -164,7 +163,6 @@ class CameraHandeyeOptions(ArmCameraOptions):
 
 def run_handeye(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a pose was found."""
-    import_mujoco()
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.arm_camera import handeye
     from robot_ik.jobs.arm_camera.samples import SampleSet
@@ -320,7 +318,6 @@ class CameraVerifyOptions(ArmCameraOptions):
 
 def run_verify(options: CameraVerifyOptions) -> int:
     """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
-    import_mujoco()
     from robot_ik.jobs.results import require_plots
 
     request = _verify_request(options)

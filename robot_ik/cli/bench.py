@@ -15,7 +15,7 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, Overwrite, Range, positive, several, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, request_of, several, single, wrong
 from robot_ik.errors import unknown_name_text
 from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json
@@ -83,14 +83,8 @@ def run(options: BenchOptions) -> int:
     Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
     if options.plots:
         require_plots("drawing the plots")
-    settings = Settings(
-        command=shlex.join(["robot-ik", *sys.argv[1:]]) if sys.argv[1:2] == ["bench"] else "robot-ik bench",
-        count=options.count,
-        seed=options.seed,
-        position_tolerance=options.position_tolerance,
-        angle_tolerance=options.angle_tolerance,
-        seconds=options.seconds,
-    )
+    command = shlex.join(["robot-ik", *sys.argv[1:]]) if sys.argv[1:2] == ["bench"] else "robot-ik bench"
+    settings = request_of(Settings, options, command=command)
     with results_folder(options.out, "bench", _FILES, overwrite=options.overwrite) as folder:
         results = Results(machine=this_machine(), settings=settings)
         try:

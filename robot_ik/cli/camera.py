@@ -478,8 +478,7 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     from robot_ik.camera.image import write_image
     from robot_ik.jobs.pictures import ViewFolder
 
-    fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
-    wanted = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
+    wanted = request_of(PatternRequest, options, kind=options.pattern)
     gatherer, kept = ViewGatherer(wanted.pattern()), ViewFolder(options.out, options.sources)
     _gather(options, gatherer, kept)
     try:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.hand_calibration import Limits
+    from robot_ik.jobs.hand_guiding import Limits
 
 
 NONE = "none"

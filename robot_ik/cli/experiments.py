@@ -54,18 +54,14 @@ def run(options: ExperimentsOptions) -> int:
     from robot_ik.files import write_atomically
     from robot_ik.jobs.results import require_plots, results_folder, save_json
 
-    report: Any
-    work: Any
-    summary: Any
-    show: Any
+    if options.plot:
+        require_plots("drawing the table")
+    simunic = s12.S12Report(options.frames or s12.FRAMES, options.seed)
+    job: Any = s12.run_s12, s12.s12_summary, print_s12, simunic
     if options.experiment == "a00":
-        report = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
-        work, summary, show = a00.run_a00, a00.a00_summary, print_a00
-    else:
-        if options.plot:
-            require_plots("drawing the table")
-        report = s12.S12Report(options.frames or s12.FRAMES, options.seed)
-        work, summary, show = s12.run_s12, s12.s12_summary, print_s12
+        aho = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
+        job = a00.run_a00, a00.a00_summary, print_a00, aho
+    work, summary, show, report = job
     own = [f"{options.experiment}.{kind}" for kind in ("json", "png")]
     with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:

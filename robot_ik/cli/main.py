@@ -93,8 +93,9 @@ ROWS: dict[str, tuple[str, str]] = {
     "video": ("view", "a film of the testbed without a screen, from its command log"),
     "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
-# They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded.
+# They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded; but these of them do not.
 _WITHOUT_MUJOCO = ("robots", "sim-bus", "servo", "stop", "camera", "doctor")
+_WITH_MUJOCO = ("camera handeye", "camera verify")
 
 
 def _row(name: str, file: str, about: str) -> CommandRow:
@@ -109,7 +110,7 @@ def _row(name: str, file: str, about: str) -> CommandRow:
         "".join(part.title() for part in parts) + "Options" if file else "",
         about,
         "run" if own else "run_" + name.split()[-1].replace("-", "_"),
-        name.split()[0] not in _WITHOUT_MUJOCO,
+        name in _WITH_MUJOCO or name.split()[0] not in _WITHOUT_MUJOCO,
         {inner.split()[1]: _row(inner, *row) for inner, row in ROWS.items() if inner.startswith(f"{name} ")},
     )
 

@@ -165,7 +165,7 @@ def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
     from robot_ik.hardware.calibration_file import load_lerobot
-    from robot_ik.jobs.hand_calibration import calibrate_by_hand, require_limp, save_calibrated
+    from robot_ik.jobs.hand_guiding import calibrate_by_hand, require_limp, save_calibrated
 
     limits = model_limits(config)
     arm = arm_on(options, config)
@@ -227,7 +227,7 @@ class ServoTeachOptions(BusOptions):
 
 def run_teach(options: ServoTeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.jobs.teach import TaughtMotion
+    from robot_ik.jobs.hand_guiding import TaughtMotion
 
     if options.file.suffix != ".csv":
         raise wrong("FILE.csv", f"{options.file}", "a name that ends in .csv")
@@ -245,7 +245,7 @@ def run_teach(options: ServoTeachOptions) -> int:
 
 
 def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
-    from robot_ik.jobs.teach import outside
+    from robot_ik.jobs.hand_guiding import outside
 
     if motion is None:
         console.refused("no servo position could be read")
@@ -275,7 +275,7 @@ class ServoPlayOptions(BusOptions):
 
 def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
-    from robot_ik.jobs.teach import load_playable, play_motion
+    from robot_ik.jobs.hand_guiding import load_playable, play_motion
 
     config = load_arm(options.arm).whole
     motion, stretch = load_playable(options.file, config, options.speed)

@@ -74,7 +74,7 @@ class TeleopOptions:
 def run(options: TeleopOptions) -> int:
     """Leads; 1 where an arm failed."""
     _check(options)
-    from robot_ik.jobs.teleop import LeaderArm, open_pair
+    from robot_ik.jobs.teleop import LeaderArm, open_pair, teleoperate
 
     follower_file = load_arm(options.follower)
     require_model(follower_file)
@@ -82,14 +82,19 @@ def run(options: TeleopOptions) -> int:
     leader_port = "" if leader_file is None else port_name(options.leader_bus, "--leader-bus")
     follower_port = port_name(options.follower_bus, "--follower-bus")
     leader, follower = open_pair(leader_file, follower_file, leader_port, follower_port, options.on_exit)
+    operator: Operator
     with contextlib.ExitStack() as stack:
-        if leader is None:
-            lead = _led_by_keys if options.leader == KEYS else _led_by_gamepad
-            return lead(stack, follower, follower_file, options)
-        stack.enter_context(leader)
-        operator = LeaderArm(leader, follower_file, options.by, options.scale, options.force_feedback)
-        stack.enter_context(driving(follower))
-        return _lead(operator, follower, options, lambda: False)
+        if leader is not None:
+            stack.enter_context(leader)
+            operator = LeaderArm(leader, follower_file, options.by, options.scale, options.force_feedback)
+        else:
+            made = _keyboard if options.leader == KEYS else _gamepad
+            operator = made(stack, follower, follower_file, options)
+        # The keys of the terminal have another reader.
+        stack.enter_context(driving(follower, space=options.leader != KEYS))
+        with attempt():
+            teleoperate(operator, follower, seconds=options.seconds, over=lambda: operator.over, done=_show)
+    return console.DONE
 
 
 def _check(options: TeleopOptions) -> None:
@@ -97,14 +102,6 @@ def _check(options: TeleopOptions) -> None:
     real = port != "" and not bus_row(port).virtual
     shared = real and port == options.follower_bus and options.leader not in (KEYS, GAMEPAD)
     require(not shared, "--leader-bus", f"{port} is the follower's, too", "two ports")
-
-
-def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Callable[[], bool]) -> int:
-    from robot_ik.jobs.teleop import teleoperate
-
-    with attempt():
-        teleoperate(operator, follower, seconds=options.seconds, over=over, done=_show)
-    return console.DONE
 
 
 def _show(report: TeleopReport) -> None:
@@ -116,7 +113,7 @@ def _show(report: TeleopReport) -> None:
     )
 
 
-def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
+def _keyboard(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> Jog:
     from robot_ik.jobs.teleop import JOINT_KEYS, KeyboardJog
 
     typed = stack.enter_context(_typed(endless=options.seconds is not None))
@@ -125,13 +122,10 @@ def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, op
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
     console.say(f"Tab: {_other(keys)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
-    stack.enter_context(driving(follower, space=False))  # the keys of the terminal have another reader
-    return _lead(keys, follower, options, lambda: keys.over)
+    return keys
 
 
-def _led_by_gamepad(
-    stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions
-) -> int:
+def _gamepad(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> Jog:
     from robot_ik.jobs.gamepad import Gamepad, PadDevice
 
     device, hand = stack.enter_context(PadDevice()), options.by == "hand"
@@ -142,8 +136,7 @@ def _led_by_gamepad(
         "B: stop and hold; Start ends",
         "dim",
     )
-    stack.enter_context(driving(follower))
-    return _lead(pad, follower, options, lambda: pad.over)
+    return pad
 
 
 def _other(jog: Jog) -> str:

@@ -176,23 +176,21 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
     """The session, the arm and the front end, until they end."""
     from robot_ik.testbed.session import Session
 
-    link = None
-    if options.bus != NONE:
-        from robot_ik.jobs.testbed import arm_link
+    with contextlib.ExitStack() as stack:
+        link = None
+        if options.bus != NONE:
+            from robot_ik.jobs.testbed import arm_link
 
-        link = arm_link(start.robot, options.arm, options.bus, options.on_exit)
-    try:
-        with Session(start, arm=link) as session, _opened(viewer, session, options, server) as draw:
-            try:
-                _loop(session, draw, options)
-            finally:  # what went wrong, or was ended from outside, is what a log is read for
-                _save(session.log(), options.log)
-    finally:
-        if link is not None:
-            try:
-                link.close()
-            finally:  # a signal that has waited comes out of it
-                console.say(link.left, "dim")
+            link = arm_link(start.robot, options.arm, options.bus, options.on_exit)
+            # Said even where a signal that has waited comes out of ``close``.
+            stack.callback(lambda arm: console.say(arm.left, "dim"), link)
+            stack.callback(link.close)
+        session = stack.enter_context(Session(start, arm=link))
+        draw = stack.enter_context(_opened(viewer, session, options, server))
+        try:
+            _loop(session, draw, options)
+        finally:  # what went wrong, or was ended from outside, is what a log is read for
+            _save(session.log(), options.log)
     return console.DONE
 
 

@@ -43,7 +43,9 @@ Angles = Mapping[str, float]
 
 
 class Operator(ABC):
-    """What leads: says where each joint of the follower should be."""
+    """What leads: says where each joint of the follower should be; ``over``: a person wants to end."""
+
+    over = False
 
     @abstractmethod
     def engage(self, follower: Angles) -> None:
@@ -231,7 +233,7 @@ class Jog(Operator):
 
     ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last;
     ``read`` gives what was pressed since it was last asked, or is pressed now; ``stop`` makes the follower
-    hold, and ``over`` says whether the person wants to end.
+    hold.
     """
 
     def __init__(
@@ -245,7 +247,7 @@ class Jog(Operator):
         self._hand, self._read = Hand(config), read
         self.joints = config.whole.joints
         self.angles: dict[str, float] = {}
-        self.hand, self.stop, self.over = hand, stop, False
+        self.hand, self.stop = hand, stop
 
     def engage(self, follower: Angles) -> None:
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
