@@ -14,6 +14,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, is_dataclass
 from inspect import cleandoc, signature
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar, get_type_hints
 
@@ -204,17 +205,27 @@ def _refuse_repeated(tokens: Sequence[str]) -> None:
         raise wrong(repeated, "given twice", "once")
 
 
+def _annotated(kind: Any, prefix: str = "--") -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Each flag, with what the type of its field is annotated with."""
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        flag = prefix + name.replace("_", "-")
+        if is_dataclass(hint):
+            yield from _annotated(hint, f"{flag}.")
+        else:
+            yield flag, getattr(hint, "__metadata__", ())
+
+
 def _refuse_outside(options: Any) -> None:
     """Raises ``ConfigError`` for a number outside the ``Range`` of its option."""
-    for name, hint in get_type_hints(type(options), include_extras=True).items():
-        value, notes = getattr(options, name), getattr(hint, "__metadata__", ())
+    for flag, notes in _annotated(type(options)):
+        value = attrgetter(flag.removeprefix("--").replace("-", "_"))(options)
         numbers = value if isinstance(value, tuple) else (value,)
         for span in (note for note in notes if isinstance(note, Range) and value is not None):
             said = " x ".join(f"{number:.10g}" for number in numbers)
             each = " each" if len(numbers) > 1 else ""
             default = next(filter(None, (getattr(note, "help_behavior_hint", None) for note in notes)), "")
-            key, allowed = "--" + name.replace("_", "-"), f"{span}{each} {default}".rstrip()
-            require(all(map(span.holds, numbers)), key, said + span.what, allowed)
+            right = all(map(span.holds, numbers))
+            require(right, flag, said + span.what, f"{span}{each} {default}".rstrip())
 
 
 def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
@@ -222,7 +233,8 @@ def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
 
     ``--baud 57600 --baud 1000000`` is ``--baud 57600 1000000``; tyro would take the last one alone.
     """
-    endless = set(_endless_options(kind))
+    metavars = ((flag, getattr(note, "metavar", "")) for flag, notes in _annotated(kind) for note in notes)
+    endless = {flag for flag, metavar in metavars if metavar and metavar.endswith("…")}
     into = kept = list[str]()
     values: dict[str, list[str]] = {}
     for token in tokens:
@@ -235,17 +247,6 @@ def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
             into = kept
         into.append(token)
     return kept + [token for flag, row in values.items() for token in (flag, *row)]
-
-
-def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        flag = prefix + name.replace("_", "-")
-        if is_dataclass(hint):
-            yield from _endless_options(hint, f"{flag}.")
-        elif any(
-            (getattr(note, "metavar", "") or "").endswith("…") for note in getattr(hint, "__metadata__", ())
-        ):
-            yield flag
 
 
 class _Stream(io.StringIO):

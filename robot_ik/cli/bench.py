@@ -200,11 +200,14 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
+_MARKS = {None: "", True: Text("pass", style="green"), False: Text("FAIL", style="bold red")}
+
+
 def show_quantities(of: str, rows: Iterable[tuple[str, Quantity]], *remarks: str) -> None:
     """A table of what was measured, beside what is wanted; ``of``: the title of the names in ``rows``."""
     cells, judged, before = [], [], ""
     for name, one in rows:
-        mark = console.verdict_mark(one.passed)
+        mark = _MARKS[one.passed]
         cells.append(("" if name == before else name, one.quantity, one.measured_text, one.wanted_text, mark))
         judged += [] if one.passed is None else [one.passed]
         before = name

@@ -55,9 +55,12 @@ class CameraListOptions:
 def run_list(options: CameraListOptions) -> int:
     """Prints the cameras; 1 when there is none."""
     from robot_ik.camera.device import CAN_LIST, find_cameras
-    from robot_ik.environment import named_users_of
+    from robot_ik.environment import named_users_of, permission_hint
 
-    found = [(camera, named_users_of(camera.path), _do(camera)) for camera in find_cameras()]
+    found = []
+    for camera in find_cameras():
+        do = permission_hint(camera.path) if camera.pictures and not camera.usable else ""
+        found.append((camera, named_users_of(camera.path), do))
     if options.json:
         rows = [{**asdict(camera), "used_by": users, "do": do} for camera, users, do in found]
         console.print_json({"schema": 1, "can_list": CAN_LIST, "cameras": rows})
@@ -84,12 +87,6 @@ def _state(camera: CameraDevice, users: list[str]) -> str:
     if not camera.usable:
         return "no permission"
     return f"used by {', '.join(users)}" if users else "free"
-
-
-def _do(camera: CameraDevice) -> str:
-    from robot_ik.environment import permission_hint
-
-    return permission_hint(camera.path) if camera.pictures and not camera.usable else ""
 
 
 # ------------------------------------------------------------------------------------------

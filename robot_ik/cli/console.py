@@ -231,13 +231,6 @@ def count_of(count: int, one: str) -> str:
     return f"{count} {one}{'' if count == 1 else 's'}"
 
 
-def verdict_mark(passed: bool | None) -> Text:
-    """Of a row that is as wanted, or not; None: nothing is wanted."""
-    if passed is None:
-        return Text("")
-    return Text("pass", style="green") if passed else Text("FAIL", style="bold red")
-
-
 class _ClockColumn(BarColumn):
     """A bar that fills with the time."""
 
@@ -267,10 +260,10 @@ def shares_on(bar: Progress, what: str) -> Callable[[str, float], None]:
     return lambda phase, share: bar.update(task, completed=share, note=phase)
 
 
-def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
-    """A job's count of pictures on a bar: how many are done, and of how many (0: unknown)."""
+def counted_on(bar: Progress, what: str, things: str = "pictures") -> Callable[[int, int], None]:
+    """A job's count of things on a bar: how many are done, and of how many (0: unknown)."""
     task = bar.add_task(what, total=None, note="")
-    return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} pictures")
+    return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} {things}")
 
 
 @contextlib.contextmanager
@@ -318,11 +311,6 @@ def print_json_line(value: Mapping[str, Any]) -> None:
 # ----------------------------------------------------------------------------------- errors
 
 
-def exit_code(error: BaseException) -> int:
-    """The exit code that belongs to an error."""
-    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
-
-
 def _first_lines(text: str, count: int) -> str:
     lines = text.rstrip().splitlines() or [""]
     if len(lines) > count:
@@ -365,8 +353,12 @@ def describe_error(error: BaseException) -> tuple[str, str]:
     )
 
 
-def show_error(error: BaseException, *, debug: bool = False) -> None:
-    """Prints an error on at most one screen; with ``debug`` the traceback comes first."""
+def show_error(error: BaseException, *, debug: bool = False) -> int:
+    """Prints an error on at most one screen; with ``debug`` the traceback comes first.
+
+    Returns:
+        The exit code that belongs to it.
+    """
     if debug:
         sys.stderr.write("".join(traceback.format_exception(error)))
     message, hint = describe_error(error)
@@ -374,6 +366,7 @@ def show_error(error: BaseException, *, debug: bool = False) -> None:
     message = _first_lines(message, ERROR_LINES - hint.count("\n") - 1)
     text = Text.assemble(("error: ", "bold red"), message, ("\n" + hint if hint else "", "cyan"))
     stderr_console().print(text, soft_wrap=True)
+    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
 
 
 # --------------------------------------------------------------------------------- signals and logs

@@ -161,11 +161,7 @@ def _abilities(robot: Robot) -> Abilities:
     from robot_ik.figure.figure import load_figure
 
     with console.progress() as bar:
-        task = bar.add_task("what it can reach", total=None, note="once for each model", visible=False)
-
-        def progress(done: int, whole: int) -> None:
-            bar.update(task, completed=done, total=whole, visible=True)
-
+        progress = console.counted_on(bar, "what it can reach, once for each model", "points")
         return load_abilities(load_figure(robot), progress=progress)
 
 

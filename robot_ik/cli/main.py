@@ -172,8 +172,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if _was_interrupted(error):
             console.say("interrupted", "yellow")
             return console.INTERRUPTED
-        console.show_error(error, debug=debug)
-        return console.exit_code(error)
+        return console.show_error(error, debug=debug)
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

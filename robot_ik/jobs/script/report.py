@@ -11,32 +11,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 from robot_ik.files import plain
-from robot_ik.motion.trajectory import Trajectory
-
-PASSED, FAILED, NOT_RUN = "passed", "failed", "not run"
+from robot_ik.jobs.script.state import FAILED, NOT_RUN, PASSED, StepResult
 
 SCHEMA = 1
 """Version of the JSON object; raised when a field changes its meaning."""
-
-
-@dataclass
-class StepResult:
-    """One step, as it went.
-
-    Attributes:
-        outcome: ``passed``, ``failed`` or ``not run``.
-        seconds: On the run's clock.
-        found: One line: what was measured, or what went wrong; ``numbers``: the same for programs.
-        trajectory: What was planned; None where nothing was.
-    """
-
-    name: str
-    do: str
-    outcome: str = NOT_RUN
-    seconds: float = 0.0
-    found: str = ""
-    numbers: dict[str, Any] = field(default_factory=dict)
-    trajectory: Trajectory | None = field(default=None, repr=False)
 
 
 @dataclass

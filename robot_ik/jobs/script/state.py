@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from robot_ik import errors
 from robot_ik.errors import RobotIkError, apart
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.jobs.robot_setup import RobotSetup
-from robot_ik.jobs.script.report import StepResult
 from robot_ik.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -29,6 +28,9 @@ GRACE = 2.0
 """s beyond the planned time in which servos must have arrived where a step names no time limit."""
 
 
+PASSED, FAILED, NOT_RUN = "passed", "failed", "not run"
+
+
 class StepFailed(Exception):
     """A step did not do what it should; the message says what was found."""
 
@@ -40,6 +42,26 @@ def error_classes() -> Mapping[str, type[RobotIkError]]:
         for name, kind in vars(errors).items()
         if name[0] != "_" and isinstance(kind, type) and issubclass(kind, errors.RobotIkError)
     }
+
+
+@dataclass
+class StepResult:
+    """One step, as it went.
+
+    Attributes:
+        outcome: ``passed``, ``failed`` or ``not run``.
+        seconds: On the run's clock.
+        found: One line: what was measured, or what went wrong; ``numbers``: the same for programs.
+        trajectory: What was planned; None where nothing was.
+    """
+
+    name: str
+    do: str
+    outcome: str = NOT_RUN
+    seconds: float = 0.0
+    found: str = ""
+    numbers: dict[str, Any] = field(default_factory=dict)
+    trajectory: Trajectory | None = field(default=None, repr=False)
 
 
 @dataclass

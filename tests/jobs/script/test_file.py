@@ -22,8 +22,7 @@ from robot_ik.jobs.script import (
     shipped,
 )
 from robot_ik.jobs.script.file import Script
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState
+from robot_ik.jobs.script.state import RunState, StepResult
 from robot_ik.jobs.script.steps import STEPS, ScriptStep, base
 
 HEAD = 'schema = 1\nname = "trial"\n'

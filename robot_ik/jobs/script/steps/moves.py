@@ -15,8 +15,7 @@ from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, StepFailed
+from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import (
     Action,
     Finding,
