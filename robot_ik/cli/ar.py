@@ -11,6 +11,7 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
+    Dictionary,
     Json,
     Lens,
     Overwrite,
@@ -52,8 +53,7 @@ class ArOptions:
     intrinsics: Lens = None
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
-    dictionary: Annotated[str, single("NAME", "DICT_5X5_50")] = ""
-    """OpenCV's name of the markers' dictionary."""
+    dictionary: Dictionary = ""
     extrinsics: Annotated[Path | None, single("FILE.toml")] = None
     """Where the camera stands (of camera locate), instead of a board; the robot stands in its world."""
     base: Annotated[tuple[float, ...], single("X Y Z [YAW_DEG]")] = ()

@@ -16,7 +16,7 @@ from dataclasses import dataclass, is_dataclass
 from inspect import cleandoc, signature
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar, get_type_hints
 
 from tyro.conf import arg
 
@@ -96,8 +96,11 @@ ArmFile = Annotated[
     Path | None,
     single("FILE|NAME", "beside the model", "Servo ids, signs, zeros and limits: a file, or a robot's."),
 ]
+ArmName = Annotated[
+    str, arg(metavar="FILE|NAME", help="Arm file (TOML), or a robot of the catalogue that has one.")
+]
 OnExit = Annotated[
-    str,
+    Literal["", "torque_off", "hold", "park"],
     single(
         "torque_off|hold|park", "the arm file's", "How to leave the arm; park: back to where it was first."
     ),

@@ -19,6 +19,7 @@ from robot_ik.cli.arguments import (
     ArmFile,
     Dictionary,
     Json,
+    Lens,
     NeededBoard,
     Overwrite,
     Range,
@@ -59,8 +60,7 @@ class ArmCameraOptions:
     """Robot frame that carries camera or board."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=NEEDED)] = None
-    """Its calibration."""
+    intrinsics: Lens = None
     board: NeededBoard = ""
     dictionary: Dictionary = ""
     views: Annotated[int, arg(metavar="N"), VIEWS] = 15

@@ -14,7 +14,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, Overwrite, Range, positive, request_of, require, single, wrong
+from robot_ik.cli.arguments import Json, Lens, Overwrite, Range, positive, request_of, require, single, wrong
 from robot_ik.files import claimed, write_atomically
 from robot_ik.geometry import Pose
 
@@ -56,8 +56,7 @@ class FigureOptions:
     """How long it moves, seconds."""
     camera: Annotated[str, single("synthetic|INDEX|FILE|FOLDER|URL")] = ""
     """Where the marker is seen, above a printed board on which the figure stands."""
-    intrinsics: Annotated[Path | None, single("FILE")] = None
-    """Calibration of a real camera, which needs it: OpenCV or ROS YAML."""
+    intrinsics: Lens = None
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """The board, as for robot-ik ar."""
     marker: Annotated[int, arg(metavar="ID")] = 9

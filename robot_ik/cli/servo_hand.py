@@ -288,7 +288,6 @@ def run_play(options: ServoPlayOptions) -> int:
             recording = stack.enter_context(open_recording(options.record, config.names))
             sinks.append(RecordingSink(recording, config.names, arm.positions))
         stack.enter_context(driving(arm))
-        stack.enter_context(attempt())
         report = play_motion(arm, motion, sinks, console.busy)
         console.result(
             f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "

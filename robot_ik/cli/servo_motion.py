@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
-from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, opened, require_model
+from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.errors import apart
 
@@ -50,7 +50,7 @@ def run_move(options: ServoMoveOptions) -> int:
     if not options.by:
         require_inside(angles, config)
     arm = arm_on(options, config, options.on_exit)
-    with driving(arm), attempt():
+    with driving(arm):
         arm.enable()
         arm.read()
         here = arm.positions()
@@ -149,7 +149,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
     if options.to == "on":
         require_model(config)  # of the joints that stay as they are, too
         arm = arm_on(options, config.only(options.joints), "hold")
-        with driving(arm), attempt():
+        with driving(arm):
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     from robot_ik.hardware.control_table import require_id

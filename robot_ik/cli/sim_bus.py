@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Range, joint_degrees, several, single, wrong
+from robot_ik.cli.arguments import ArmName, Range, joint_degrees, several, single, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.hardware.virtual.faults import FAULTS
 from robot_ik.hardware.watchdogs import SIGNALS
@@ -47,8 +47,7 @@ class SimBusOptions:
         robot-ik reach --bus /tmp/arm            (in another terminal)
     """
 
-    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
-    """Arm file (TOML), or a robot of the catalogue that has one."""
+    arm: ArmName = SERVO_ROBOT
     link: Annotated[Path | None, single("PATH", "no link")] = None
     """Also make a symbolic link to the port: a name that stays the same; removed at the end."""
     match_baud: bool = False

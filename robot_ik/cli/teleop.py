@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Range, positive, require, single, wrong
+from robot_ik.cli.arguments import OnExit, Range, positive, require, single, wrong
 from robot_ik.cli.connection import (
-    attempt,
     bus_argument,
     driving,
     load_arm,
@@ -47,7 +46,7 @@ class TeleopOptions:
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
     is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
-    leader is back they are engaged anew. Ctrl-C ends it.
+    leader is back they are engaged anew. Ctrl-C ends it. The leader is always left without torque.
 
     Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or environment.
     130: Ctrl-C.
@@ -67,8 +66,7 @@ class TeleopOptions:
     """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
     seconds: Annotated[float | None, single("S", "until Ctrl-C"), positive(86400.0, " s")] = None
     """End by itself after so many seconds."""
-    on_exit: Annotated[str, single("torque_off|hold|park", "the arm file's")] = ""
-    """How the follower is left; the leader is always left without torque."""
+    on_exit: OnExit = ""
 
 
 def run(options: TeleopOptions) -> int:
@@ -92,8 +90,7 @@ def run(options: TeleopOptions) -> int:
             operator = made(stack, follower, follower_file, options)
         # The keys of the terminal have another reader.
         stack.enter_context(driving(follower, space=options.leader != KEYS))
-        with attempt():
-            teleoperate(operator, follower, seconds=options.seconds, over=lambda: operator.over, done=_show)
+        teleoperate(operator, follower, seconds=options.seconds, over=lambda: operator.over, done=_show)
     return console.DONE
 
 

@@ -16,6 +16,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
     ArmFile,
+    OnExit,
     Overwrite,
     Range,
     positive,
@@ -58,8 +59,7 @@ class ViewOptions:
     """Methods to begin with."""
     bus: Annotated[str, bus_argument(none=True)] = NONE
     arm: ArmFile = None
-    on_exit: Annotated[str, single("torque_off|hold|park", "the file's")] = ""
-    """How the arm is left."""
+    on_exit: OnExit = ""
     replay: Annotated[Path | None, single("FILE", "none")] = None
     """Repeat a command log, and compare how it ends bit by bit."""
     log: Annotated[Path | None, single("FILE", "none")] = None
