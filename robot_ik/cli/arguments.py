@@ -159,12 +159,9 @@ def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) 
     found = {}
     for item in items:
         joint, _, degrees = item.partition("=")
-        try:
-            found[joint] = float(degrees)
-        except ValueError:
-            found[joint] = math.nan
-        if not (math.isfinite(found[joint]) and abs(found[joint]) <= largest):
-            raise wrong(option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
+        found[joint] = float(degrees) if is_number(degrees) else math.nan
+        right = math.isfinite(found[joint]) and abs(found[joint]) <= largest
+        require(right, option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
     return found
 
 

@@ -396,24 +396,29 @@ class _ConsoleLogHandler(logging.Handler):
 
 
 @contextlib.contextmanager
+def log_levels(levels: Mapping[str, int]) -> Iterator[None]:
+    """Loggers, by name, at these levels while inside."""
+    before = {name: logging.getLogger(name).level for name in levels}
+    for name, level in levels.items():
+        logging.getLogger(name).setLevel(level)
+    try:
+        yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
+
+
+@contextlib.contextmanager
 def logs_shown(*, debug: bool = False) -> Iterator[None]:
     """Shows the library's log while inside: warnings and what the kernels say; everything with ``debug``.
 
     The library itself installs no handler; this is the only place that does, and it is taken back.
     """
-    handler = _ConsoleLogHandler()
-    levels = {
-        "robot_ik": logging.DEBUG if debug else logging.WARNING,
-        "robot_ik.kernels": logging.DEBUG if debug else logging.INFO,
-    }
-    before = {name: logging.getLogger(name).level for name in levels}
-    root = logging.getLogger("robot_ik")
-    for name, level in levels.items():
-        logging.getLogger(name).setLevel(level)
+    handler, root = _ConsoleLogHandler(), logging.getLogger("robot_ik")
+    usual = {"robot_ik": logging.WARNING, "robot_ik.kernels": logging.INFO}
     root.addHandler(handler)
     try:
-        yield
+        with log_levels(dict.fromkeys(usual, logging.DEBUG) if debug else usual):
+            yield
     finally:
         root.removeHandler(handler)
-        for name, level in before.items():
-            logging.getLogger(name).setLevel(level)

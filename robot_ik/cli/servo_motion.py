@@ -16,6 +16,7 @@ from robot_ik.cli.arguments import OnExit, positive, require, several, single, w
 from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.errors import apart
+from robot_ik.reading import is_number
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -83,10 +84,7 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
         raise wrong(pair, " ".join(arguments) or "nothing to do", form)
     angles: dict[str, float] = {}
     for name, text in pairs:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
+        value = float(text) if is_number(text) else math.nan
         joint = config.joint(name)
         require(math.isfinite(value), name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
         require(name not in angles, name, "named twice", "every joint once")
