@@ -189,12 +189,8 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
 # A servo as bought gets its id and baud rate: alone on the wire, without torque, and read back.
 
 
-def the_only_one(found: Sequence[FoundServo]) -> FoundServo:
-    """The servo that may be set up, of those (at least one) that answer.
-
-    Raises:
-        HardwareError: More than one answers, two share an id, or the model is not known.
-    """
+def _only_one(found: Sequence[FoundServo]) -> FoundServo:
+    """The servo that may be set up, of those (at least one) that answer; else raises ``HardwareError``."""
     shared = [servo for servo in found if servo.shared]
     if shared:
         raise HardwareError(
@@ -212,17 +208,39 @@ def the_only_one(found: Sequence[FoundServo]) -> FoundServo:
     return found[0]
 
 
-def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
+def set_up(
+    port: str,
+    id: int,
+    baud: int,
+    *,
+    model: str = "",
+    bauds: Sequence[int] = LIKELY,
+    progress: Callable[[str, float], None] = lambda what, share: None,
+) -> FoundServo | None:
     """Writes id and baud rate into the EEPROM of the only servo on a port, and asks it for both there.
 
+    ``model`` it must have, if any; ``bauds`` and ``progress`` as for ``scan``.
+
+    Returns:
+        The servo as it was found; None where none answers.
+
     Raises:
-        ConfigError: The model cannot have this id or rate.
+        ConfigError: The model is another, or cannot have this id or rate.
         ArmStateError: Its torque is on.
-        HardwareError: It does not answer under the new address as it should; errors of the bus.
+        HardwareError: More than one answers, two share an id, the model is not known, or it does not answer
+            under the new address as it should; errors of the bus.
     """
-    table = servo.table
-    assert table is not None  # the_only_one has checked
     require_id(id, "--id")
+    found = scan(port, bauds, progress=progress)
+    if not found:
+        return None
+    servo = _only_one(found)
+    table = servo.table
+    assert table is not None  # of the only one it is known
+    if model and servo.model != model:
+        raise ConfigError(
+            f"this servo is a {servo.model}", file="command line", key="--joint", allowed=f"a {model}"
+        )
     if baud not in table.baud_rates:
         allowed = ", ".join(map(str, table.baud_rates))
         raise ConfigError(
@@ -251,3 +269,4 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
         said = tuple(bus.read(id, table[name]).data for name in names)
     if said != (servo.number, id, BAUD_CODES[baud], 0):
         raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
+    return servo

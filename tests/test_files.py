@@ -43,8 +43,8 @@ from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.figure import read_balls
+from robot_ik.jobs.hand_guiding import load_motion
 from robot_ik.jobs.script import load_script, shipped
-from robot_ik.jobs.teach import load_motion
 from robot_ik.motion import Trajectory
 from robot_ik.motion.bvh import Bvh, export_bvh
 from robot_ik.motion.key_poses import KeyPoses

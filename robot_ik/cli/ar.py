@@ -11,8 +11,12 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
+    Dictionary,
     Json,
     Lens,
+    Overwrite,
+    Range,
+    positive,
     request_of,
     require,
     robot_argument,
@@ -26,7 +30,7 @@ if TYPE_CHECKING:
 
 
 # Sides of a picture, px; larger ones than any camera's would take all memory before they fail.
-_SIDES = (16, 16_384)
+_SIDES = Range(16, 16_384, " pixels")
 _MOTIONS = "home|wave|follow|FILE.csv|SCRIPT|ARM.toml@PORT"
 _MOTION = (
     "What the robot does. follow: reaches for --marker; FILE.csv: replays a trajectory (time_s, and radians "
@@ -49,13 +53,12 @@ class ArOptions:
     intrinsics: Lens = None
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
-    dictionary: Annotated[str, single("NAME", "DICT_5X5_50")] = ""
-    """OpenCV's name of the markers' dictionary."""
+    dictionary: Dictionary = ""
     extrinsics: Annotated[Path | None, single("FILE.toml")] = None
     """Where the camera stands (of camera locate), instead of a board; the robot stands in its world."""
     base: Annotated[tuple[float, ...], single("X Y Z [YAW_DEG]")] = ()
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
-    scale: Annotated[float, single(None, "1; synthetic: what fits the table")] = 0.0
+    scale: Annotated[float, single(None, "1; synthetic: what fits the table"), Range(0.0)] = 0.0
     """Drawn size over true size."""
     motion: Annotated[str, arg(metavar=_MOTIONS, help=_MOTION)] = "wave"
     marker: Annotated[int, arg(metavar="ID")] = 9
@@ -74,17 +77,16 @@ class ArOptions:
     """Draw where the board will be (for --sync latest)."""
     shift: bool = False
     """Move the finished drawing by the board's motion in the picture (for --sync latest)."""
-    alpha: float = 1.0
+    alpha: Annotated[float, Range(0.0, 1.0)] = 1.0
     """1 hides what is behind the robot, 0 the robot."""
     shadow: bool = True
     """Draw the shadow on the board's plane."""
     out: Annotated[str, single("FILE.mp4|FILE.png|DIR", "ar.mp4, else the folder ar")] = ""
     """A film (extra `video`), the last picture, or a folder of pictures."""
-    overwrite: bool = False
-    """Replace that file, or such pictures in that folder."""
-    seconds: Annotated[float | None, single("S", "all; synthetic: the motion's, or 4")] = None
+    overwrite: Overwrite = False
+    seconds: Annotated[float | None, single("S", "all; synthetic: the motion's, or 4"), positive()] = None
     """How long the film is, seconds."""
-    size: Annotated[tuple[int, ...], single("W H", "the camera's")] = ()
+    size: Annotated[tuple[int, int] | None, single("W H", "the camera's"), _SIDES] = None
     """Size of synthetic and live pictures."""
     seed: int = 0
     """Of the synthetic camera's noise."""
@@ -155,22 +157,14 @@ def make_request(options: ArOptions) -> ArRequest:
         marker=(options.marker, options.marker_size),
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         out=Path(options.out or _default_out()),
-        size=options.size or None,
         seconds=options.seconds or 0.0,
     )
 
 
 def _check(options: ArOptions) -> None:
-    base, size = options.base, options.size
+    base = options.base
     numbers = "3 or 4 finite numbers: x y z in metres, yaw in degrees"
     require(len(base) in (0, 3, 4) and bool(np.isfinite(base).all()), "--base", f"{base}", numbers)
-    sides = f"width and height in pixels, each {_SIDES[0]} to {_SIDES[1]}"
-    fits = all(_SIDES[0] <= side <= _SIDES[1] for side in size)
-    require(len(size) in (0, 2) and fits, "--size", f"{size}", sides)
-    require(0.0 <= options.alpha <= 1.0, "--alpha", f"{options.alpha:g}", "0 to 1")
-    require(0.0 <= options.scale < np.inf, "--scale", f"{options.scale:g}", "0 or more")
-    seconds = options.seconds
-    require(seconds is None or 0.0 < seconds < np.inf, "--seconds", f"{seconds}", "above 0; left out: all")
     require(
         options.sync == "latest" or not (options.predict or options.shift), "--sync",
         "the picture that was tracked has no delay to make up for", "--sync latest with --predict or --shift",

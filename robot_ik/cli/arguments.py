@@ -12,9 +12,11 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
+from inspect import cleandoc, signature
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar, get_type_hints
 
 from tyro.conf import arg
 
@@ -53,6 +55,36 @@ def robot_argument(default: str) -> Any:
     return single("NAME|PATH", default, "A name of `robot-ik robots`, or any MJCF or URDF file.")
 
 
+@dataclass(frozen=True)
+class Range:
+    """Annotation of a number, or of several: what each may be.  ``parse`` refuses others.
+
+    Attributes:
+        what: Behind the number in the error: its unit, or what is wrong with it.
+        above: ``low`` itself is too low.
+    """
+
+    low: float
+    high: float = math.inf
+    what: str = ""
+    above: bool = False
+
+    def holds(self, value: float) -> bool:
+        high_enough = self.low < value if self.above else self.low <= value
+        return high_enough and value <= self.high and value < math.inf
+
+    def __str__(self) -> str:
+        low, high, bounded = f"{self.low:.10g}", f"{self.high:.10g}", self.high < math.inf
+        if self.above:
+            return f"above {low}" + (f", at most {high}" if bounded else "")
+        return f"{low} to {high}" if bounded else f"{low} or more"
+
+
+def positive(high: float = math.inf, what: str = "") -> Range:
+    """The range above 0."""
+    return Range(0.0, high, what, above=True)
+
+
 #: Behind the help of an option.
 NEEDED = "(needed for a real camera)"
 XYZ_WXYZ = "X Y Z [W X Y Z]"
@@ -64,8 +96,11 @@ ArmFile = Annotated[
     Path | None,
     single("FILE|NAME", "beside the model", "Servo ids, signs, zeros and limits: a file, or a robot's."),
 ]
+ArmName = Annotated[
+    str, arg(metavar="FILE|NAME", help="Arm file (TOML), or a robot of the catalogue that has one.")
+]
 OnExit = Annotated[
-    str,
+    Literal["", "torque_off", "hold", "park"],
     single(
         "torque_off|hold|park", "the arm file's", "How to leave the arm; park: back to where it was first."
     ),
@@ -85,12 +120,18 @@ Lens = Annotated[
 Dictionary = Annotated[str, single("NAME", "DICT_5X5_50", "Of the board's markers.")]
 BoardName = Annotated[str, arg(metavar="BOARD", help=_BOARD)]
 NeededBoard = Annotated[str, arg(metavar="BOARD", help=_BOARD, help_behavior_hint=NEEDED)]
+Speed = Annotated[
+    float,
+    positive(1.0, " is no share of the speed limits"),
+    arg(help="Share of the joints' speed limits, above 0 and up to 1."),
+]
+Overwrite = Annotated[bool, arg(help="Files of an earlier run may be replaced.")]
 Json = Annotated[bool, arg(help="Print one JSON object instead of tables.")]
 
 
-def request_of(kind: type[Request], options: object, **others: Any) -> Request:
+def request_of(kind: type[Request], options: object, /, **others: Any) -> Request:
     """The request of a job: options that it has under the same name, and ``others``."""
-    same = {f.name: getattr(options, f.name) for f in fields(kind) if hasattr(options, f.name)}  # type: ignore[arg-type]
+    same = {name: getattr(options, name) for name in signature(kind).parameters if hasattr(options, name)}
     return kind(**same | others)
 
 
@@ -98,11 +139,6 @@ def require(right: bool, key: str, problem: str, allowed: str = "", hint: str = 
     """Raises ``ConfigError`` unless an option is right: as ``wrong``."""
     if not right:
         raise wrong(key, problem, allowed, hint)
-
-
-def require_share(option: str, value: float, of: str = "speed limits") -> None:
-    """Raises ``ConfigError`` unless a share is above 0 and up to 1."""
-    require(0.0 < value <= 1.0, option, f"{value:g} is no share of the {of}", "above 0, at most 1")
 
 
 # ------------------------------------------------------------------------------------------
@@ -123,12 +159,9 @@ def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) 
     found = {}
     for item in items:
         joint, _, degrees = item.partition("=")
-        try:
-            found[joint] = float(degrees)
-        except ValueError:
-            found[joint] = math.nan
-        if not (math.isfinite(found[joint]) and abs(found[joint]) <= largest):
-            raise wrong(option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
+        found[joint] = float(degrees) if is_number(degrees) else math.nan
+        right = math.isfinite(found[joint]) and abs(found[joint]) <= largest
+        require(right, option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
     return found
 
 
@@ -143,7 +176,7 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
         width = max(shutil.get_terminal_size().columns, NARROWEST)
         _, shown = _tyro(kind, prog, tokens, width)
         if shown:
-            sys.stdout.write(fold(shown, width) + "\n")
+            sys.stdout.write(fold(kind, shown, width) + "\n")
             raise SystemExit(0)
     _refuse_empty(prog, tokens)
     gathered = gather(kind, tokens)
@@ -151,6 +184,7 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
     if options is None:
         raise _mistake(kind, prog, gathered, said)
     _refuse_repeated(gathered)
+    _refuse_outside(options)
     return options
 
 
@@ -171,12 +205,36 @@ def _refuse_repeated(tokens: Sequence[str]) -> None:
         raise wrong(repeated, "given twice", "once")
 
 
+def _annotated(kind: Any, prefix: str = "--") -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Each flag, with what the type of its field is annotated with."""
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        flag = prefix + name.replace("_", "-")
+        if is_dataclass(hint):
+            yield from _annotated(hint, f"{flag}.")
+        else:
+            yield flag, getattr(hint, "__metadata__", ())
+
+
+def _refuse_outside(options: Any) -> None:
+    """Raises ``ConfigError`` for a number outside the ``Range`` of its option."""
+    for flag, notes in _annotated(type(options)):
+        value = attrgetter(flag.removeprefix("--").replace("-", "_"))(options)
+        numbers = value if isinstance(value, tuple) else (value,)
+        for span in (note for note in notes if isinstance(note, Range) and value is not None):
+            said = " x ".join(f"{number:.10g}" for number in numbers)
+            each = " each" if len(numbers) > 1 else ""
+            default = next(filter(None, (getattr(note, "help_behavior_hint", None) for note in notes)), "")
+            right = all(map(span.holds, numbers))
+            require(right, flag, said + span.what, f"{span}{each} {default}".rstrip())
+
+
 def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
     """The arguments, options of any number of values (``RATE …``) last, each once with all of its values.
 
     ``--baud 57600 --baud 1000000`` is ``--baud 57600 1000000``; tyro would take the last one alone.
     """
-    endless = set(_endless_options(kind))
+    metavars = ((flag, getattr(note, "metavar", "")) for flag, notes in _annotated(kind) for note in notes)
+    endless = {flag for flag, metavar in metavars if metavar and metavar.endswith("…")}
     into = kept = list[str]()
     values: dict[str, list[str]] = {}
     for token in tokens:
@@ -189,17 +247,6 @@ def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
             into = kept
         into.append(token)
     return kept + [token for flag, row in values.items() for token in (flag, *row)]
-
-
-def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        flag = prefix + name.replace("_", "-")
-        if is_dataclass(hint):
-            yield from _endless_options(hint, f"{flag}.")
-        elif any(
-            (getattr(note, "metavar", "") or "").endswith("…") for note in getattr(hint, "__metadata__", ())
-        ):
-            yield flag
 
 
 class _Stream(io.StringIO):
@@ -226,7 +273,7 @@ def _tyro(kind: Any, prog: str, tokens: Sequence[str], columns: int) -> tuple[An
     os.environ["COLUMNS"] = str(columns)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            return tyro.cli(kind, prog=prog, args=list(tokens)), ""
+            return tyro.cli(kind, prog=prog, description="", args=list(tokens)), ""
     except SystemExit as stop:
         return None, out.getvalue() if stop.code in (0, None) else _ANSI.sub("", err.getvalue())
     finally:
@@ -238,20 +285,16 @@ def _tyro(kind: Any, prog: str, tokens: Sequence[str], columns: int) -> tuple[An
 # -------------------------------------------------------------------------------------- help
 
 
-def fold(text: str, width: int) -> str:
-    """Help of tyro with usage and description folded to ``width`` columns, as its boxes are."""
-    lines = text.rstrip().splitlines()
-    boxes = next((at for at in range(len(lines)) if _opens_a_box(lines, at)), len(lines))
-    usage, *paragraphs = re.split(r"\n\s*\n", _ANSI.sub("", "\n".join(lines[:boxes])).strip())
+def fold(kind: Any, shown: str, width: int) -> str:
+    """Usage and boxes of options as tyro has ``shown`` them, and between them the docstring of ``kind``.
+
+    All is folded to ``width`` columns.
+    """
+    usage, _, boxes = shown.rstrip().partition("\n\n")
     indent = " " * len("usage: robot-ik ")
-    head = [_folded(usage, width, subsequent_indent=indent, break_long_words=False)]
-    head += [_fold_prose(paragraph.strip("\n"), min(width, _PROSE)) for paragraph in paragraphs]
-    return "\n\n".join([*filter(None, head), "\n".join(lines[boxes:])])
-
-
-def _opens_a_box(lines: Sequence[str], at: int) -> bool:
-    below = lines[at + 1].strip() if at + 1 < len(lines) else ""
-    return _ANSI.sub("", lines[at]).startswith("╭") or (len(below) > 8 and not below.strip("-"))
+    head = [_folded(_ANSI.sub("", usage), width, subsequent_indent=indent, break_long_words=False)]
+    head += [_fold_prose(paragraph, min(width, _PROSE)) for paragraph in cleandoc(kind.__doc__).split("\n\n")]
+    return "\n\n".join([*head, boxes])
 
 
 def _folded(text: str, width: int, **how: Any) -> str:

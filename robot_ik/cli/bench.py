@@ -15,7 +15,7 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, several, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, request_of, several, single, wrong
 from robot_ik.errors import unknown_name_text
 from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json
@@ -41,8 +41,8 @@ class BenchOptions:
     A time is that of the whole Python call: 4×4 matrix in, joint array out, limits obeyed. Kernels are
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
-    Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera --help,
-    robot-ik bench figure --help
+    Writes bench.json and plots; Ctrl-C keeps what is done. See also:
+    `robot-ik bench camera --help`, `robot-ik bench figure --help`.
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
@@ -55,7 +55,7 @@ class BenchOptions:
         tuple[SetName, ...], arg(metavar="cold|warm|singular|limits|unreachable|kernels|batch …")
     ] = ("cold", "warm", "singular", "limits", "unreachable")
     """Kinds of problems; kernels: cost of kinematics, growth with joints and goals; batch: solve_batch."""
-    count: int = 200
+    count: Annotated[int, Range(1, 100_000, " problems")] = 200
     """Problems in each set; a batch has 500 times as many."""
     seed: int = 0
     """Of problems and restarts: the same seed gives the same problems."""
@@ -63,12 +63,11 @@ class BenchOptions:
     """Largest distance that still counts as solved, metres."""
     angle_tolerance: Annotated[float, arg(metavar="RAD")] = 1e-3
     """Largest angle that still counts as solved, radians."""
-    seconds: Annotated[float, arg(metavar="S")] = 3.0
+    seconds: Annotated[float, arg(metavar="S"), positive(what=" s")] = 3.0
     """Longest time for one method on one set, seconds; what is left then is not tried."""
     out: Annotated[str, single("FOLDER", "runs/<time>-bench")] = ""
     """Where bench.json and the plots go."""
-    overwrite: bool = False
-    """That folder may hold files of an earlier run: they are replaced."""
+    overwrite: Overwrite = False
     plots: bool = True
     """Draw plots (needs matplotlib)."""
 
@@ -84,14 +83,8 @@ def run(options: BenchOptions) -> int:
     Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
     if options.plots:
         require_plots("drawing the plots")
-    settings = Settings(
-        command=shlex.join(["robot-ik", *sys.argv[1:]]) if sys.argv[1:2] == ["bench"] else "robot-ik bench",
-        count=options.count,
-        seed=options.seed,
-        position_tolerance=options.position_tolerance,
-        angle_tolerance=options.angle_tolerance,
-        seconds=options.seconds,
-    )
+    command = shlex.join(["robot-ik", *sys.argv[1:]]) if sys.argv[1:2] == ["bench"] else "robot-ik bench"
+    settings = request_of(Settings, options, command=command)
     with results_folder(options.out, "bench", _FILES, overwrite=options.overwrite) as folder:
         results = Results(machine=this_machine(), settings=settings)
         try:
@@ -106,8 +99,6 @@ def run(options: BenchOptions) -> int:
 def _solvers(options: BenchOptions) -> list[Solver]:
     from robot_ik.solvers import SOLVERS, make_solver
 
-    require(1 <= options.count <= 100_000, "--count", f"{options.count} problems", "1 to 100000")
-    require(options.seconds > 0.0, "--seconds", f"{options.seconds:g} s", "above 0")
     # `combined` with its default options is `auto`.
     names = options.solvers or tuple(name for name in SOLVERS if name != "combined")
     return [make_solver(name) for name in dict.fromkeys(names)]
@@ -209,11 +200,14 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
+_MARKS = {None: "", True: Text("pass", style="green"), False: Text("FAIL", style="bold red")}
+
+
 def show_quantities(of: str, rows: Iterable[tuple[str, Quantity]], *remarks: str) -> None:
     """A table of what was measured, beside what is wanted; ``of``: the title of the names in ``rows``."""
     cells, judged, before = [], [], ""
     for name, one in rows:
-        mark = console.verdict_mark(one.passed)
+        mark = _MARKS[one.passed]
         cells.append(("" if name == before else name, one.quantity, one.measured_text, one.wanted_text, mark))
         judged += [] if one.passed is None else [one.passed]
         before = name
@@ -237,7 +231,7 @@ class BenchFigureOptions:
 
     model: Annotated[str, arg(metavar="NAME|PATH")] = "humanoid"
     """A model whose robot.toml has a table [figure]."""
-    count: int = 20
+    count: Annotated[int, Range(1, what=" balls")] = 20
     """Balls reached, bent and jumped for."""
     seed: int = 0
     """Of the balls."""
@@ -250,7 +244,6 @@ def run_figure(options: BenchFigureOptions) -> int:
     from robot_ik.figure.abilities import load_abilities
     from robot_ik.figure.figure import load_figure
 
-    require(options.count >= 1, "--count", f"{options.count} balls", "1 or more")
     with console.busy("measuring the figure"):
         abilities = load_abilities(load_figure(options.model))
         rows = list(measure_figure(abilities, options.count, options.seed))
@@ -283,8 +276,7 @@ class BenchCameraOptions:
     """A tenth of the pictures: for a look, not for the record."""
     json: Annotated[Path | None, single("FILE")] = None
     """Write the figures there, too."""
-    overwrite: bool = False
-    """Replace that file."""
+    overwrite: Overwrite = False
     seed: int = 1
     """Of pictures and noise."""
     photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""

@@ -1,4 +1,4 @@
-"""``robot-ik camera list``, ``detect``, ``locate`` and ``print``."""
+"""``robot-ik camera list``, ``detect``, ``locate``, ``print`` and ``calibrate``."""
 
 from __future__ import annotations
 
@@ -21,22 +21,25 @@ from robot_ik.cli.arguments import (
     BoardName,
     Dictionary,
     Json,
+    Overwrite,
+    Range,
     pose_option,
     pose_text,
     request_of,
-    require,
     several,
     single,
 )
-from robot_ik.errors import OutputError
-from robot_ik.files import claimed, claimed_folder, write_atomically
+from robot_ik.errors import CalibrationError, CameraError, FrameTimeoutError, OutputError
+from robot_ik.files import claimed, claimed_folder, timestamp, write_atomically
 from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
+    from robot_ik.camera.calibration.intrinsic import CalibrationResult
+    from robot_ik.camera.calibration.views import ViewGatherer
     from robot_ik.camera.device import CameraDevice
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.locate import LocateReport
-    from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers
+    from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers, ViewFolder
 
 
 @dataclass(frozen=True)
@@ -52,9 +55,12 @@ class CameraListOptions:
 def run_list(options: CameraListOptions) -> int:
     """Prints the cameras; 1 when there is none."""
     from robot_ik.camera.device import CAN_LIST, find_cameras
-    from robot_ik.environment import named_users_of
+    from robot_ik.environment import named_users_of, permission_hint
 
-    found = [(camera, named_users_of(camera.path), _do(camera)) for camera in find_cameras()]
+    found = []
+    for camera in find_cameras():
+        do = permission_hint(camera.path) if camera.pictures and not camera.usable else ""
+        found.append((camera, named_users_of(camera.path), do))
     if options.json:
         rows = [{**asdict(camera), "used_by": users, "do": do} for camera, users, do in found]
         console.print_json({"schema": 1, "can_list": CAN_LIST, "cameras": rows})
@@ -81,12 +87,6 @@ def _state(camera: CameraDevice, users: list[str]) -> str:
     if not camera.usable:
         return "no permission"
     return f"used by {', '.join(users)}" if users else "free"
-
-
-def _do(camera: CameraDevice) -> str:
-    from robot_ik.environment import permission_hint
-
-    return permission_hint(camera.path) if camera.pictures and not camera.usable else ""
 
 
 # ------------------------------------------------------------------------------------------
@@ -121,8 +121,7 @@ class CameraDetectOptions:
     """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
     draw: Annotated[Path | None, single("DIR")] = None
     """Write each picture there with what was found drawn over it."""
-    overwrite: bool = False
-    """Replace drawings of the same names in that folder."""
+    overwrite: Overwrite = False
     json: Json = False
 
 
@@ -200,7 +199,6 @@ def _searched_pictures(
 ) -> list[PictureMarkers]:
     """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
-    from robot_ik.errors import CameraError
     from robot_ik.jobs.pictures import MarkerFinder, find_markers
 
     if not options.images:
@@ -298,12 +296,11 @@ class CameraLocateOptions:
     dictionary: Dictionary = ""
     parent: str = "world"
     """Name of the frame that the board's pose is given in."""
-    frames: Annotated[int, arg(metavar="N")] = 20
+    frames: Annotated[int, arg(metavar="N"), Range(1, 10_000, " pictures")] = 20
     """How many pictures to average, where the source has more than one."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the extrinsics go."""
-    overwrite: bool = False
-    """Replace that file."""
+    overwrite: Overwrite = False
     json: Json = False
 
 
@@ -311,7 +308,6 @@ def run_locate(options: CameraLocateOptions) -> int:
     """Looks, fits, writes; 1 when no picture is believed."""
     from robot_ik.jobs import locate
 
-    require(1 <= options.frames <= 10_000, "--frames", f"{options.frames} pictures", "1 to 10000")
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
     request = request_of(locate.LocateRequest, options, pose_parent_board=pose, pictures=options.frames)
     with claimed(options.out, overwrite=options.overwrite):
@@ -396,8 +392,7 @@ class CameraPrintOptions:
     """Paper; it is turned when that makes it fit."""
     dpi: int = 300
     """Pixels per inch of a .png."""
-    overwrite: bool = False
-    """Replace files that are there."""
+    overwrite: Overwrite = False
     body: Annotated[Path | None, single("FILE", "none")] = None
     """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
 
@@ -417,3 +412,166 @@ def run_print(options: CameraPrintOptions) -> int:
     console.say(f"wrote {options.out}: {page.about}", "green")
     console.say("print it at 100 % (actual size) and measure both bars: 100.0 mm")
     return console.DONE
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik camera calibrate``: from views of a printed pattern to a calibration file.
+
+
+@dataclass(frozen=True)
+class CameraCalibrateOptions:
+    """Calibrates a camera from views of a printed pattern (see: robot-ik camera print charuco).
+
+    Pictures and folders are taken whole. From a camera, stream, film or synthetic:charuco a view is taken by
+    itself when the board is held still in a new way, until nothing is missing; Ctrl-C ends it early and keeps
+    what there is. The lens must not be focused or zoomed afterwards.
+    """
+
+    sources: Annotated[Positional[tuple[str, ...]], several("SOURCE")]
+    """Pictures, folders, films, a camera's index, URLs; one after the other."""
+    pattern: Literal["charuco", "chessboard"] = "charuco"
+    """What is shown. Both layouts of a ChArUco board are tried."""
+    columns: Annotated[int | None, single("N", "by pattern")] = None
+    """charuco: squares (8). chessboard: inner corners, as OpenCV and ROS count (9)."""
+    rows: Annotated[int | None, single("N", "by pattern")] = None
+    """The same downwards: 6 and 6."""
+    square_mm: Annotated[float | None, single("MM", "by pattern")] = None
+    """Side of a square as measured on the print (charuco 30, chessboard 25)."""
+    marker_mm: Annotated[float | None, single("MM", "0.73 squares")] = None
+    """Side of the markers of a charuco board."""
+    dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
+    """Dictionary of its markers."""
+    coefficients: Literal[5, 8] = 5
+    """Of the lens: 5, or 8 for a wide one."""
+    views: Annotated[int, arg(metavar="N")] = 20
+    """Views to take from a moving source before it may end."""
+    size: Annotated[tuple[int, int] | None, single("W H", "as it is")] = None
+    """Picture size to ask of a camera, pixels."""
+    out: Annotated[Path, arg(metavar="FILE")] = Path("camera.yaml")
+    """Where to write the calibration; beside it come a picture of the coverage and the views taken live."""
+    overwrite: bool = False
+    """Replace the calibration and the picture of the coverage; views taken before are kept in any case."""
+    name: str = "camera"
+    """Name of the camera in the file."""
+    json: Json = False
+
+
+def run_calibrate(options: CameraCalibrateOptions) -> int:
+    """Gathers views, calibrates, writes the file and says what it is worth."""
+    if not options.sources:
+        raise CameraError(
+            "nothing to calibrate from",
+            hint="give pictures, a folder of them, a film, or a camera's index: 0",
+        )
+    with claimed(options.out, _coverage_file(options.out), overwrite=options.overwrite):
+        return _calibrate(options)
+
+
+def _calibrate(options: CameraCalibrateOptions) -> int:
+    from robot_ik.camera.boards.patterns import PatternRequest
+    from robot_ik.camera.calibration.coverage import coverage_picture
+    from robot_ik.camera.calibration.intrinsic import calibrate
+    from robot_ik.camera.calibration.views import ViewGatherer
+    from robot_ik.camera.image import write_image
+    from robot_ik.jobs.pictures import ViewFolder
+
+    wanted = request_of(PatternRequest, options, kind=options.pattern)
+    gatherer, kept = ViewGatherer(wanted.pattern()), ViewFolder(options.out, options.sources)
+    _gather(options, gatherer, kept)
+    try:
+        result = calibrate(
+            gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
+        )
+    except (CalibrationError, KeyboardInterrupt):
+        if kept.count:
+            sources = [text for text in options.sources if Path(text) != kept.folder]
+            arguments = " ".join([str(kept.folder), *sources])
+            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {arguments} …")
+        raise
+    intrinsics = replace(result.intrinsics, date=timestamp())
+    intrinsics.save(options.out)
+    picture = _coverage_file(options.out)
+    write_image(picture, coverage_picture(result.coverage))
+    if options.json:
+        console.print_json(_calibration_json(result, options.out, intrinsics.digest))
+    else:
+        _print_calibration(result)
+    console.say(f"wrote {options.out} and {picture}", "green")
+    return console.DONE
+
+
+def _gather(options: CameraCalibrateOptions, gatherer: ViewGatherer, kept: ViewFolder) -> None:
+    """Views of all sources; neither Ctrl-C nor a camera that goes away loses those so far."""
+    from robot_ik.jobs.pictures import gather_views
+
+    stopped = ""
+    try:
+        for name in options.sources:
+            gather_views(name, gatherer, kept, options.views, size=options.size, say=console.say)
+    except FrameTimeoutError as error:
+        if not gatherer.views:
+            raise
+        stopped = str(error.args[0])
+    except KeyboardInterrupt:
+        stopped = "stopped"
+    if stopped:
+        where = f" in {kept.folder}" if kept.count else ""
+        console.say(f"{stopped}; {len(gatherer.views)} views are kept{where}", "yellow")
+    gatherer.finish()
+    for notice in gatherer.notices:
+        console.say(notice, "yellow")
+
+
+def _coverage_file(out: Path) -> Path:
+    return out.with_name(f"{out.stem}-coverage.png")
+
+
+def _print_calibration(result: CalibrationResult) -> None:
+    views = [
+        (view.name, view.corners, "-" if view.rms is None else f"{view.rms:.3f} px", view.left_out)
+        for view in result.per_view
+    ]
+    camera = result.intrinsics
+    names = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[: len(camera.distortion)])
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    numbers = [
+        (name, f"{value:.3f} px", f"{std:.3g} px")
+        if name[0] in "fc"
+        else (name, f"{value:.5f}", f"{std:.3g}")
+        for name, value, std in zip(names, values, camera.std, strict=True)
+    ]
+    console.show(
+        console.table("view", "corners", "error", "left out", rows=views),
+        "",
+        console.table("number", "value", "standard deviation", rows=numbers),
+        Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"),
+        *(Text(f"- {doubt}", style="yellow") for doubt in result.doubts),
+        *(f"  {note}" for note in result.notes),
+    )
+
+
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def _calibration_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any]:
+    camera = result.intrinsics
+    return {
+        "schema": 1,
+        "file": out,
+        "digest": digest,
+        "size": camera.size,
+        "f": (camera.fx, camera.fy),
+        "c": (camera.cx, camera.cy),
+        "model": camera.model,
+        "distortion": camera.distortion,
+        "std": camera.std,
+        "rms_px": result.rms,
+        "hold_out_rms_px": result.hold_out_rms,
+        "views": [{"name": v.name, "corners": v.corners, "rms_px": v.rms, "left_out": v.left_out}
+                  for v in result.per_view],
+        "verdict": result.verdict,
+        "doubts": result.doubts,
+        "notes": result.notes,
+        "edge_shift": camera.edge_shift,
+        "edge_shift_sigma": camera.edge_shift_sigma,
+    }  # fmt: skip

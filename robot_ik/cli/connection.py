@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import ArmName
 from robot_ik.errors import (
     BusNotOpenError,
     HardwareError,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.hand_calibration import Limits
+    from robot_ik.jobs.hand_guiding import Limits
 
 
 NONE = "none"
@@ -74,8 +75,7 @@ class BusOptions:
     """Where the servos are."""
 
     bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
-    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
-    """Arm file (TOML), or a robot of the catalogue that has one."""
+    arm: ArmName = SERVO_ROBOT
 
 
 def port_name(bus: str, option: str = "--bus") -> str:
@@ -145,13 +145,10 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
 
     Raises:
         BusNotOpenError: No port is named and there is not exactly one.
-        ConfigError: No such way to leave an arm.  As ``require_model``.
+        ConfigError: As ``require_model``.
     """
     from robot_ik.hardware import open_arm
-    from robot_ik.hardware.torque import checked_policy
 
-    if on_exit:
-        checked_policy(on_exit, "command line", "--on-exit")
     require_model(config)
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
@@ -211,10 +208,10 @@ def stop_on_space(arm: Arm) -> Iterator[None]:
 def driving(arm: Arm, *, space: bool = True) -> Iterator[None]:
     """The arm connected, and left by its policy; says how it was left, also after a signal or an error.
 
-    ``space``: as ``stop_on_space``.
+    ``space``: as ``stop_on_space``.  Errors of the hardware inside are as in ``attempt``.
     """
     try:
-        with arm, stop_on_space(arm) if space else nullcontext():
+        with arm, stop_on_space(arm) if space else nullcontext(), attempt():
             yield
     finally:
         if (left := arm.exit_report) is not None:  # it was connected

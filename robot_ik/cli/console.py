@@ -231,13 +231,6 @@ def count_of(count: int, one: str) -> str:
     return f"{count} {one}{'' if count == 1 else 's'}"
 
 
-def verdict_mark(passed: bool | None) -> Text:
-    """Of a row that is as wanted, or not; None: nothing is wanted."""
-    if passed is None:
-        return Text("")
-    return Text("pass", style="green") if passed else Text("FAIL", style="bold red")
-
-
 class _ClockColumn(BarColumn):
     """A bar that fills with the time."""
 
@@ -267,10 +260,10 @@ def shares_on(bar: Progress, what: str) -> Callable[[str, float], None]:
     return lambda phase, share: bar.update(task, completed=share, note=phase)
 
 
-def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
-    """A job's count of pictures on a bar: how many are done, and of how many (0: unknown)."""
+def counted_on(bar: Progress, what: str, things: str = "pictures") -> Callable[[int, int], None]:
+    """A job's count of things on a bar: how many are done, and of how many (0: unknown)."""
     task = bar.add_task(what, total=None, note="")
-    return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} pictures")
+    return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} {things}")
 
 
 @contextlib.contextmanager
@@ -318,11 +311,6 @@ def print_json_line(value: Mapping[str, Any]) -> None:
 # ----------------------------------------------------------------------------------- errors
 
 
-def exit_code(error: BaseException) -> int:
-    """The exit code that belongs to an error."""
-    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
-
-
 def _first_lines(text: str, count: int) -> str:
     lines = text.rstrip().splitlines() or [""]
     if len(lines) > count:
@@ -365,8 +353,12 @@ def describe_error(error: BaseException) -> tuple[str, str]:
     )
 
 
-def show_error(error: BaseException, *, debug: bool = False) -> None:
-    """Prints an error on at most one screen; with ``debug`` the traceback comes first."""
+def show_error(error: BaseException, *, debug: bool = False) -> int:
+    """Prints an error on at most one screen; with ``debug`` the traceback comes first.
+
+    Returns:
+        The exit code that belongs to it.
+    """
     if debug:
         sys.stderr.write("".join(traceback.format_exception(error)))
     message, hint = describe_error(error)
@@ -374,6 +366,7 @@ def show_error(error: BaseException, *, debug: bool = False) -> None:
     message = _first_lines(message, ERROR_LINES - hint.count("\n") - 1)
     text = Text.assemble(("error: ", "bold red"), message, ("\n" + hint if hint else "", "cyan"))
     stderr_console().print(text, soft_wrap=True)
+    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
 
 
 # --------------------------------------------------------------------------------- signals and logs
@@ -403,24 +396,29 @@ class _ConsoleLogHandler(logging.Handler):
 
 
 @contextlib.contextmanager
+def log_levels(levels: Mapping[str, int]) -> Iterator[None]:
+    """Loggers, by name, at these levels while inside."""
+    before = {name: logging.getLogger(name).level for name in levels}
+    for name, level in levels.items():
+        logging.getLogger(name).setLevel(level)
+    try:
+        yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
+
+
+@contextlib.contextmanager
 def logs_shown(*, debug: bool = False) -> Iterator[None]:
     """Shows the library's log while inside: warnings and what the kernels say; everything with ``debug``.
 
     The library itself installs no handler; this is the only place that does, and it is taken back.
     """
-    handler = _ConsoleLogHandler()
-    levels = {
-        "robot_ik": logging.DEBUG if debug else logging.WARNING,
-        "robot_ik.kernels": logging.DEBUG if debug else logging.INFO,
-    }
-    before = {name: logging.getLogger(name).level for name in levels}
-    root = logging.getLogger("robot_ik")
-    for name, level in levels.items():
-        logging.getLogger(name).setLevel(level)
+    handler, root = _ConsoleLogHandler(), logging.getLogger("robot_ik")
+    usual = {"robot_ik": logging.WARNING, "robot_ik.kernels": logging.INFO}
     root.addHandler(handler)
     try:
-        yield
+        with log_levels(dict.fromkeys(usual, logging.DEBUG) if debug else usual):
+            yield
     finally:
         root.removeHandler(handler)
-        for name, level in before.items():
-            logging.getLogger(name).setLevel(level)

@@ -12,7 +12,7 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import require, several, single
+from robot_ik.cli.arguments import Overwrite, Range, require, several, single
 
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
@@ -36,15 +36,14 @@ class ExperimentsOptions:
     """a00: only these tests."""
     solvers: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """a00: only these methods."""
-    frames: Annotated[int | None, single("N", "whole; 1000")] = None
+    frames: Annotated[int | None, single("N", "whole; 1000"), Range(1)] = None
     """a00: no more than so many frames of each course; s12: frames of each case."""
     plot: bool = False
     """s12: draw the table, too (needs matplotlib)."""
     out: Annotated[str, single("DIR", "runs/<time>-<experiment>")] = ""
     """Where the JSON file and the picture go."""
-    overwrite: bool = False
-    """That folder may hold files of an earlier run: they are replaced."""
-    seed: int = 0
+    overwrite: Overwrite = False
+    seed: Annotated[int, Range(0)] = 0
     """Of the random targets and of restarts."""
 
 
@@ -55,18 +54,14 @@ def run(options: ExperimentsOptions) -> int:
     from robot_ik.files import write_atomically
     from robot_ik.jobs.results import require_plots, results_folder, save_json
 
-    report: Any
-    work: Any
-    summary: Any
-    show: Any
+    if options.plot:
+        require_plots("drawing the table")
+    simunic = s12.S12Report(options.frames or s12.FRAMES, options.seed)
+    job: Any = s12.run_s12, s12.s12_summary, print_s12, simunic
     if options.experiment == "a00":
-        report = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
-        work, summary, show = a00.run_a00, a00.a00_summary, print_a00
-    else:
-        if options.plot:
-            require_plots("drawing the table")
-        report = s12.S12Report(options.frames or s12.FRAMES, options.seed)
-        work, summary, show = s12.run_s12, s12.s12_summary, print_s12
+        aho = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
+        job = a00.run_a00, a00.a00_summary, print_a00, aho
+    work, summary, show, report = job
     own = [f"{options.experiment}.{kind}" for kind in ("json", "png")]
     with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:
@@ -84,8 +79,6 @@ def run(options: ExperimentsOptions) -> int:
 def _check(options: ExperimentsOptions) -> None:
     """Raises ``ConfigError`` for what makes no sense before anything is built."""
     a00 = options.experiment == "a00"
-    require(options.frames is None or options.frames >= 1, "--frames", str(options.frames), "1 or more")
-    require(options.seed >= 0, "--seed", str(options.seed), "0 or more")
     which = "--tests" if options.tests else "--solvers"
     require(a00 or not (options.tests or options.solvers), which, "s12 has neither", "with a00 alone")
     require(not (a00 and options.plot), "--plot", "a00 has no picture", "with s12 alone")

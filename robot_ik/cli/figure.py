@@ -13,7 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, request_of, require, single, wrong
+from robot_ik.cli.arguments import Json, Lens, Overwrite, Range, positive, request_of, require, single, wrong
 from robot_ik.files import claimed, write_atomically
 from robot_ik.geometry import Pose
 
@@ -50,19 +50,18 @@ class FigureOptions:
     """Balls, x, y, z in each row: prints one decision a line as JSON, without moving."""
     path: Annotated[Literal["", "circle", "random", "marker"], single("circle|random|marker")] = ""
     """A ball that moves; or a printed marker in the pictures of --camera."""
-    seconds: Annotated[float, arg(metavar="S")] = 12.0
+    seconds: Annotated[float, arg(metavar="S"), positive(what=" s")] = 12.0
     """How long it moves, seconds."""
     camera: Annotated[str, single("synthetic|INDEX|FILE|FOLDER|URL")] = ""
     """Where the marker is seen, above a printed board on which the figure stands."""
-    intrinsics: Annotated[Path | None, single("FILE")] = None
-    """Calibration of a real camera, which needs it: OpenCV or ROS YAML."""
+    intrinsics: Lens = None
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """The board, as for robot-ik ar."""
     marker: Annotated[int, arg(metavar="ID")] = 9
     """The marker that is the ball."""
     marker_size: Annotated[float, arg(metavar="M")] = 0.05
     """Side of its black square, metres."""
-    scale: Annotated[float, single(None, "1; synthetic: what fits the table")] = 0.0
+    scale: Annotated[float, single(None, "1; synthetic: what fits the table"), Range(0.0)] = 0.0
     """Size of the figure over life size."""
     ar: bool = False
     """Draw the figure into the camera's pictures, written to --record (else to ar.mp4, or the folder ar)."""
@@ -81,8 +80,7 @@ class FigureOptions:
     seed: int = 0
     """Of random balls."""
     json: Json = False
-    overwrite: bool = False
-    """Files of an earlier run may be replaced."""
+    overwrite: Overwrite = False
 
 
 def run(options: FigureOptions) -> int:
@@ -143,8 +141,6 @@ def _checked(options: FigureOptions) -> FigureOptions:
     require(finite, "--ball", f"{options.ball}", "three finite numbers, metres")
     numbers = "three finite numbers: metres, metres, degrees"
     require(bool(np.isfinite(options.place).all()), "--place", f"{options.place}", numbers)
-    require(0.0 < options.seconds < np.inf, "--seconds", f"{options.seconds:g}", "more than 0")
-    require(0.0 <= options.scale < np.inf, "--scale", f"{options.scale:g}", "0 or more")
     for name in ("record", "frames", "viewer") if options.balls is not None else ():
         require(not getattr(options, name), f"--{name}", "with --balls nothing moves", "without --balls")
     drawn = "--ar draws into the camera's pictures"
@@ -157,11 +153,7 @@ def _abilities(robot: Robot) -> Abilities:
     from robot_ik.figure.figure import load_figure
 
     with console.progress() as bar:
-        task = bar.add_task("what it can reach", total=None, note="once for each model", visible=False)
-
-        def progress(done: int, whole: int) -> None:
-            bar.update(task, completed=done, total=whole, visible=True)
-
+        progress = console.counted_on(bar, "what it can reach, once for each model", "points")
         return load_abilities(load_figure(robot), progress=progress)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, require_share, several, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, Speed, positive, require, several, single, wrong
 from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 
@@ -34,8 +33,6 @@ class PosesListOptions:
     """Shows the poses and motions of a file.
 
     robot-ik poses list
-
-    Exit code 0: shown. 2: wrong input.
     """
 
     file: Positional[_BookName] = ""
@@ -86,9 +83,8 @@ class _MotionOptions:
     file: _BookName = ""
     robot: _RobotName = ""
     """Whose motion."""
-    speed: float = 1.0
-    """Part of the joints' speed limits that may be used."""
-    rate: Annotated[float, arg(metavar="HZ")] = 60.0
+    speed: Speed = 1.0
+    rate: Annotated[float, arg(metavar="HZ"), positive(what=" Hz")] = 60.0
     """Frames a second."""
 
 
@@ -96,12 +92,10 @@ class _MotionOptions:
 class PosesPlayOptions(_MotionOptions):
     """Shows a motion in MuJoCo's window, without inverse kinematics.
 
-        robot-ik poses play walk --times 3
-
-    Exit code 0: played. 2: wrong input, or no display.
+    robot-ik poses play walk --times 3
     """
 
-    times: int = 1
+    times: Annotated[int, Range(1)] = 1
     """How often a loop runs round."""
 
 
@@ -109,24 +103,19 @@ class PosesPlayOptions(_MotionOptions):
 class PosesExportOptions(_MotionOptions):
     """Writes a motion as frames: CSV for `robot-ik servo play` and others, BVH for animation programs.
 
-        robot-ik poses export walk walk.bvh
-
-    Exit code 0: written. 2: wrong input.
+    robot-ik poses export walk walk.bvh
     """
 
     out: Annotated[Positional[str], arg(metavar="OUT")]
     """FILE.csv or FILE.bvh."""
-    overwrite: bool = False
-    """Replace the file."""
+    overwrite: Overwrite = False
 
 
 @dataclass(frozen=True)
 class PosesImportOptions:
     """Takes motion capture over onto a figure: by inverse kinematics on hands, feet and head.
 
-        robot-ik poses import clip.bvh clip.csv
-
-    Exit code 0: written. 2: wrong input.
+    robot-ik poses import clip.bvh clip.csv
     """
 
     bvh: Annotated[Positional[str], arg(metavar="BVH")]
@@ -137,12 +126,11 @@ class PosesImportOptions:
     """Who shall move."""
     map: Annotated[str, single(None, "bvh.toml beside the robot's model")] = ""
     """Which joint of the file is which part of the figure."""
-    rate: Annotated[float, single("HZ", "the file's")] = 0.0
+    rate: Annotated[float, single("HZ", "the file's"), Range(0.0, what=" Hz")] = 0.0
     """Frames a second; frames are left out, none are made up."""
     up: Annotated[Literal["y", "z"], arg(metavar="y|z")] = "y"
     """The file's axis that points up."""
-    overwrite: bool = False
-    """Replace the file."""
+    overwrite: Overwrite = False
 
 
 def run_list(options: PosesListOptions) -> int:
@@ -196,7 +184,6 @@ def run_play(options: PosesPlayOptions) -> int:
     """Plays it in a window."""
     robot = _load(options.robot, options.file)
     motion = _motion(robot, options)
-    require(options.times >= 1, "--times", f"{options.times}", "1 or more")
     from robot_ik.execution import execute
     from robot_ik.testbed.frontends.window import WindowSink
 
@@ -229,8 +216,6 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.bvh import Bvh
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
-    rate_is_right = 0.0 <= options.rate < math.inf
-    require(rate_is_right, "--rate", f"{options.rate:g} Hz", "a number above 0, or 0: the file's")
     out = _out(options.out, ".csv")
     with claimed(out, overwrite=options.overwrite):
         robot = _load(options.robot)
@@ -272,9 +257,6 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     from robot_ik.motion import Keyframes
 
     name = options.motion
-    require_share("--speed", options.speed)
-    rate_is_right = 0.0 < options.rate < math.inf
-    require(rate_is_right, "--rate", f"{options.rate:g} Hz", "a number above 0")
     if name.endswith(".csv"):
         return Keyframes.load_csv(name, robot)
     book = _book(robot, options.file)

@@ -13,7 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, single
+from robot_ik.cli.arguments import Json, Overwrite, require, single
 from robot_ik.environment import NOTE, OK, PROBLEM, import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
@@ -42,8 +42,7 @@ class RobotsOptions:
         arg(metavar="[FOLDER]", help_behavior_hint="(default folder: runs/<time>-gallery)"),
     ] = None
     """Draw all robots, or the one given, at home and at work: a PNG each and a sheet of all."""
-    overwrite: bool = False
-    """The folder of --gallery may hold pictures of these names: they are replaced."""
+    overwrite: Overwrite = False
     seed: int = 0
     """Of the drawn poses at work."""
     json: Json = False

@@ -85,16 +85,17 @@ ROWS: dict[str, tuple[str, str]] = {
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
     "camera list": ("camera", "cameras of this machine: index, name, who uses them"),
     "camera print": ("camera", "a sheet of markers, a board, a cube or a pattern to print"),
-    "camera calibrate": ("camera_calibrate", "lens and focal length from views of a printed pattern"),
+    "camera calibrate": ("camera", "lens and focal length from views of a printed pattern"),
     "camera detect": ("camera", "markers in pictures: ids, corners, poses"),
     "camera locate": ("camera", "where the camera stands, from a board whose pose is known"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
-    "camera verify": ("camera_verify", "how far the arm is from where its joints say"),
+    "camera verify": ("arm_camera", "how far the arm is from where its joints say"),
     "video": ("view", "a film of the testbed without a screen, from its command log"),
     "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
-# They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded.
+# They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded; but these of them do not.
 _WITHOUT_MUJOCO = ("robots", "sim-bus", "servo", "stop", "camera", "doctor")
+_WITH_MUJOCO = ("camera handeye", "camera verify")
 
 
 def _row(name: str, file: str, about: str) -> CommandRow:
@@ -109,7 +110,7 @@ def _row(name: str, file: str, about: str) -> CommandRow:
         "".join(part.title() for part in parts) + "Options" if file else "",
         about,
         "run" if own else "run_" + name.split()[-1].replace("-", "_"),
-        name.split()[0] not in _WITHOUT_MUJOCO,
+        name in _WITH_MUJOCO or name.split()[0] not in _WITHOUT_MUJOCO,
         {inner.split()[1]: _row(inner, *row) for inner, row in ROWS.items() if inner.startswith(f"{name} ")},
     )
 
@@ -171,8 +172,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if _was_interrupted(error):
             console.say("interrupted", "yellow")
             return console.INTERRUPTED
-        console.show_error(error, debug=debug)
-        return console.exit_code(error)
+        return console.show_error(error, debug=debug)
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

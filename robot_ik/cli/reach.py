@@ -16,12 +16,15 @@ from robot_ik.cli.arguments import (
     ArmFile,
     Json,
     Lens,
+    Overwrite,
+    Range,
     RecordFile,
+    Speed,
     joint_degrees,
     pose_option,
+    positive,
     request_of,
     require,
-    require_share,
     robot_argument,
     several,
     single,
@@ -91,19 +94,18 @@ class ReachOptions:
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, bus_argument(none=True)] = "pty"
     arm: ArmFile = None
-    speed: float = 1.0
-    """Share of the joints' speed limits, above 0 and up to 1."""
+    speed: Speed = 1.0
     line: bool = False
     """Move the tool on a straight line."""
     follow: bool = False
     """Then go on following the marker (the synthetic one is pushed about)."""
-    seconds: Annotated[float, arg(metavar="S")] = 10.0
+    seconds: Annotated[float, arg(metavar="S"), positive(what=" s")] = 10.0
     """How long to follow, seconds."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """While following, when the marker stays unseen: hold there, park at home, or stop."""
-    lost_after: Annotated[float, arg(metavar="S")] = 2.0
+    lost_after: Annotated[float, arg(metavar="S"), Range(0.0, what=" s")] = 2.0
     """Unseen for so many seconds; until then the arm holds."""
-    lead: Annotated[float, arg(metavar="S")] = 0.0
+    lead: Annotated[float, arg(metavar="S"), Range(0.0, 0.2, " s cannot be predicted")] = 0.0
     """Predict the marker so many seconds beyond each tick, to make up for the lag of the servos."""
     view: bool = False
     """Mirror the motion in MuJoCo's window; it stays until you close it."""
@@ -111,8 +113,7 @@ class ReachOptions:
     """Also write reach.mp4: the motion as the scene's camera sees it (extra `video`)."""
     out: Annotated[str, single("DIR", "runs/<time>-reach")] = ""
     """Where reach.png, trajectory.csv and summary.json go."""
-    overwrite: bool = False
-    """That folder may hold files of an earlier run: they are replaced."""
+    overwrite: Overwrite = False
     record: RecordFile = None
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""
@@ -174,12 +175,8 @@ def make_request(options: ReachOptions) -> ReachRequest:
     from robot_ik.jobs.reach import ReachRequest
     from robot_ik.jobs.robot_setup import Rehearsal
 
-    require_share("--speed", options.speed)
-    require(0.0 < options.seconds < math.inf, "--seconds", f"{options.seconds:g} s", "above 0")
     still = "it shows the way to a goal that stands still"
     require(not (options.film and options.follow), "--film", still, "without --follow")
-    require(0.0 <= options.lost_after < math.inf, "--lost-after", f"{options.lost_after:g} s", "0 or more")
-    require(0.0 <= options.lead <= 0.2, "--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
     for name in ("intrinsics", "camera_pose", "camera_extrinsics") if options.camera == "synthetic" else ():
         knows = "the synthetic camera has the lens and the place of the robot's scene"
         require(not getattr(options, name), f"--{name.replace('_', '-')}", knows, "with a real --camera")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,13 +11,14 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import RecordFile, robot_argument, single, wrong
+from robot_ik.cli.arguments import Overwrite, RecordFile, robot_argument, single, wrong
 from robot_ik.cli.connection import bus_argument
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.jobs.script import Script, ScriptReport
 
+_SERVOS = "robot_ik.hardware"  # their log
 _STYLE = {"passed": "green", "failed": "bold red", "not run": "dim"}
 
 
@@ -47,8 +46,7 @@ class RunOptions:
     json: Annotated[Path | None, single("FILE|-", "none")] = None
     """Write the report as JSON; with - it goes to stdout instead of the table."""
     record: RecordFile = None
-    overwrite: bool = False
-    """These files may be there from an earlier run: they are replaced."""
+    overwrite: Overwrite = False
 
 
 def run(options: RunOptions) -> int:
@@ -59,7 +57,7 @@ def run(options: RunOptions) -> int:
         if options != RunOptions():
             hint = f"scripts that come along: {', '.join(shipped())}"
             raise wrong("FILE.toml|NAME", "no script is named, so nothing was run", "a script", hint)
-        rows = [(name, load_script(file).content.about) for name, file in shipped().items()]
+        rows = [(name, load_script(file).about) for name, file in shipped().items()]
         console.show(console.table("script", "what it does", rows=rows))
         return console.DONE
     script = load_script(options.script)
@@ -71,33 +69,21 @@ def run(options: RunOptions) -> int:
 
 
 def _run(script: Script, options: RunOptions) -> int:
+    from robot_ik.hardware import bus_row
     from robot_ik.jobs.script import ScriptRequest, ScriptRun
 
     this = ScriptRun(
         script, ScriptRequest(options.bus, options.robot, options.arm, options.seed, options.record)
     )
+    # What simulated servos complain of was ordered, and the report says it.
+    told = not bus_row(options.bus).virtual or logging.getLogger(_SERVOS).isEnabledFor(logging.DEBUG)
     try:
-        with console.progress() as bar, _quiet(options.bus):
+        with console.progress() as bar, console.log_levels({} if told else {_SERVOS: logging.CRITICAL}):
             this.run(console.shares_on(bar, script.name))
     finally:
         if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
             _report(this.report, options)
     return console.DONE if this.report.passed else console.NOT_ACHIEVED
-
-
-@contextlib.contextmanager
-def _quiet(bus: str) -> Iterator[None]:
-    """Keeps what simulated servos complain of off the screen: it was ordered, and the report says it."""
-    from robot_ik.hardware import bus_row
-
-    log = logging.getLogger("robot_ik.hardware")
-    before = log.level
-    if bus_row(bus).virtual and not log.isEnabledFor(logging.DEBUG):
-        log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        log.setLevel(before)
 
 
 def _report(report: ScriptReport, options: RunOptions) -> None:

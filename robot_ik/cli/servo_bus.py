@@ -15,7 +15,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, several, single, wrong
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, require, several, single
 from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_serial_port
 from robot_ik.files import claimed
 
@@ -71,11 +71,11 @@ class ServoScanOptions(BusOptions):
 
 def run_scan(options: ServoScanOptions) -> int:
     """Prints which servos answer; 1 when none does."""
-    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, scan_notes
+    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, scan, scan_notes
 
     bauds = checked_rates(options.baud) or LIKELY
-    with served_or_serial_port(options.bus, options.arm) as port:
-        found = scanned(port, bauds)
+    with served_or_serial_port(options.bus, options.arm) as port, console.progress() as bar:
+        found = scan(port, bauds, progress=console.shares_on(bar, "scan"))
     if options.json:
         rows = [{"model": servo.model, **asdict(servo)} for servo in found]
         console.print_json({"schema": 1, "port": port, "bauds": list(bauds), "servos": rows})
@@ -96,14 +96,6 @@ def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     for rate in rates:
         require(rate in known, "--baud", f"no servo talks at {rate} bits/s", ", ".join(map(str, known)))
     return tuple(dict.fromkeys(rates))
-
-
-def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
-    """``scan`` with a progress bar."""
-    from robot_ik.hardware.discovery import scan
-
-    with console.progress() as bar:
-        return scan(port, bauds, progress=console.shares_on(bar, "scan"))
 
 
 def _state(servo: FoundServo) -> str:
@@ -149,8 +141,7 @@ class ServoSetupOptions(BusOptions):
 
 def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
-    from robot_ik.hardware.control_table import require_id
-    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, set_up, the_only_one
+    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, set_up
 
     one = (options.id is None) != (not options.joint)
     require(one, "--id", "which servo is it to be?", "either --id N or --joint JOINT")
@@ -158,18 +149,14 @@ def run_setup(options: ServoSetupOptions) -> int:
     joint = config.joint(options.joint) if options.joint else None
     id = joint.id if joint else options.id
     assert id is not None
-    require_id(id, "--id")
-    baud = config.baud if options.baud is None else options.baud
     bauds = checked_rates(options.from_baud) or LIKELY
-    checked_rates([baud])
-    with served_or_serial_port(options.bus, options.arm) as port:
-        found = scanned(port, bauds)
-        if not found:
-            return console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
-        servo = the_only_one(found)
-        if joint and servo.model != joint.model:
-            raise wrong("--joint", f"{joint.name} has a {joint.model}, this is a {servo.model}", joint.model)
-        set_up(port, servo, id, baud)
+    (baud,) = checked_rates([config.baud if options.baud is None else options.baud])
+    model = joint.model if joint else ""
+    with served_or_serial_port(options.bus, options.arm) as port, console.progress() as bar:
+        progress = console.shares_on(bar, "scan")
+        servo = set_up(port, id, baud, model=model, bauds=bauds, progress=progress)
+    if servo is None:
+        return console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
     print_found([servo])
     console.result(f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done")
     return console.DONE
@@ -181,8 +168,7 @@ class ServoBackupOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
     """Where to."""
-    overwrite: bool = False
-    """An older file of that name may go."""
+    overwrite: Overwrite = False
 
 
 def run_backup(options: ServoBackupOptions) -> int:
@@ -233,10 +219,6 @@ def run_restore(options: ServoRestoreOptions) -> int:
     return console.DONE
 
 
-FASTEST = 200.0
-"""Hz."""
-
-
 @dataclass(frozen=True)
 class ServoMonitorOptions(BusOptions):
     """Watches the servos: position, velocity, current, voltage, temperature, torque, errors. Moves nothing.
@@ -244,9 +226,9 @@ class ServoMonitorOptions(BusOptions):
     Runs until Ctrl-C, or --count samples. Exit code 1 when a servo did not answer in the last one.
     """
 
-    rate: Annotated[float, arg(metavar="HZ")] = 10.0
+    rate: Annotated[float, arg(metavar="HZ"), positive(200.0, " Hz")] = 10.0
     """Samples a second, at most 200."""
-    count: Annotated[int | None, single("N", "until Ctrl-C")] = None
+    count: Annotated[int | None, single("N", "until Ctrl-C"), Range(1, what=" samples")] = None
     """End after so many samples."""
     json: bool = False
     """Print one JSON object a line for each sample."""
@@ -256,9 +238,6 @@ def run_monitor(options: ServoMonitorOptions) -> int:
     """Prints samples; 1 when somebody was silent in the last one."""
     from robot_ik.hardware.health import read_states
 
-    rate, count = options.rate, options.count
-    require(0.0 < rate <= FASTEST, "--rate", f"{rate:g} Hz", f"above 0, at most {FASTEST:g}")
-    require(count is None or count >= 1, "--count", f"{count} samples", "1 and more")
     config = load_arm(options.arm)
     with opened(options, config) as bus, ExitStack() as stack:
         begin, screen, live = bus.clock.now(), console.out(), None
@@ -274,9 +253,9 @@ def run_monitor(options: ServoMonitorOptions) -> int:
                 screen.print(states_table(states))
             else:
                 live.update(states_table(states), refresh=True)
-            if k == count:
+            if k == options.count:
                 break
-            due = max(due + 1.0 / rate, bus.clock.now())
+            due = max(due + 1.0 / options.rate, bus.clock.now())
             bus.clock.sleep_until(due)
     return console.DONE if all(state.answered for state in states) else console.NOT_ACHIEVED
 

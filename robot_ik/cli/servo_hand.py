@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, RecordFile, require, require_share, several, single, wrong
+from robot_ik.cli.arguments import OnExit, Overwrite, RecordFile, positive, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, model_limits
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
@@ -132,7 +132,7 @@ class ServoCalibrateOptions(BusOptions):
     """The calibrated arm file."""
     pose: Annotated[tuple[str, ...], several("JOINT=DEG", "all joints at 0")] = ()
     """Another pose than zero in which the zeros are taken."""
-    seconds: Annotated[float | None, single("S", "each step until Enter")] = None
+    seconds: Annotated[float | None, single("S", "each step until Enter"), positive(3600.0, " s")] = None
     """Each step takes so long, without Enter."""
     from_lerobot: Annotated[Path | None, single("FILE.json")] = None
     """Take LeRobot's calibration instead of a hand; 0 degrees are the middle of each range, as there."""
@@ -140,15 +140,13 @@ class ServoCalibrateOptions(BusOptions):
     """Also write LeRobot's calibration."""
     check: bool = False
     """Only compare an OUT.toml that exists, and its calibration, with the servos."""
-    overwrite: bool = False
-    """Older files of these names may go."""
+    overwrite: Overwrite = False
 
 
 def run_calibrate(options: ServoCalibrateOptions) -> int:
     """Measures, checks, writes; 1 when a step was not done as asked."""
     from robot_ik.hardware.calibration_file import calibration_beside
 
-    _check_seconds(options.seconds)
     if options.out.suffix != ".toml" or options.out.name.endswith(".calibration.toml"):
         raise wrong("OUT.toml", f"{options.out}", "a name that ends in .toml")
     if options.check:
@@ -163,16 +161,11 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
         return _calibrate(options, config, pose, beside)
 
 
-def _check_seconds(seconds: float | None) -> None:
-    if seconds is not None:
-        require(0.0 < seconds <= 3600.0, "--seconds", f"{seconds:g} s", "above 0, at most 3600")
-
-
 def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
     from robot_ik.hardware.calibration_file import load_lerobot
-    from robot_ik.jobs.hand_calibration import calibrate_by_hand, require_limp, save_calibrated
+    from robot_ik.jobs.hand_guiding import calibrate_by_hand, require_limp, save_calibrated
 
     limits = model_limits(config)
     arm = arm_on(options, config)
@@ -225,22 +218,19 @@ class ServoTeachOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
     """Where to: times in s, joint angles in rad."""
-    seconds: Annotated[float | None, single("S", "until Enter")] = None
+    seconds: Annotated[float | None, single("S", "until Enter"), positive(3600.0, " s")] = None
     """Record for so long."""
-    rate: Annotated[float, arg(metavar="HZ")] = 50.0
+    rate: Annotated[float, arg(metavar="HZ"), positive(200.0, " Hz")] = 50.0
     """Samples a second, at most 200."""
-    overwrite: bool = False
-    """An older file of that name may go."""
+    overwrite: Overwrite = False
 
 
 def run_teach(options: ServoTeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.jobs.teach import TaughtMotion
+    from robot_ik.jobs.hand_guiding import TaughtMotion
 
     if options.file.suffix != ".csv":
         raise wrong("FILE.csv", f"{options.file}", "a name that ends in .csv")
-    _check_seconds(options.seconds)
-    require(0.0 < options.rate <= 200.0, "--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     config = load_arm(options.arm).whole
     arm = arm_on(options, config)
     prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)  # may refuse: before it is connected
@@ -255,7 +245,7 @@ def run_teach(options: ServoTeachOptions) -> int:
 
 
 def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
-    from robot_ik.jobs.teach import outside
+    from robot_ik.jobs.hand_guiding import outside
 
     if motion is None:
         console.refused("no servo position could be read")
@@ -276,20 +266,18 @@ class ServoPlayOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
     """A file of teach."""
-    speed: float = 1.0
+    speed: Annotated[float, positive(1.0, " is no share of the speed caps")] = 1.0
     """Share of the recorded speed, above 0 and up to 1."""
     record: RecordFile = None
-    overwrite: bool = False
-    """The file of --record may exist: it is replaced."""
+    overwrite: Overwrite = False
     on_exit: OnExit = ""
 
 
 def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
-    from robot_ik.jobs.teach import load_playable, play_motion
+    from robot_ik.jobs.hand_guiding import load_playable, play_motion
 
     config = load_arm(options.arm).whole
-    require_share("--speed", options.speed, "speed caps")
     motion, stretch = load_playable(options.file, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
     with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:
@@ -300,7 +288,6 @@ def run_play(options: ServoPlayOptions) -> int:
             recording = stack.enter_context(open_recording(options.record, config.names))
             sinks.append(RecordingSink(recording, config.names, arm.positions))
         stack.enter_context(driving(arm))
-        stack.enter_context(attempt())
         report = play_motion(arm, motion, sinks, console.busy)
         console.result(
             f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "

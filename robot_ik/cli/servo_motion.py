@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, require, require_share, several, single, wrong
-from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, opened, require_model
+from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
+from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.errors import apart
+from robot_ik.reading import is_number
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -38,20 +39,19 @@ class ServoMoveOptions(BusOptions):
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
-    speed: Annotated[float, arg(metavar="SHARE")] = 0.25
+    speed: Annotated[float, arg(metavar="SHARE"), positive(1.0, " is no share of the speed caps")] = 0.25
     """Share of the speed caps, above 0 and up to 1."""
     on_exit: OnExit = ""
 
 
 def run_move(options: ServoMoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
-    require_share("--speed", options.speed, "speed caps")
     config = load_arm(options.arm).slowed(options.speed)
     angles = parse_angles(options.to, config)
     if not options.by:
         require_inside(angles, config)
     arm = arm_on(options, config, options.on_exit)
-    with driving(arm), attempt():
+    with driving(arm):
         arm.enable()
         arm.read()
         here = arm.positions()
@@ -84,10 +84,7 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
         raise wrong(pair, " ".join(arguments) or "nothing to do", form)
     angles: dict[str, float] = {}
     for name, text in pairs:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
+        value = float(text) if is_number(text) else math.nan
         joint = config.joint(name)
         require(math.isfinite(value), name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
         require(name not in angles, name, "named twice", "every joint once")
@@ -150,7 +147,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
     if options.to == "on":
         require_model(config)  # of the joints that stay as they are, too
         arm = arm_on(options, config.only(options.joints), "hold")
-        with driving(arm), attempt():
+        with driving(arm):
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     from robot_ik.hardware.control_table import require_id

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, require, several, single, wrong
+from robot_ik.cli.arguments import ArmName, Range, joint_degrees, several, single, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.hardware.virtual.faults import FAULTS
 from robot_ik.hardware.watchdogs import SIGNALS
@@ -47,22 +47,21 @@ class SimBusOptions:
         robot-ik reach --bus /tmp/arm            (in another terminal)
     """
 
-    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
-    """Arm file (TOML), or a robot of the catalogue that has one."""
+    arm: ArmName = SERVO_ROBOT
     link: Annotated[Path | None, single("PATH", "no link")] = None
     """Also make a symbolic link to the port: a name that stays the same; removed at the end."""
     match_baud: bool = False
     """Servos hear only a client that set the port to their baud rate, as on a real wire."""
-    wire_baud: int = 0
+    wire_baud: Annotated[int, Range(0, 10_500_000)] = 0
     """Take the time that bytes take on a wire of this rate, bits/s; 0: none."""
-    latency_ms: float = 0.0
+    latency_ms: Annotated[float, Range(0.0, 1000.0)] = 0.0
     """Answer so many ms later, as a USB adapter does (16 unless it is set to 1)."""
     stuck: Annotated[tuple[str, ...], several("JOINT", help=_help("stuck"))] = ()
     silent: Annotated[tuple[str, ...], several("JOINT", help=_help("silent"))] = ()
     zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Joints whose zero is off by so many degrees, unknown to their registers."""
-    corrupt: Annotated[float, arg(metavar="P", help=_help("corrupt"))] = 0.0
-    drop: Annotated[float, arg(metavar="P", help=_help("drop"))] = 0.0
+    corrupt: Annotated[float, arg(metavar="P", help=_help("corrupt")), Range(0.0, 1.0)] = 0.0
+    drop: Annotated[float, arg(metavar="P", help=_help("drop")), Range(0.0, 1.0)] = 0.0
     faults: Annotated[Path | None, single("FILE", "none", _FILE_HELP)] = None
     seed: Annotated[int | None, single("N", "the file's, or 0")] = None
     """Of random faults: the same seed and traffic give the same ones."""
@@ -78,7 +77,7 @@ def run(options: SimBusOptions) -> int:
     from robot_ik.ports import RealClock
 
     make_port = pty_port()
-    _check(options)
+    _require_free(options.link)
     config = load_arm(options.arm)
     file = None if options.faults is None else load_faults(options.faults, config)
     seed = (file.seed if file else 0) if options.seed is None else options.seed
@@ -114,15 +113,7 @@ def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
     ]
 
 
-def _check(options: SimBusOptions) -> None:
-    for flag, value, highest in (
-        ("--corrupt", options.corrupt, 1.0),
-        ("--drop", options.drop, 1.0),
-        ("--latency-ms", options.latency_ms, 1000.0),
-        ("--wire-baud", options.wire_baud, 10_500_000),
-    ):
-        require(0.0 <= value <= highest, flag, f"not {value:.10g}", f"0 to {highest:.10g}")
-    link = options.link
+def _require_free(link: Path | None) -> None:
     if link is not None and link.is_symlink() and link.exists():  # its clients would find other servos
         problem = f"{link} is the name of another port, {os.readlink(link)}"
         hint = "is another robot-ik sim-bus running? If not, remove the link"

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import require, single, wrong
+from robot_ik.cli.arguments import OnExit, Range, positive, require, single, wrong
 from robot_ik.cli.connection import (
-    attempt,
     bus_argument,
     driving,
     load_arm,
@@ -29,7 +28,7 @@ from robot_ik.robot_file import SERVO_ROBOT
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.teleop import Jog, Operator
+    from robot_ik.jobs.teleop import Jog, Operator, TeleopReport
 
 KEYS, GAMEPAD = "keys", "gamepad"
 """As ``--leader``: no arm, but the keys of the terminal, or the first gamepad."""
@@ -47,9 +46,10 @@ class TeleopOptions:
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
     is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
-    leader is back they are engaged anew. Ctrl-C ends it.
+    leader is back they are engaged anew. Ctrl-C ends it. The leader is always left without torque.
 
     Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or environment.
+    130: Ctrl-C.
     """
 
     leader: Annotated[str, arg(metavar="FILE|NAME|keys|gamepad")] = KEYS
@@ -60,20 +60,19 @@ class TeleopOptions:
     follower_bus: Annotated[str, bus_argument(default=_ONLY_PORT, text="The same of the follower.")] = ""
     by: Literal["joints", "hand"] = "joints"
     """joints: those of the same name follow, range onto range; hand: the hand does, so arms may differ."""
-    scale: float = 1.0
+    scale: Annotated[float, Range(0.01, 100.0)] = 1.0
     """Hand to hand: metres of the follower for one of the leader."""
-    force_feedback: float = 0.0
+    force_feedback: Annotated[float, Range(0.0, 1.0)] = 0.0
     """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
-    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
+    seconds: Annotated[float | None, single("S", "until Ctrl-C"), positive(86400.0, " s")] = None
     """End by itself after so many seconds."""
-    on_exit: Annotated[str, single("torque_off|hold|park", "the arm file's")] = ""
-    """How the follower is left; the leader is always left without torque."""
+    on_exit: OnExit = ""
 
 
 def run(options: TeleopOptions) -> int:
     """Leads; 1 where an arm failed."""
     _check(options)
-    from robot_ik.jobs.teleop import LeaderArm, open_pair
+    from robot_ik.jobs.teleop import LeaderArm, open_pair, teleoperate
 
     follower_file = load_arm(options.follower)
     require_model(follower_file)
@@ -81,43 +80,37 @@ def run(options: TeleopOptions) -> int:
     leader_port = "" if leader_file is None else port_name(options.leader_bus, "--leader-bus")
     follower_port = port_name(options.follower_bus, "--follower-bus")
     leader, follower = open_pair(leader_file, follower_file, leader_port, follower_port, options.on_exit)
+    operator: Operator
     with contextlib.ExitStack() as stack:
-        if leader is None:
-            lead = _led_by_keys if options.leader == KEYS else _led_by_gamepad
-            return lead(stack, follower, follower_file, options)
-        stack.enter_context(leader)
-        operator = LeaderArm(leader, follower_file, options.by, options.scale, options.force_feedback)
-        stack.enter_context(driving(follower))
-        return _lead(operator, follower, options, lambda: False)
+        if leader is not None:
+            stack.enter_context(leader)
+            operator = LeaderArm(leader, follower_file, options.by, options.scale, options.force_feedback)
+        else:
+            made = _keyboard if options.leader == KEYS else _gamepad
+            operator = made(stack, follower, follower_file, options)
+        # The keys of the terminal have another reader.
+        stack.enter_context(driving(follower, space=options.leader != KEYS))
+        teleoperate(operator, follower, seconds=options.seconds, over=lambda: operator.over, done=_show)
+    return console.DONE
 
 
 def _check(options: TeleopOptions) -> None:
-    share = options.force_feedback
-    require(0.0 <= share <= 1.0, "--force-feedback", f"{share:g}", "0 (off) to 1")
-    require(0.01 <= options.scale <= 100.0, "--scale", f"{options.scale:g}", "0.01 to 100")
-    if (seconds := options.seconds) is not None:
-        require(0.0 < seconds <= 86400.0, "--seconds", f"{seconds:g} s", "above 0, at most 86400")
     port = options.leader_bus
     real = port != "" and not bus_row(port).virtual
     shared = real and port == options.follower_bus and options.leader not in (KEYS, GAMEPAD)
     require(not shared, "--leader-bus", f"{port} is the follower's, too", "two ports")
 
 
-def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Callable[[], bool]) -> int:
-    from robot_ik.jobs.teleop import teleoperate
-
-    with attempt():
-        report = teleoperate(operator, follower, seconds=options.seconds, over=over)
+def _show(report: TeleopReport) -> None:
     lost = f", the leader lost {console.count_of(report.lost, 'time')}" if report.lost else ""
     engaged = console.count_of(report.engaged, "time")
     console.say(
         f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
         f"engaged {engaged}{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
     )
-    return console.DONE
 
 
-def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
+def _keyboard(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> Jog:
     from robot_ik.jobs.teleop import JOINT_KEYS, KeyboardJog
 
     typed = stack.enter_context(_typed(endless=options.seconds is not None))
@@ -126,13 +119,10 @@ def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, op
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
     console.say(f"Tab: {_other(keys)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
-    stack.enter_context(driving(follower, space=False))  # the keys of the terminal have another reader
-    return _lead(keys, follower, options, lambda: keys.over)
+    return keys
 
 
-def _led_by_gamepad(
-    stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions
-) -> int:
+def _gamepad(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> Jog:
     from robot_ik.jobs.gamepad import Gamepad, PadDevice
 
     device, hand = stack.enter_context(PadDevice()), options.by == "hand"
@@ -143,8 +133,7 @@ def _led_by_gamepad(
         "B: stop and hold; Start ends",
         "dim",
     )
-    stack.enter_context(driving(follower))
-    return _lead(pad, follower, options, lambda: pad.over)
+    return pad
 
 
 def _other(jog: Jog) -> str:

@@ -14,7 +14,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import ArmFile, require, robot_argument, several, single, wrong
+from robot_ik.cli.arguments import (
+    ArmFile,
+    OnExit,
+    Overwrite,
+    Range,
+    positive,
+    require,
+    robot_argument,
+    several,
+    single,
+    wrong,
+)
 from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
 from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
@@ -26,8 +37,6 @@ if TYPE_CHECKING:
     from robot_ik.testbed.commands import CommandLog, Start
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
-
-_SIDES = (64, 8192)
 
 
 @dataclass(frozen=True)
@@ -50,8 +59,7 @@ class ViewOptions:
     """Methods to begin with."""
     bus: Annotated[str, bus_argument(none=True)] = NONE
     arm: ArmFile = None
-    on_exit: Annotated[str, single("torque_off|hold|park", "the file's")] = ""
-    """How the arm is left."""
+    on_exit: OnExit = ""
     replay: Annotated[Path | None, single("FILE", "none")] = None
     """Repeat a command log, and compare how it ends bit by bit."""
     log: Annotated[Path | None, single("FILE", "none")] = None
@@ -70,12 +78,11 @@ class ViewOptions:
     """Draw shadows; without a GPU the browser is faster with --no-shadows."""
     open: bool = True
     """Open the page in the system's browser."""
-    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
+    seconds: Annotated[float | None, single("S", "until Ctrl-C"), positive(1e6, " s")] = None
     """End by itself after so many seconds."""
     seed: int = 1
     """Of the ball's random places."""
-    overwrite: bool = False
-    """The log, or the recorder's film, may be there from an earlier run: it is replaced."""
+    overwrite: Overwrite = False
 
 
 def run(options: ViewOptions) -> int:
@@ -86,7 +93,6 @@ def run(options: ViewOptions) -> int:
             require(same, f"--{name}", "given with --replay", "one of both: the log says what happens")
         return _replay(options.replay)
     _check_methods(options.method, options.count)
-    _check_seconds(options.seconds, "until Ctrl-C")
     for option, given in (("--arm", options.arm), ("--on-exit", options.on_exit)):
         alone = f"{given} is for servos, and no bus is named"
         require(options.bus != NONE or not given, option, alone, "with --bus sim, pty or PORT")
@@ -95,12 +101,6 @@ def run(options: ViewOptions) -> int:
     require(moved, "--bus", "the recorder moves no servos", "with --viewer browser or window")
     with claimed(options.log, overwrite=options.overwrite):
         return _view(options, viewer)
-
-
-def _check_seconds(seconds: float | None, endless: str) -> None:
-    if seconds is not None:
-        allowed = f"above 0, at most 1e6; left out: {endless}"
-        require(0.0 < seconds <= 1e6, "--seconds", f"{seconds:g} s", allowed)
 
 
 def choose_viewer(asked: str) -> str:
@@ -176,23 +176,21 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
     """The session, the arm and the front end, until they end."""
     from robot_ik.testbed.session import Session
 
-    link = None
-    if options.bus != NONE:
-        from robot_ik.jobs.testbed import arm_link
+    with contextlib.ExitStack() as stack:
+        link = None
+        if options.bus != NONE:
+            from robot_ik.jobs.testbed import arm_link
 
-        link = arm_link(start.robot, options.arm, options.bus, options.on_exit)
-    try:
-        with Session(start, arm=link) as session, _opened(viewer, session, options, server) as draw:
-            try:
-                _loop(session, draw, options)
-            finally:  # what went wrong, or was ended from outside, is what a log is read for
-                _save(session.log(), options.log)
-    finally:
-        if link is not None:
-            try:
-                link.close()
-            finally:  # a signal that has waited comes out of it
-                console.say(link.left, "dim")
+            link = arm_link(start.robot, options.arm, options.bus, options.on_exit)
+            # Said even where a signal that has waited comes out of ``close``.
+            stack.callback(lambda arm: console.say(arm.left, "dim"), link)
+            stack.callback(link.close)
+        session = stack.enter_context(Session(start, arm=link))
+        draw = stack.enter_context(_opened(viewer, session, options, server))
+        try:
+            _loop(session, draw, options)
+        finally:  # what went wrong, or was ended from outside, is what a log is read for
+            _save(session.log(), options.log)
     return console.DONE
 
 
@@ -284,31 +282,26 @@ class VideoOptions:
     """Without a log: robots side by side, 1, 2 or 4."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Without a log: methods."""
-    seconds: Annotated[float | None, single("S", "as long as the log")] = None
+    seconds: Annotated[float | None, single("S", "as long as the log"), positive(1e6, " s")] = None
     """How long the film is, seconds; needed without a log."""
     csv: Annotated[Path | None, single("FILE", "none")] = None
     """Numbers of every picture: angles, misses, times."""
     record: Annotated[Path | None, single("FILE.csv|FILE.mcap", "none")] = None
     """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
-    size: Annotated[tuple[int, int], arg(metavar="W H")] = (1280, 720)
+    size: Annotated[tuple[int, int], arg(metavar="W H"), Range(64, 8192, " pixels")] = (1280, 720)
     """Width and height, pixels."""
-    rate: Annotated[float, arg(metavar="HZ")] = 30.0
+    rate: Annotated[float, arg(metavar="HZ"), Range(1.0, 240.0, " pictures a second")] = 30.0
     """Pictures a second."""
     backend: Literal["gl", "painter"] = "gl"
     """Who draws; without OpenGL the painter does."""
-    overwrite: bool = False
-    """These files may be there from an earlier run: they are replaced."""
+    overwrite: Overwrite = False
 
 
 def run_video(options: VideoOptions) -> int:
     """Films; 0 done."""
-    count, (width, height), rate = len(options.files), options.size, options.rate
+    count, (width, height) = len(options.files), options.size
     given = f"{count} names are given" if count else "no film is named"
     require(1 <= count <= 2, "FILES", given, "OUT, or LOG.jsonl OUT")
-    fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
-    require(fits, "--size", f"{width} x {height}", "64 to 8192 pixels each")
-    require(1.0 <= rate <= 240.0, "--rate", f"{rate:g} pictures a second", "1 to 240")
-    _check_seconds(options.seconds, "as long as the log")
     log, out = _log(options), options.files[-1]
     from robot_ik.jobs.testbed import film
 
@@ -319,7 +312,7 @@ def run_video(options: VideoOptions) -> int:
     ):
         view = film(
             log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
-            rate_hz=rate, size=(width - width % 2, height - height % 2), backend=options.backend,
+            rate_hz=options.rate, size=(width - width % 2, height - height % 2), backend=options.backend,
             overwrite=options.overwrite,
             progress=console.shares_on(bar, "filming"),
         )  # fmt: skip

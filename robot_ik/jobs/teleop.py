@@ -43,7 +43,9 @@ Angles = Mapping[str, float]
 
 
 class Operator(ABC):
-    """What leads: says where each joint of the follower should be."""
+    """What leads: says where each joint of the follower should be; ``over``: a person wants to end."""
+
+    over = False
 
     @abstractmethod
     def engage(self, follower: Angles) -> None:
@@ -231,7 +233,7 @@ class Jog(Operator):
 
     ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last;
     ``read`` gives what was pressed since it was last asked, or is pressed now; ``stop`` makes the follower
-    hold, and ``over`` says whether the person wants to end.
+    hold.
     """
 
     def __init__(
@@ -245,7 +247,7 @@ class Jog(Operator):
         self._hand, self._read = Hand(config), read
         self.joints = config.whole.joints
         self.angles: dict[str, float] = {}
-        self.hand, self.stop, self.over = hand, stop, False
+        self.hand, self.stop = hand, stop
 
     def engage(self, follower: Angles) -> None:
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
@@ -329,7 +331,7 @@ class TeleopReport:
     Attributes:
         engaged, lost: How often leader and follower were engaged, and the leader was lost.
         delay: Median seconds from reading the leader to the follower's packet.
-        end: Why it ended, as text.
+        end: Why it ended, as text; as it is where an arm failed, or Ctrl-C ended it.
     """
 
     ticks: int = 0
@@ -337,7 +339,7 @@ class TeleopReport:
     lost: int = 0
     seconds: float = 0.0
     delay: float = 0.0
-    end: str = ""
+    end: str = "it was broken off"
 
 
 _DELAYS = 4096  # samples of which the median is taken
@@ -350,11 +352,12 @@ def teleoperate(
     seconds: float | None = None,
     patience: float = 10.0,
     over: Callable[[], bool] = lambda: False,
+    done: Callable[[TeleopReport], None] = lambda report: None,
 ) -> TeleopReport:
     """Leads the connected follower, which is enabled here, until it is over; the caller leaves the arms.
 
     ``seconds``: how long; None: until ``over``, which is asked once a tick.  ``patience``: s to wait for a
-    leader that was lost.
+    leader that was lost.  ``done`` is given the report however it ends: by an error or Ctrl-C, too.
 
     Raises:
         HardwareError: The follower failed, or the leader did not come back.
@@ -365,33 +368,36 @@ def teleoperate(
     report, schedule = TeleopReport(), Schedule(clock)
     begin, blend = schedule.origin, None
     delays: list[float] = []
-    while not over() and (seconds is None or clock.now() - begin < seconds):
-        now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
-        report.ticks += 1
-        if blend is None:
-            follower.read()
-        try:
+    try:
+        while not over() and (seconds is None or clock.now() - begin < seconds):
+            now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
+            report.ticks += 1
             if blend is None:
-                here = follower.positions()
-                operator.engage(here)
-                blend = Blend(here, operator.command(now), follower.config, now)
-                report.engaged += 1
-            read = time.perf_counter()
-            wanted = operator.command(now)
-        except (UnsafeCommandError, ArmStateError):
-            raise
-        except HardwareError:
-            report.lost, blend = report.lost + 1, None
-            _wait_for(operator, follower, patience)
-            schedule.origin = clock.now() - report.ticks / rate
-            continue
-        follower.send(blend(wanted, now), now)
-        if len(delays) < _DELAYS:
-            delays.append(time.perf_counter() - read)
-        operator.feel(follower.positions())
-    report.seconds = clock.now() - begin
-    report.delay = float(np.median(delays)) if delays else 0.0
-    report.end = "it was ended" if over() else "the time was over"
+                follower.read()
+            try:
+                if blend is None:
+                    here = follower.positions()
+                    operator.engage(here)
+                    blend = Blend(here, operator.command(now), follower.config, now)
+                    report.engaged += 1
+                read = time.perf_counter()
+                wanted = operator.command(now)
+            except (UnsafeCommandError, ArmStateError):
+                raise
+            except HardwareError:
+                report.lost, blend = report.lost + 1, None
+                _wait_for(operator, follower, patience)
+                schedule.origin = clock.now() - report.ticks / rate
+                continue
+            follower.send(blend(wanted, now), now)
+            if len(delays) < _DELAYS:
+                delays.append(time.perf_counter() - read)
+            operator.feel(follower.positions())
+        report.end = "it was ended" if over() else "the time was over"
+    finally:
+        report.seconds = clock.now() - begin
+        report.delay = float(np.median(delays)) if delays else 0.0
+        done(report)
     return report
 
 

@@ -192,7 +192,7 @@ def calibrate(
 ) -> Callable[..., Run]:
     """``calibrate(hand, options …)``: ``hand(step, sample)`` does what the step asks for."""
     from robot_ik.cli import servo_hand
-    from robot_ik.jobs import hand_calibration
+    from robot_ik.jobs import hand_guiding
 
     def run(hand: Hand, *options: object) -> Run:
         class Scripted:
@@ -210,7 +210,7 @@ def calibrate(
                 return False
 
         monkeypatch.setattr(servo_hand, "Prompts", Scripted)
-        monkeypatch.setattr(hand_calibration, "STILL_SAMPLES", 2)
+        monkeypatch.setattr(hand_guiding, "STILL_SAMPLES", 2)
         arm = () if "--arm" in options else ("--arm", nominal)
         return robot_ik("servo", "calibrate", tmp_path / "mine.toml", "--bus", desk.port, *arm, *options)
 

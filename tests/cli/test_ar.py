@@ -51,7 +51,7 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 2
     assert "it holds 000000.png" in capsys.readouterr().err
     assert main(["ar", "--seconds", "0", "--out", "b"]) == 2
-    assert "--seconds: 0.0; allowed: above 0" in capsys.readouterr().err
+    assert "--seconds: 0; allowed: above 0" in capsys.readouterr().err
     assert main(["ar", "--out", "a.mp4", "--robot", "nowhere"]) == 2
     assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
 

@@ -202,7 +202,13 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("servo move joint1=1 --speed", "--speed: a value is missing"),
         ("ar --record a.csv", "unknown option '--record'; did you mean '--seconds'?"),
         ("bench --seconds 0", "--seconds: 0 s; allowed: above 0"),
-        ("sim-bus --wire-baud 99999999", "--wire-baud: not 99999999; allowed: 0 to 10500000"),
+        ("sim-bus --wire-baud 99999999", "--wire-baud: 99999999; allowed: 0 to 10500000"),
+        ("servo monitor --rate nan", "--rate: nan Hz; allowed: above 0, at most 200"),
+        ("servo monitor --rate 200.1", "--rate: 200.1 Hz; allowed: above 0, at most 200"),
+        ("figure --scale inf", "--scale: inf; allowed: 0 or more (default: 1; synthetic"),
+        ("ar --size 640 3", "--size: 640 x 3 pixels; allowed: 16 to 16384 each (default: the camera's)"),
+        ("reach --lead 0.3", "--lead: 0.3 s cannot be predicted; allowed: 0 to 0.2"),
+        ("experiments s12 --seed -1", "--seed: -1; allowed: 0 or more"),
     ],
 )
 def test_wrong_words_are_reported_in_one_sentence(line: str, reported: str, robot_ik: Any) -> None:

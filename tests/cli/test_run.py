@@ -87,6 +87,19 @@ def test_wrong_input_is_2(arguments: list[str], said: str, script: Path, robot_i
     assert said in run.err
 
 
+def test_a_folder_is_named_with_a_script_in_it(
+    tmp_path: Path, script: Path, monkeypatch: pytest.MonkeyPatch, robot_ik: Any
+) -> None:
+    monkeypatch.chdir(tmp_path.parent)
+    for name in (str(tmp_path), tmp_path.name):
+        run = robot_ik("run", name)
+        run.assert_one_screen_error()
+        assert f"{name}: this is a folder" in run.err
+        assert f"robot-ik run {Path(name) / script.name}" in run.err
+    (tmp_path / "empty").mkdir()
+    assert "robot-ik run" not in robot_ik("run", tmp_path / "empty").err
+
+
 def test_interrupted_is_130_and_leaves_its_report(
     tmp_path: Path, script: Path, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

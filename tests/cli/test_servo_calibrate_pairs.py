@@ -19,7 +19,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.joint_map import JointMap, Twin
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.jobs.hand_calibration import calibrate_by_hand
+from robot_ik.jobs.hand_guiding import calibrate_by_hand
 from robot_ik.ports import VirtualClock
 
 MODE = OperatingMode.EXTENDED_POSITION

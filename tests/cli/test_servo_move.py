@@ -111,7 +111,7 @@ def test_a_joint_that_is_held_fast_is_reported(
         (("joint1=3", 4), "3 numbers"),
         (("joint1=3", "--speed", 0), "--speed"),
         (("joint1=3", "--on-exit", "fly"), "command line: --on-exit"),
-        (("joint1=3", "--on-exit", "holt"), "did you mean hold?"),
+        (("joint1=3", "--on-exit", "holt"), "did you mean 'hold'?"),
     ],
 )
 def test_move_wrong_input(words: tuple[Any, ...], named: str, robot_ik: Any, desk: Any) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import teach
+from robot_ik.jobs import hand_guiding
 from robot_ik.motion import Trajectory, trajectory
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
@@ -48,7 +48,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
     run = robot_ik("servo", "teach", file, *desk.at, "--seconds", 0.4, "--rate", 100)
     hand.join()
     assert run.code == 0 and done.is_set(), run.err
-    motion = teach.load_motion(file, JOINTS)
+    motion = hand_guiding.load_motion(file, JOINTS)
     assert np.degrees(motion.q[0] - motion.q[-1])[1] == pytest.approx(0.0, abs=0.1)
     assert np.degrees(motion.q[-1]) == pytest.approx([30.0, 0.0, -15.0], abs=0.3)
     assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
@@ -96,7 +96,7 @@ def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path:
     for start in (config.lower - ticks, config.upper + ticks):  # as servos measure it where an arm rests
         file = tmp_path / "motion.csv"
         Trajectory([0.0, 5.0], [start, middle], config.names).save_csv(file)
-        motion, _ = teach.load_playable(file, config, 1.0)
+        motion, _ = hand_guiding.load_playable(file, config, 1.0)
         assert (config.lower <= motion.q).all() and (motion.q <= config.upper).all()
 
 
@@ -185,7 +185,7 @@ def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tm
 def test_joints_in_another_order_are_put_right(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     Trajectory([0.0, 0.2], np.radians([[0, 0, 0], [5, 10, 15]]), JOINTS[::-1]).save_csv(file)
-    assert np.degrees(teach.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
+    assert np.degrees(hand_guiding.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
 
 
 def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
     finally:
         child.kill()
     assert child.returncode == 130 and "Traceback" not in err
-    assert len(teach.load_motion(file, JOINTS)) > 2
+    assert len(hand_guiding.load_motion(file, JOINTS)) > 2
 
 
 def test_where_nobody_can_press_enter_nothing_is_recorded(robot_ik_child: Any, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -265,6 +266,29 @@ def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -
     words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
     assert main([*words.split(), "--seconds", "1", "--on-exit", "torque_off"]) == 0
     assert "engaged 1 time;" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_it_with_the_summary(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("robot_ik.jobs.teleop.Blend.__call__", interrupted_at_the_tenth())
+    words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
+    assert main([*words.split(), "--on-exit", "torque_off"]) == 130
+    summary = "it was broken off after 0.1 s: 10 commands, engaged 1 time;"
+    said = capsys.readouterr().err
+    assert summary in said and said.index(summary) < said.index("torque is off") < said.index("interrupted")
+
+
+def interrupted_at_the_tenth() -> Callable[..., dict[str, float]]:
+    """In place of a blend: Ctrl-C comes at the tenth command."""
+    counted = itertools.count(1)
+
+    def lead(self: Blend, there: dict[str, float], now: float) -> dict[str, float]:
+        if next(counted) == 10:
+            raise KeyboardInterrupt
+        return there
+
+    return lead
 
 
 @pytest.mark.parametrize(

@@ -129,8 +129,8 @@ def test_a_log_without_a_length_is_no_film(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ("view --seconds 0", "--seconds: 0 s; allowed: above 0, at most 1e6; left out: until Ctrl-C"),
-        ("video --seconds 0 a.png", "--seconds: 0 s; allowed: above 0, at most 1e6; left out: as long as"),
+        ("view --seconds 0", "--seconds: 0 s; allowed: above 0, at most 1000000 (default: until Ctrl-C)"),
+        ("video --seconds 0 a.png", "--seconds: 0 s; allowed: above 0, at most 1000000 (default: as long as"),
         ("view --arm tabletop_puma", "--arm: tabletop_puma is for servos, and no bus is named; allowed"),
         ("view --on-exit hold", "--on-exit: hold is for servos, and no bus is named; allowed: with"),
         ("view --bus sim --viewer recorder", "--bus: the recorder moves no servos; allowed: with --viewer"),

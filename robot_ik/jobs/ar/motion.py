@@ -17,7 +17,6 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
-from robot_ik.jobs.script.run import resolved
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
 from robot_ik.problem import Problem
@@ -62,7 +61,7 @@ def robot_of(text: str) -> str:
     """
     if is_script(text):
         script = load_script(text)
-        return resolved(script, script.content.robot)
+        return script.resolved(script.robot)
     path = Path(text.partition("@")[0])
     if path.suffix != ".toml":
         return ""

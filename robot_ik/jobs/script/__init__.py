@@ -3,10 +3,10 @@
 ``load_script`` reads one, ``ScriptRun`` runs it; ``shipped`` names those that come along.
 """
 
-from robot_ik.jobs.script.file import load_script, parse_script, shipped
-from robot_ik.jobs.script.report import ScriptReport, StepResult, json_report
+from robot_ik.jobs.script.file import Script, load_script, parse_script, shipped
+from robot_ik.jobs.script.report import ScriptReport, json_report
 from robot_ik.jobs.script.run import ScriptRequest, ScriptRun, run_script
-from robot_ik.jobs.script.state import Script
+from robot_ik.jobs.script.state import StepResult
 
 __all__ = [
     "Script",

@@ -9,10 +9,10 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from robot_ik.errors import ConfigError, did_you_mean
-from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
 from robot_ik.reading import WrongKey, parse_toml, read_text, shown
+from robot_ik.robot_file import catalogue
 from robot_ik.tables import Position, Positive, SchemaVersion, Several, Table, Word, check_table, chosen
 
 
@@ -26,8 +26,8 @@ class ObjectTable(Table):
     mass_g: Positive = 50.0
 
 
-class ScriptFile(Table):
-    """A whole script.
+class Script(Table):
+    """A whole script; ``file`` is where it came from, for errors.
 
     Attributes:
         version: ``schema`` in the file (the name is taken in pydantic's base class).
@@ -49,9 +49,11 @@ class ScriptFile(Table):
     physics: bool = False
     objects: Several[ObjectTable] = ()
     steps: Annotated[Several[Annotated[ScriptStep, chosen(step_class)]], Field(min_length=1)]
+    _file: str
+    _folder: Path | None
 
     @model_validator(mode="after")
-    def _known_objects(self) -> ScriptFile:
+    def _known_objects(self) -> Script:
         names = [one.name for one in self.objects]
         if names and not self.physics:
             raise WrongKey("objects fall and are gripped in a world with physics only", "physics", "true")
@@ -64,6 +66,20 @@ class ScriptFile(Table):
                 raise WrongKey.unknown("object", step.object, names, f"steps[{k}].object")
         return self
 
+    @property
+    def file(self) -> str:
+        return self._file
+
+    def resolved(self, name: str) -> str:
+        """A robot of the catalogue, or a path as seen from the script's folder."""
+        if name in catalogue() or self._folder is None:
+            return name
+        return str(self._folder / Path(name).expanduser())
+
+    def wrong(self, problem: str, key: str, allowed: str = "") -> ConfigError:
+        """The error for something in this script."""
+        return ConfigError(problem, file=self.file, key=key, allowed=allowed)
+
 
 def shipped() -> dict[str, Path]:
     """Name -> file of the scripts that come along."""
@@ -74,6 +90,10 @@ def shipped() -> dict[str, Path]:
 def _found(name: str) -> Path:
     path = Path(name).expanduser()
     known = shipped()
+    if path.is_dir() and name not in known:
+        own = next(iter(sorted(path.glob("*.toml"))), None)
+        hint = "" if own is None else f"a script in it: robot-ik run {own}"
+        raise ConfigError("this is a folder", file=name, allowed="one script", hint=hint)
     if path.is_file() or path.suffix or path.name != name:
         return path
     if name not in known:
@@ -95,5 +115,6 @@ def load_script(path: Path | str) -> Script:
 
 def parse_script(text: str, file: Path | str = "<text>") -> Script:
     """The same from text; ``file`` appears in errors, and its folder is where paths are seen from."""
-    content = check_table(ScriptFile, parse_toml(text, file), file)
-    return Script(content, str(file), file.parent if isinstance(file, Path) else None)
+    script = check_table(Script, parse_toml(text, file), file)
+    script._file, script._folder = str(file), file.parent if isinstance(file, Path) else None
+    return script

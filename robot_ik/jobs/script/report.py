@@ -11,32 +11,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 from robot_ik.files import plain
-from robot_ik.motion.trajectory import Trajectory
-
-PASSED, FAILED, NOT_RUN = "passed", "failed", "not run"
+from robot_ik.jobs.script.state import FAILED, NOT_RUN, PASSED, StepResult
 
 SCHEMA = 1
 """Version of the JSON object; raised when a field changes its meaning."""
-
-
-@dataclass
-class StepResult:
-    """One step, as it went.
-
-    Attributes:
-        outcome: ``passed``, ``failed`` or ``not run``.
-        seconds: On the run's clock.
-        found: One line: what was measured, or what went wrong; ``numbers``: the same for programs.
-        trajectory: What was planned; None where nothing was.
-    """
-
-    name: str
-    do: str
-    outcome: str = NOT_RUN
-    seconds: float = 0.0
-    found: str = ""
-    numbers: dict[str, Any] = field(default_factory=dict)
-    trajectory: Trajectory | None = field(default=None, repr=False)
 
 
 @dataclass
@@ -86,35 +64,29 @@ def junit_report(report: ScriptReport) -> bytes:
 
     Without host and time of day, which would make equal runs unequal.
     """
-    suites = ElementTree.Element("testsuites")
-    suite = ElementTree.SubElement(
-        suites,
-        "testsuite",
-        name=_xml(f"robot_ik.{report.script}"),
-        tests=str(len(report.steps)),
-        failures=str(report.count(FAILED)),
-        errors="0",
-        skipped=str(report.count(NOT_RUN)),
+    suites, name = ElementTree.Element("testsuites"), f"robot_ik.{report.script}"
+
+    def add(parent: ElementTree.Element, tag: str, **attributes: object) -> ElementTree.Element:
+        clean = {key: _xml(str(value)) for key, value in attributes.items()}
+        return ElementTree.SubElement(parent, tag, clean)
+
+    failed, left_out = report.count(FAILED), report.count(NOT_RUN)
+    suite = add(
+        suites, "testsuite", name=name, tests=len(report.steps), failures=failed, errors=0, skipped=left_out,
         time=f"{report.seconds:.6f}",
-    )
-    properties = ElementTree.SubElement(suite, "properties")
+    )  # fmt: skip
+    properties = add(suite, "properties")
     for key in ("file", "robot", "bus", "seed"):
-        ElementTree.SubElement(properties, "property", name=key, value=_xml(str(getattr(report, key))))
+        add(properties, "property", name=key, value=getattr(report, key))
     for number, step in enumerate(report.steps, start=1):
-        case = ElementTree.SubElement(
-            suite,
-            "testcase",
-            classname=_xml(f"robot_ik.{report.script}"),
-            name=_xml(f"{number:02d} {step.name}"),
-            time=f"{step.seconds:.6f}",
-        )
+        title = f"{number:02d} {step.name}"
+        case = add(suite, "testcase", classname=name, name=title, time=f"{step.seconds:.6f}")
         if step.outcome == FAILED:
-            failure = ElementTree.SubElement(case, "failure", message=_xml(step.found), type=step.do)
-            failure.text = _xml(step.found)
+            add(case, "failure", message=step.found, type=step.do).text = _xml(step.found)
         elif step.outcome == NOT_RUN:
-            ElementTree.SubElement(case, "skipped", message="not run")
+            add(case, "skipped", message="not run")
         elif step.found:
-            ElementTree.SubElement(case, "system-out").text = _xml(step.found)
+            add(case, "system-out").text = _xml(step.found)
     ElementTree.indent(suites)
     text: bytes = ElementTree.tostring(suites, encoding="utf-8", xml_declaration=True)
     return text + b"\n"

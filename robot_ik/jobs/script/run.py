@@ -20,15 +20,14 @@ from robot_ik.jobs import Progress
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
-from robot_ik.jobs.script.file import ObjectTable
-from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
-from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
+from robot_ik.jobs.script.file import ObjectTable, Script
+from robot_ik.jobs.script.report import ScriptReport
+from robot_ik.jobs.script.state import FAILED, PASSED, RunState, StepFailed, StepResult, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.motion.keyframes import column_names
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.robot_file import catalogue
 from robot_ik.solvers import solver_name
 
 # ------------------------------------------------------------------------------------------
@@ -100,7 +99,7 @@ def run_script(
     return ScriptRun(script, request or ScriptRequest()).run(progress)
 
 
-class ScriptRun:
+class ScriptRun(RunState):
     """One run of one script.
 
     ``report`` is whole as far as it goes whenever the run ends; the clock of ``setup`` is the run's.
@@ -112,29 +111,28 @@ class ScriptRun:
         Raises:
             ConfigError, ModelError: The script asks for what is not there.
         """
-        content = script.content
-        seed = content.seed if request.seed is None else request.seed
+        seed = script.seed if request.seed is None else request.seed
         if seed < 0:
             raise script.wrong(f"not {seed}", "seed", "0, 1, 2, …")
-        robot = request.robot or resolved(script, content.robot)
+        robot = request.robot or script.resolved(script.robot)
         arm_file = request.arm_file
-        if arm_file is None and content.arm is not None and not request.robot:
-            arm_file = Path(resolved(script, content.arm))
-        self.setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
-        self._now = RunState(script, self.setup, solver_name("", self.setup.robot.file), seed)
+        if arm_file is None and script.arm is not None and not request.robot:
+            arm_file = Path(script.resolved(script.arm))
+        setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
+        super().__init__(script, setup, solver_name("", setup.robot.file), seed)
         self._record = request.record
-        if content.physics and not self._now.simulated:
+        if script.physics and not self.simulated:
             allowed = "false, or --bus sim or pty"
             raise script.wrong("servos on a real port move by themselves", "physics", allowed)
         for k, step in enumerate(script.steps):
             try:
-                step.check(self._now)
+                step.check(self)
             except WrongKey as wrong:
                 raise wrong.within(("steps", k)).in_file(script.file) from None
         rows = [StepResult(step.title, step.do) for step in script.steps]
         virtual = bus_row(request.bus).virtual_time
         self.report = ScriptReport(
-            script.name, script.file, self.setup.robot.name, request.bus, seed, virtual,
+            script.name, script.file, self.robot.name, request.bus, seed, virtual,
             [*rows, StepResult("leave the arm", "leave")],
         )  # fmt: skip
 
@@ -144,24 +142,24 @@ class ScriptRun:
         Raises:
             RobotIkError: The arm cannot be connected or switched on: no step was run.
         """
-        now, setup, report = self._now, self.setup, self.report
+        setup, report = self.setup, self.report
         try:
             with contextlib.ExitStack() as stack:
                 self._prepare(stack, progress)
                 if self._record is not None:
-                    setup.record(stack.enter_context(open_recording(self._record, column_names(now.robot))))
+                    setup.record(stack.enter_context(open_recording(self._record, column_names(self.robot))))
                 stack.enter_context(setup.connected())
                 setup.enable_torque()
-                now.begin = setup.clock.now()
+                self.begin = setup.clock.now()
                 try:
                     self._steps(progress)
                 except BaseException:
                     report.interrupted = True
                     raise
                 finally:
-                    report.seconds = now.now()
+                    report.seconds = self.now()
         finally:
-            left, row = now.arm.exit_report, report.steps[-1]
+            left, row = self.arm.exit_report, report.steps[-1]
             if left is not None:  # it was connected
                 row.outcome = PASSED if left.ok else FAILED
                 row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'no servo'}"
@@ -170,75 +168,64 @@ class ScriptRun:
 
     def _prepare(self, stack: contextlib.ExitStack, progress: Progress) -> None:
         """Does what takes long while no servo has torque: compiles the solver, paints the scene."""
-        now, setup, robot = self._now, self.setup, self._now.robot
-        content = now.script.content
-        servos = now.arm.virtual_bus
-        if servos is not None:
-            servos.reseed(now.seed)
-            if content.physics:
+        setup, robot, script = self.setup, self.robot, self.script
+        if self.simulated:
+            self.servos.reseed(self.seed)
+            if script.physics:
                 from robot_ik.hardware.virtual.world import World
 
-                model = with_objects(robot, content.objects) if content.objects else robot.model
-                World(model, now.config, servos, contacts=bool(content.objects))
+                model = with_objects(robot, script.objects) if script.objects else robot.model
+                World(model, self.config, self.servos, contacts=bool(script.objects))
         progress("getting ready", 0.0)
-        solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=now.solver)
-        if any(step.needs_camera for step in now.script.steps):
-            now.vision = open_camera(setup, content.marker_at, now.seed, stack)
-            if any(step.do == "follow" for step in now.script.steps):
-                now.vision.get_ready_to_follow()
+        solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=self.solver)
+        if any(step.needs_camera for step in script.steps):
+            self.vision = open_camera(setup, script.marker_at, self.seed, stack)
+            if any(step.do == "follow" for step in script.steps):
+                self.vision.get_ready_to_follow()
 
     def _steps(self, progress: Progress) -> None:
-        now, steps = self._now, self._now.script.steps
+        steps = self.script.steps
         counters: Counter[str] = Counter()
         for k, (step, result) in enumerate(zip(steps, self.report.steps, strict=False)):
             progress(result.name, k / len(steps))
-            before = Counter(now.setup.counters())
-            run_step(now, step, result)
-            counters.update({key: n - before[key] for key, n in now.setup.counters().items()})
+            before = Counter(self.setup.counters())
+            self._step(step, result)
+            counters.update({key: n - before[key] for key, n in self.setup.counters().items()})
             self.report.counters = dict(counters)
             if result.outcome == FAILED:
                 return
 
-
-def run_step(now: RunState, step: ScriptStep, result: StepResult) -> None:
-    """One step; how it went is in ``result``."""
-    begin = now.setup.clock.now()
-    wanted = step.raises if isinstance(step, Action) else None
-    result.outcome, result.found = FAILED, "interrupted"
-    try:
-        result.found = ""
-        step.run(now, result)
-        result.outcome = PASSED
-        if wanted is not None:
-            result.outcome, result.found = FAILED, f"no error came; {wanted} was expected"
-    except StepFailed as failure:
-        result.found = str(failure)
-    except RobotIkError as error:
-        now.error = error
-        name, text = type(error).__name__, str(error.args[0]) if error.args else ""
-        result.found = f"{name}: {text}".replace("\n", " ")
-        result.numbers["error"] = name
-        if wanted is not None and isinstance(error, error_classes()[wanted]):
-            result.outcome = PASSED
-        elif wanted is not None:
-            result.found += f" ({wanted} was expected)"
-    except BaseException:
-        result.found = "interrupted"
-        raise
-    finally:
-        result.seconds = now.setup.clock.now() - begin
-    if not isinstance(step, Action):
-        return
-    now.seconds, limit = result.seconds, step.time_limit_s
-    late = limit is not None and result.seconds > limit + 0.5 / now.config.rate_hz
-    if late and result.outcome == PASSED:
+    def _step(self, step: ScriptStep, result: StepResult) -> None:
+        """One step; how it went is in ``result``."""
+        begin = self.setup.clock.now()
+        wanted, limit = (step.raises, step.time_limit_s) if isinstance(step, Action) else (None, None)
         result.outcome = FAILED
-        took, permitted = apart(result.seconds, limit or 0.0, digits=2)
-        result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))
-
-
-def resolved(script: Script, name: str) -> str:
-    """A robot of the catalogue, or a path relative to the script's folder."""
-    if name in catalogue() or script.folder is None:
-        return name
-    return str(script.folder / Path(name).expanduser())
+        try:
+            step.run(self, result)
+            if wanted is None:
+                result.outcome = PASSED
+            else:
+                result.found = f"no error came; {wanted} was expected"
+        except StepFailed as failure:
+            result.found = str(failure)
+        except RobotIkError as error:
+            self.error = error
+            name, text = type(error).__name__, str(error.args[0]) if error.args else ""
+            result.found = f"{name}: {text}".replace("\n", " ")
+            result.numbers["error"] = name
+            if wanted is not None and isinstance(error, error_classes()[wanted]):
+                result.outcome = PASSED
+            elif wanted is not None:
+                result.found += f" ({wanted} was expected)"
+        except BaseException:
+            result.found = "interrupted"
+            raise
+        finally:
+            result.seconds = self.setup.clock.now() - begin
+        if isinstance(step, Action):
+            self.seconds = result.seconds
+        late = limit is not None and result.seconds > limit + 0.5 / self.config.rate_hz
+        if late and result.outcome == PASSED:
+            result.outcome = FAILED
+            took, permitted = apart(result.seconds, limit or 0.0, digits=2)
+            result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))

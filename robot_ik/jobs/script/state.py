@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robot_ik import errors
-from robot_ik.errors import ConfigError, RobotIkError, apart
+from robot_ik.errors import RobotIkError, apart
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.jobs.robot_setup import RobotSetup
-from robot_ik.jobs.script.report import StepResult
 from robot_ik.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.jobs.script.file import ScriptFile
-    from robot_ik.jobs.script.steps import ScriptStep
+    from robot_ik.jobs.script.file import Script
     from robot_ik.jobs.vision import Vision
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
@@ -29,6 +26,9 @@ if TYPE_CHECKING:
 
 GRACE = 2.0
 """s beyond the planned time in which servos must have arrived where a step names no time limit."""
+
+
+PASSED, FAILED, NOT_RUN = "passed", "failed", "not run"
 
 
 class StepFailed(Exception):
@@ -44,25 +44,24 @@ def error_classes() -> Mapping[str, type[RobotIkError]]:
     }
 
 
-@dataclass(frozen=True)
-class Script:
-    """A script, and where it came from; paths in it are seen from ``folder``, None: the current one."""
+@dataclass
+class StepResult:
+    """One step, as it went.
 
-    content: ScriptFile
-    file: str
-    folder: Path | None = None
+    Attributes:
+        outcome: ``passed``, ``failed`` or ``not run``.
+        seconds: On the run's clock.
+        found: One line: what was measured, or what went wrong; ``numbers``: the same for programs.
+        trajectory: What was planned; None where nothing was.
+    """
 
-    @property
-    def name(self) -> str:
-        return self.content.name
-
-    @property
-    def steps(self) -> tuple[ScriptStep, ...]:
-        return self.content.steps
-
-    def wrong(self, problem: str, key: str, allowed: str = "") -> ConfigError:
-        """The error for something in this script."""
-        return ConfigError(problem, file=self.file, key=key, allowed=allowed)
+    name: str
+    do: str
+    outcome: str = NOT_RUN
+    seconds: float = 0.0
+    found: str = ""
+    numbers: dict[str, Any] = field(default_factory=dict)
+    trajectory: Trajectory | None = field(default=None, repr=False)
 
 
 @dataclass

@@ -21,9 +21,8 @@ from robot_ik.jobs.script import (
     parse_script,
     shipped,
 )
-from robot_ik.jobs.script.file import ScriptFile
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState
+from robot_ik.jobs.script.file import Script
+from robot_ik.jobs.script.state import RunState, StepResult
 from robot_ik.jobs.script.steps import STEPS, ScriptStep, base
 
 HEAD = 'schema = 1\nname = "trial"\n'
@@ -184,7 +183,7 @@ def test_the_page_tells_every_step_and_every_key() -> None:
         assert name in rows, f"docs/how-to/testing.md has no row of the step {name}"
         keys = set(kind.model_fields) - everywhere
         assert set(re.findall(r"`(\w+)`", rows[name])) >= keys, name
-    for key in everywhere | set(ScriptFile.model_fields) - {"version", "about", "arm"}:
+    for key in everywhere | set(Script.model_fields) - {"version", "about", "arm"}:
         assert key in page, key
 
 

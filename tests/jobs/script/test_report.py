@@ -13,7 +13,8 @@ from robot_ik.jobs.script import (
     ScriptReport,
     json_report,
 )
-from robot_ik.jobs.script.report import StepResult, junit_report
+from robot_ik.jobs.script.report import junit_report
+from robot_ik.jobs.script.state import StepResult
 
 Run = Callable[..., ScriptReport]
 

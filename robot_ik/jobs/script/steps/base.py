@@ -15,8 +15,7 @@ from pydantic import AfterValidator, Field
 
 from robot_ik.errors import apart
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
+from robot_ik.jobs.script.state import RunState, StepFailed, StepResult, error_classes
 from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey

@@ -9,8 +9,7 @@ from pydantic import Field
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.joint_map import ServoId
 from robot_ik.hardware.virtual.faults import Fault
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, StepFailed
+from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep
 from robot_ik.tables import Word
 

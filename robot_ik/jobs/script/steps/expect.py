@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import model_validator
 
 from robot_ik.geometry import Pose
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, error_classes
+from robot_ik.jobs.script.state import RunState, StepResult, error_classes
 from robot_ik.jobs.script.steps.base import (
     ErrorClass,
     Finding,

@@ -15,8 +15,7 @@ from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
-from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, StepFailed
+from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import (
     Action,
     Finding,
@@ -73,7 +72,7 @@ class Move(Tolerant, Action):
 
     def caps(self, now: RunState) -> dict[str, Any]:
         """Speed limits, as ``joint_move`` takes them."""
-        return now.setup.caps(self.speed or now.script.content.speed)
+        return now.setup.caps(self.speed or now.script.speed)
 
     def by_goal(self, now: RunState, goal: Goal) -> Judge:
         """Judges by MuJoCo where the goal's frame is."""
@@ -371,7 +370,7 @@ class FollowStep(Framed, Action):
             report = follow(
                 goals, now.robot, now.solver, setup.sinks, rate=setup.rate, clock=setup.clock,
                 duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
-                speed=self.speed or now.script.content.speed, source=now.arm, on_tick=note,
+                speed=self.speed or now.script.speed, source=now.arm, on_tick=note,
             )  # fmt: skip
         self._judge(now, report, behind, result)
         if not self.needs_camera:
