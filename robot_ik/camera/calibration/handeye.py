@@ -83,6 +83,11 @@ class Mount:
         chain = sample.pose_parent_other(self.mounting).compose(self.pose_other_board)
         return self.pose_parent_camera.inverse().compose(chain)
 
+    def pose_world_hand(self, seen: Pose) -> Pose:
+        """Where the hand is when the board is ``seen`` (``pose_camera_board``)."""
+        chain = self.pose_parent_camera.compose(seen).compose(self.pose_other_board.inverse())
+        return chain.inverse() if self.mounting == "eye_in_hand" else chain
+
     def miss(self, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> Array:
         """(n, 2) predicted minus seen, px; NaN behind the camera."""
         view = sample.view
