@@ -194,8 +194,8 @@ def mean_rotation(wxyz: Array, weights: Array | None = None) -> Array:
     return np.asarray(-mean if mean[0] < 0 else mean)
 
 
-def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
-    """Mean that a minority of wrong poses hardly moves, and the weights (n,), 0 to 1, that it ended with.
+def robust_mean_pose(poses: Sequence[Pose]) -> Pose:
+    """Mean that a minority of wrong poses hardly moves.
 
     Starts at the pose in the middle (least sum of distances to all others), then weights by Cauchy's
     function of the distance, in units of the median distance.
@@ -203,14 +203,13 @@ def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
     away = np.array([[one.distance(other) for other in poses] for one in poses])  # (n, n, 2)
     scale = np.maximum(np.median(away, axis=(0, 1)), _LEAST_SCALE)
     mean = poses[int(np.argmin((away / scale).sum(axis=(1, 2))))]
-    weights = np.ones(len(poses))
     for _ in range(_AVERAGE_ROUNDS):
         far = np.array([mean.distance(pose) for pose in poses])
         scale = np.maximum(_MEDIAN_TO_SIGMA * np.median(far, axis=0), _LEAST_SCALE)
         weights = cauchy_weight(np.linalg.norm(far / scale, axis=1))
         position = np.average([pose.position for pose in poses], axis=0, weights=weights)
         mean = Pose(position, mean_rotation(np.array([pose.wxyz for pose in poses]), weights))
-    return mean, weights
+    return mean
 
 
 def rotation_spread(rotations: Sequence[Array]) -> Array:
@@ -309,7 +308,7 @@ def start_handeye(samples: Sequence[HandEyeSample], mounting: Mounting) -> Mount
     position = _translation(motions, rotation, weights)
     camera = Pose.from_rotation(rotation, position)
     boards = [chain.inverse().compose(camera).compose(pose) for chain, pose in zip(chains, seen, strict=True)]
-    return Mount(camera, robust_mean_pose(boards)[0], mounting)
+    return Mount(camera, robust_mean_pose(boards), mounting)
 
 
 def _weights(misses: Array, least: float) -> Array:

@@ -20,7 +20,7 @@ from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
-from robot_ik.files import toml_string
+from robot_ik.files import toml_value
 from robot_ik.ports import Array
 
 Area = tuple[float, float]
@@ -437,7 +437,7 @@ def body_of(request: SheetRequest) -> MarkerBody:
 def body_file(request: SheetRequest, name: str) -> str:
     """The text of a file for ``robot_ik.camera.bodies.load_bodies``, with the body called ``name``."""
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
-    lines += [f"name = {toml_string(name)}", f'dictionary = "{request.dictionary}"', "markers = ["]
+    lines += [f"name = {toml_value(name)}", f'dictionary = "{request.dictionary}"', "markers = ["]
     for marker, (size, pose) in body_of(request).markers.items():
         position, wxyz = (", ".join(_number(v) for v in part) for part in (pose.position, pose.wxyz))
         lines.append(f"  {{id = {marker}, size = {size:.9g}, position = [{position}], wxyz = [{wxyz}]}},")
