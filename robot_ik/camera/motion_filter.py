@@ -98,20 +98,10 @@ class MotionFilter:
 
     def __init__(self, options: FilterOptions | None = None) -> None:
         self.options = options or FilterOptions()
-        self.time = float("nan")
-        self.moving = np.zeros(2)
         # (6, 6) variance that the velocity gains in each second, and the least variance of an observation.
         self._density = np.diag(np.repeat(np.square(self.options.process_noise), 3))
         self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
-        self._pose = Pose()
-        self._rate = np.zeros(6)
-        self._covariance = np.zeros((12, 12))
-        # What the state of an object at rest is shaken by the noise of its observations alone.
-        self._shaking = np.zeros((12, 12))
-        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
-        self._misses = np.zeros((2, 2))
-        self._rejected = 0
-        self._rejected_at = -np.inf
+        self.reset()
 
     @property
     def started(self) -> bool:
@@ -120,7 +110,7 @@ class MotionFilter:
 
     def reset(self) -> None:
         """Forgets everything."""
-        self.__init__(self.options)  # type: ignore[misc]
+        self.time, self.moving = float("nan"), np.zeros(2)
 
     def update(self, time: float, pose: Pose, covariance: ArrayLike) -> Update:
         """Takes an observation.
@@ -223,9 +213,10 @@ class MotionFilter:
         self._rejected, self._rejected_at = 0, -np.inf
         self._covariance = np.zeros((12, 12))
         self._covariance[_POSE, _POSE] = noise
+        # What the state of an object at rest is shaken by the noise of its observations alone.
+        self._shaking = self._covariance.copy()
         self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
-        self._shaking = np.zeros((12, 12))
-        self._shaking[_POSE, _POSE] = noise
+        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
         self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
         return how
 
