@@ -112,6 +112,18 @@ class MotionFilter:
         """Forgets everything."""
         self.time, self.moving = float("nan"), np.zeros(2)
 
+    def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
+        self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
+        self._rejected, self._rejected_at = 0, -np.inf
+        self._covariance = np.zeros((12, 12))
+        self._covariance[_POSE, _POSE] = noise
+        # What the state of an object at rest is shaken by the noise of its observations alone.
+        self._shaking = self._covariance.copy()
+        self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
+        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
+        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
+        return how
+
     def update(self, time: float, pose: Pose, covariance: ArrayLike) -> Update:
         """Takes an observation.
 
@@ -207,18 +219,6 @@ class MotionFilter:
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
         return _symmetric(noise) + self._least_noise
-
-    def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
-        self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
-        self._rejected, self._rejected_at = 0, -np.inf
-        self._covariance = np.zeros((12, 12))
-        self._covariance[_POSE, _POSE] = noise
-        # What the state of an object at rest is shaken by the noise of its observations alone.
-        self._shaking = self._covariance.copy()
-        self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
-        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
-        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
-        return how
 
     def _advanced(self, span: float) -> tuple[Pose, Array, Array]:
         """Pose, transition (12, 12) and covariance ``span`` seconds after the last observation."""
