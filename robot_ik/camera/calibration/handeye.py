@@ -58,7 +58,7 @@ class Mount:
     Attributes:
         pose_parent_camera: X.
         pose_other_board: Y.
-        mounting: Who is carried.
+        mounting: ``eye_in_hand``: parent is the hand, other the world; ``eye_to_hand``: the other way round.
 
     Raises:
         CalibrationError: Unknown mounting.
@@ -366,12 +366,10 @@ class ViewResidual:
 
 
 @dataclass(frozen=True, eq=False)
-class HandEye:
-    """Result of ``solve_handeye``.
+class HandEye(Mount):
+    """The mount that ``solve_handeye`` finds, and how well.
 
     Attributes:
-        mounting: ``eye_in_hand``: parent is the hand, other the world; ``eye_to_hand``: the other way round.
-        pose_parent_camera, pose_other_board: What was asked for.
         covariance: (12, 12) of the two: translation (m) over rotation (rad), along the axes of parent and
             other, rotation about the origin of camera and board.
         residuals: Of each view, in order.
@@ -380,9 +378,6 @@ class HandEye:
         spread: (3,) standard deviation of the hand's rotations, rad, by principal axis.
     """
 
-    mounting: Mounting
-    pose_parent_camera: Pose
-    pose_other_board: Pose
     covariance: Array
     residuals: tuple[ViewResidual, ...]
     residual_px: float
@@ -443,9 +438,9 @@ def solve_handeye(
     # What all views have alike does not show in their scatter, nor does it become less with their number.
     off = normal.moved_by(np.array([_by_bias(mount, sample, intrinsics) for sample in samples]))
     return HandEye(
-        mounting=mounting,
-        pose_parent_camera=mount.pose_parent_camera,
-        pose_other_board=mount.pose_other_board,
+        mount.pose_parent_camera,
+        mount.pose_other_board,
+        mounting,
         covariance=normal.covariance + np.outer(off, off),
         residuals=tuple(residuals),
         residual_px=float(np.sqrt(np.mean([one.pixels**2 for one in good]))),
