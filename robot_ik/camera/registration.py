@@ -205,10 +205,16 @@ class Registrar:
 
     def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
         """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""
-        pose = self._pose(seen, shown.time)
-        if pose is None or not self.latency_options.shift or seen is None or not shown.time > seen.time:
+        if self._watcher is None:
+            return self._fixed, None
+        if seen is None:
+            return None, None
+        pose = seen.pose_camera_board
+        if self._filter is not None and self._filter.started:
+            pose = self._filter.predict(shown.time).pose
+        if not self.latency_options.shift or not shown.time > seen.time:
             return pose, None
-        now = None if self._watcher is None else self._watcher.see(shown)
+        now = self._watcher.see(shown)
         if now is None:
             return pose, None
         if self._filter is None:
@@ -216,12 +222,3 @@ class Registrar:
         # the drawing is of the predicted board already: only what the prediction lacks is left
         where = self._intrinsics.project(pose.apply(list(now.points)))
         return pose, optical_motion(dict(zip(now.points, where, strict=True)), now.points)
-
-    def _pose(self, seen: Seen | None, time: float) -> Pose | None:
-        if self._watcher is None:
-            return self._fixed
-        if seen is None:
-            return None
-        if self._filter is not None and self._filter.started:
-            return self._filter.predict(time).pose
-        return seen.pose_camera_board
