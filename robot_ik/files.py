@@ -189,9 +189,9 @@ def json_text(value: Any, indent: str = "", *, ascii: bool = False) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=ascii)
 
 
-def toml_string(text: str) -> str:
-    """A TOML string, also good as a key: JSON's, which leaves one control character as it is."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+def toml_value(value: Any) -> str:
+    """Text, numbers and lists of them in TOML: as in JSON, which leaves one control character as it is."""
+    return json_text(plain(value)).replace("\x7f", "\\u007f")
 
 
 def _held(path: Path, why: str) -> OutputError:

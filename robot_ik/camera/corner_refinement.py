@@ -133,12 +133,8 @@ def refine_markers(
     lens[CY] -= origin[1]
     allowed, refined = correctable(dictionary), []
     for marker_id, corners in zip(ids, markers, strict=True):
-        black, start, last = (
-            marker_black(dictionary, marker_id),
-            unrefined(corners, intrinsics),
-            before.get(marker_id),
-        )
-        model = last.model if last is not None else ()
+        black, last = marker_black(dictionary, marker_id), before.get(marker_id)
+        start, model = unrefined(corners, intrinsics), last.model if last is not None else ()
         one = _fitted(gray, lens, black, start, origin, shift, film, model, allowed)
         if model and not one.refined:
             one = _fitted(gray, lens, black, start, origin, shift, film, (), allowed)
@@ -189,20 +185,14 @@ def _fitted(
     if found is None:
         return start
     box, capacity = found
-    fit, pixels, residuals = (
-        np.zeros((FIT_ROWS, BLOCK)),
-        np.empty((PIXEL_ROWS, capacity)),
-        np.empty((RESIDUAL_ROWS, capacity)),
-    )
+    fit = np.zeros((FIT_ROWS, BLOCK))
+    pixels, residuals = np.empty((PIXEL_ROWS, capacity)), np.empty((RESIDUAL_ROWS, capacity))
     fit[FROM_PRINT, :9], fit[SEEN, :9] = from_print, seen
     fit[CORNERS : CORNERS + 4, :2] = start.corners - origin
     fit[MODEL, : len(model)] = model
     fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT] = math.log(_BLUR), shift[0]
-    fit[PRIOR_INFORMATION, BLUR], fit[PRIOR_INFORMATION, SHIFT], fit[PRIOR_INFORMATION, HALO] = (
-        1.0 / _BLUR_SPREAD**2,
-        1.0 / shift[1] ** 2,
-        FIXED_INFORMATION,
-    )
+    fit[PRIOR_INFORMATION, BLUR], fit[PRIOR_INFORMATION, SHIFT] = 1.0 / _BLUR_SPREAD**2, 1.0 / shift[1] ** 2
+    fit[PRIOR_INFORMATION, HALO] = FIXED_INFORMATION
     state = fit_photometric(gray, lens, box, reach, black, fit, pixels, residuals, most)
     if state == NO_PRINT:
         return start

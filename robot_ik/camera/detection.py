@@ -252,7 +252,7 @@ def _parameters(window: int, accuracy: float, corrected: float) -> cv2.aruco.Det
 # Which dictionary the markers in pictures are of, when they are not of the one that was said.
 
 
-# Pictures are looked at in about this size, px: some 20 dictionaries want patience otherwise.
+# Pictures are reduced to this size and more, px: some 20 dictionaries want patience otherwise.
 _LONGER_SIDE = 1280
 
 
@@ -267,7 +267,8 @@ def guess_dictionary(images: Sequence[Image], least: int = 1) -> str | None:
         images: (h, w) or (h, w, 3) uint8 each.
         least: So many markers are wanted in all of them: a single one may be a chance find.
     """
-    pictures = [_shrunk(to_gray(image)) for image in images]
+    grays = [to_gray(image) for image in images]
+    pictures = [reduced(gray, max(1, max(gray.shape) // _LONGER_SIDE)) for gray in grays]
     best, name = (0, 0.0), None
     for family in _families():
         detector = MarkerDetector(family[-1], strict=True)
@@ -292,14 +293,6 @@ def _families() -> list[list[str]]:
     for name in dictionary_names():
         groups.setdefault(re.sub(r"(DICT_\dX\d)_\d+", r"\1", name), []).append(name)
     return [sorted(group, key=dictionary_size) for group in groups.values()]
-
-
-def _shrunk(gray: Image) -> Image:
-    factor = _LONGER_SIDE / max(gray.shape)
-    if factor >= 1.0:
-        return gray
-    small = cv2.resize(gray, (0, 0), fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.uint8)
 
 
 # ------------------------------------------------------------------------------------------

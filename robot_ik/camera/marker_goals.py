@@ -13,7 +13,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -25,7 +24,7 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array, Clock, RealClock, VirtualClock, short_switch_interval
+from robot_ik.ports import Array, Clock, Closing, RealClock, VirtualClock, short_switch_interval
 
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -101,7 +100,7 @@ _MAX_AGE_S = 0.5
 SYNTHETIC_RATE_HZ = 15.0
 
 
-class LatestGoals:
+class LatestGoals(Closing):
     """Looks on a thread of its own (real time), or whenever a picture is due (virtual time).
 
     Taking a picture and finding a marker in it takes several periods of a control loop.  So the source
@@ -135,9 +134,7 @@ class LatestGoals:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         """Stops looking; the source stays open."""
         self._stop.set()
         if self._thread is not None:

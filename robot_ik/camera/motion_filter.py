@@ -99,19 +99,10 @@ class MotionFilter:
 
     def __init__(self, options: FilterOptions | None = None) -> None:
         self.options = options or FilterOptions()
-        self.time = float("nan")
-        self.moving = np.zeros(2)
         # (6, 6) variance that the velocity gains in each second, and the least variance of an observation.
         self._density = np.diag(np.repeat(np.square(self.options.process_noise), 3))
         self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
-        self._pose = Pose()
-        self._rate = np.zeros(6)
-        # (2, 12, 12) covariance of the state, and how far noise of the observations alone moves one at rest.
-        self._spreads = np.zeros((2, 12, 12))
-        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
-        self._misses = np.zeros((2, 2))
-        self._rejected = 0
-        self._rejected_at = -np.inf
+        self.reset()
 
     @property
     def started(self) -> bool:
@@ -120,7 +111,18 @@ class MotionFilter:
 
     def reset(self) -> None:
         """Forgets everything."""
-        self.__init__(self.options)  # type: ignore[misc]
+        self.time, self.moving = float("nan"), np.zeros(2)
+
+    def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
+        self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
+        self._rejected, self._rejected_at = 0, -np.inf
+        # Covariance of the state, and how far noise of the observations alone moves one at rest.
+        self._spreads = np.zeros((2, 12, 12))
+        self._spreads[:, _POSE, _POSE] = noise
+        self._spreads[0, _RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
+        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
+        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
+        return how
 
     def update(self, time: float, pose: Pose, covariance: ArrayLike) -> Update:
         """Takes an observation.
@@ -216,15 +218,6 @@ class MotionFilter:
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
         return noise + self._least_noise
-
-    def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
-        self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
-        self._rejected, self._rejected_at = 0, -np.inf
-        self._spreads = np.zeros((2, 12, 12))
-        self._spreads[:, _POSE, _POSE] = noise
-        self._spreads[0, _RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
-        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
-        return how
 
     def _advanced(self, span: float) -> tuple[Pose, Array]:
         """Pose and ``_spreads`` (2, 12, 12) ``span`` seconds after the last observation."""

@@ -22,8 +22,8 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image
 
-#: Corners of a board by name.
-Points = Mapping[tuple[int, int], Array]
+#: Pixels (2,) of corners by where they are on the board, metres.
+Points = Mapping[tuple[float, ...], Array]
 Sync = Literal["tracked", "latest"]
 
 # A board that is lost for longer is not drawn upon any more, seconds.
@@ -39,8 +39,7 @@ class Seen:
     Attributes:
         pose_camera_board: Its middle: x right, y up, z out of the print.
         covariance: (6, 6) of it, as in ``BodyObservation``.
-        points: Pixels (2,) where its corners were seen, by their names; ``board_points`` (3,) where they are
-            on the board, metres.
+        points: Where its corners were seen.
         marker: The other marker, when it was asked for and seen.
         error: RMS reprojection error, px.
         time: Of the picture.
@@ -49,7 +48,6 @@ class Seen:
     pose_camera_board: Pose
     covariance: Array
     points: Points
-    board_points: Points
     marker: MarkerObservation | None
     error: float
     time: float
@@ -96,24 +94,22 @@ class BoardWatcher:
             view = self._board.see(frame, self._intrinsics)
             if view is None:
                 return None
-            middle = self._board.layout[0][1]
+            middle, pixels = self._board.layout[0][1], view.pixels
+            on_board, pose = middle.inverse().apply(view.points), view.pose_camera_board.compose(middle)
             covariance = np.diag(np.repeat(np.square(_PATTERN_SIGMA), 3))
-            off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - view.pixels
+            off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - pixels
             error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-            keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
-            points = dict(zip(keys, view.pixels, strict=True))
-            board_points = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
-            pose = view.pose_camera_board.compose(middle)
-            return Seen(pose, covariance, points, board_points, marker, error, frame.time)
-        assert tracker is not None, "a board of markers has a tracker"
-        body = tracker.observe_body(frame, self._board.layout)
-        if body is None:
-            return None
-        found = tracker.corners(frame)
-        points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
-        board_points = dict(zip(points, self._board.corners(body.ids), strict=True))
-        pose, error = body.pose_camera_body, body.reprojection_error
-        return Seen(pose, body.covariance, points, board_points, marker, error, frame.time)
+        else:
+            assert tracker is not None, "a board of markers has a tracker"
+            body = tracker.observe_body(frame, self._board.layout)
+            if body is None:
+                return None
+            found = tracker.corners(frame)
+            pixels = np.concatenate([found[i].corners for i in body.ids])
+            on_board, pose = self._board.corners(body.ids), body.pose_camera_body
+            covariance, error = body.covariance, body.reprojection_error
+        points = dict(zip(map(tuple, on_board.tolist()), pixels, strict=True))
+        return Seen(pose, covariance, points, marker, error, frame.time)
 
 
 def optical_motion(before: Points, after: Points) -> Array:
@@ -121,7 +117,7 @@ def optical_motion(before: Points, after: Points) -> Array:
 
     Least squares over the corners seen twice: z' = a z + b with complex pixels; only a shift for one corner.
     """
-    common = sorted(before.keys() & after.keys())
+    common = [point for point in before if point in after]
     if not common:
         return np.eye(2, 3)
     z = np.array([complex(*before[k]) for k in common])
@@ -209,23 +205,20 @@ class Registrar:
 
     def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
         """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""
-        pose = self._pose(seen, shown.time)
-        if pose is None or not self.latency_options.shift or seen is None or not shown.time > seen.time:
+        if self._watcher is None:
+            return self._fixed, None
+        if seen is None:
+            return None, None
+        pose = seen.pose_camera_board
+        if self._filter is not None and self._filter.started:
+            pose = self._filter.predict(shown.time).pose
+        if not self.latency_options.shift or not shown.time > seen.time:
             return pose, None
-        now = None if self._watcher is None else self._watcher.see(shown)
+        now = self._watcher.see(shown)
         if now is None:
             return pose, None
         if self._filter is None:
             return pose, optical_motion(seen.points, now.points)
         # the drawing is of the predicted board already: only what the prediction lacks is left
-        where = self._intrinsics.project(pose.apply(np.array([now.board_points[k] for k in now.points])))
+        where = self._intrinsics.project(pose.apply(list(now.points)))
         return pose, optical_motion(dict(zip(now.points, where, strict=True)), now.points)
-
-    def _pose(self, seen: Seen | None, time: float) -> Pose | None:
-        if self._watcher is None:
-            return self._fixed
-        if seen is None:
-            return None
-        if self._filter is not None and self._filter.started:
-            return self._filter.predict(time).pose
-        return seen.pose_camera_board

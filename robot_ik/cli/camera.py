@@ -565,7 +565,7 @@ def _calibration_json(result: CalibrationResult, out: Path, digest: str) -> dict
         "model": camera.model,
         "distortion": camera.distortion,
         "std": camera.std,
-        "rms_px": result.rms,
+        "rms_px": camera.rms,
         "hold_out_rms_px": result.hold_out_rms,
         "views": [{"name": v.name, "corners": v.corners, "rms_px": v.rms, "left_out": v.left_out}
                   for v in result.per_view],

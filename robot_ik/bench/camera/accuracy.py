@@ -475,11 +475,10 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
             seed = _SETS * (effort.seed - 1) + trial + 1
             views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed, sensor=WEBCAM)
             found = [seen for image, _ in views if (seen := pattern.find(image)) is not None]
-            result = calibrate(found, STANDARD_CAMERA.size)
-            lens, true = result.intrinsics, STANDARD_CAMERA
+            lens, true = calibrate(found, STANDARD_CAMERA.size).intrinsics, STANDARD_CAMERA
             focal.append(max(abs(lens.fx / true.fx - 1.0), abs(lens.fy / true.fy - 1.0)))
             centre.append(float(np.hypot(lens.cx - true.cx, lens.cy - true.cy)))
-            error.append(result.rms)
+            error.append(lens.rms or np.nan)
             counted.append(len(found))
         yield Quantity(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
         yield Quantity(f"{name}: optical centre, off by", max(centre), "px", 2.0)

@@ -20,6 +20,7 @@ from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEye, HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
     ANYWHERE,
+    ArmModel,
     CalibrationStation,
     KnownPose,
     fit_zero_offsets,
@@ -88,7 +89,7 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
         drawing = KnownPose.within(_DRAWN, *_MOUNTED)
         known = ((anywhere, held), (camera, held), (camera, drawing))
         for results, (at, on) in zip(zeros.values(), known, strict=True):
-            fit = fit_zero_offsets(views, robot, robot.tool, STANDARD_CAMERA, camera=at, board=on)
+            fit = fit_zero_offsets(ArmModel(robot, robot.tool, STANDARD_CAMERA, views, at, on))
             observable = np.flatnonzero(fit.sigma > 0.0)
             covariance = fit.covariance[np.ix_(observable, observable)]
             results.append(((fit.offsets - hidden)[observable], covariance))

@@ -80,7 +80,7 @@ def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Quanti
     views = [view for _, view in boards]
     if len(views) < _LEAST_BOARDS:
         return
-    mine = calibrate(views, (size[1], size[0])).rms
+    mine = calibrate(views, (size[1], size[0])).intrinsics.rms or np.nan
     yield Quantity(f"calibration by {len(views)} chessboards, RMS", mine, "px")
     yield Quantity("the same, beside OpenCV's corners", mine / opencv_rms(boards), "", 1.0)
     squares = [_unseen(view, views[:k] + views[k + 1 :], (size[1], size[0])) for k, view in enumerate(views)]

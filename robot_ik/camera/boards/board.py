@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
+from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.bodies import grid_body, load_bodies
 from robot_ik.camera.image import quiet
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -173,10 +173,10 @@ def parse_board(text: str, dictionary: str = "") -> Board:
             case ["grid", counts, side, gap]:
                 return MarkerBoard(grid_body(*_count(counts), _metres(side), _metres(gap)).markers, chosen)
             case ["charuco", counts, square, marker]:
-                sides = _metres(square), _metres(marker)
-                return PatternBoard(CharucoPattern(*_count(counts), *sides, chosen))
+                sides = float(square), float(marker)
+                return PatternBoard(PatternRequest("charuco", *_count(counts), *sides, chosen).pattern())
             case ["chessboard", counts, square]:
-                return PatternBoard(ChessboardPattern(*_count(counts), _metres(square)))
+                return PatternBoard(PatternRequest("chessboard", *_count(counts), float(square)).pattern())
     raise CameraError(f"{text!r} is no board", hint=f"possible: {_KINDS}")
 
 

@@ -82,9 +82,10 @@ class Pattern(ABC):
     rows: int
     square: float
 
-    #: What the pattern and what its columns and rows are called.
+    #: What the pattern and what its columns and rows are called; how many squares there are more than these.
     name: ClassVar[str]
     counted: ClassVar[str]
+    uncounted: ClassVar[int]
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < _LEAST_COUNT:
@@ -95,19 +96,19 @@ class Pattern(ABC):
         _check_length("a square", self.square)
 
     @property
-    @abstractmethod
     def corners(self) -> tuple[int, int]:
         """Inner corners along the columns and rows."""
+        return self.columns + self.uncounted - 1, self.rows + self.uncounted - 1
 
     @property
-    @abstractmethod
     def size(self) -> tuple[float, float]:
         """Width and height of the print, metres."""
+        return (self.columns + self.uncounted) * self.square, (self.rows + self.uncounted) * self.square
 
     @property
-    @abstractmethod
     def origin(self) -> tuple[float, float]:
         """Where the print's upper left corner is in the board frame, metres."""
+        return 0.0 - self.uncounted * self.square, 0.0 - self.uncounted * self.square
 
     @property
     def plain(self) -> float:
@@ -118,9 +119,20 @@ class Pattern(ABC):
     def find(self, image: Image) -> FoundPattern | None:
         """The pattern in a picture, grey or BGR; None when it is not there."""
 
-    @abstractmethod
     def black(self) -> Array:
         """The print: black rectangles (n, 4) as x, y, width, height in the board frame, metres."""
+        squares = np.array(self._every_other_square(0 if self._starts_black else 1), dtype=float)
+        return np.hstack([np.array(self.origin) + self.square * squares, np.full(squares.shape, self.square)])
+
+    @property
+    def _starts_black(self) -> bool:
+        """Whether the upper left square is black."""
+        return True
+
+    def _every_other_square(self, first: int) -> list[tuple[int, int]]:
+        """Column and row of the squares of one colour, the upper left one being number 0."""
+        columns, rows = (count + 1 for count in self.corners)
+        return [(c, r) for r in range(rows) for c in range(columns) if (c + r) % 2 == first]
 
     def _fitted(
         self, gray: Image, times: int, start: Array, ids: NDArray[np.int64], reach: float
@@ -160,19 +172,7 @@ class ChessboardPattern(Pattern):
         CalibrationError: Fewer than 3 x 3 inner corners, or a size that cannot be meant.
     """
 
-    name, counted = "chessboard", "inner corners"
-
-    @property
-    def corners(self) -> tuple[int, int]:
-        return self.columns, self.rows
-
-    @property
-    def size(self) -> tuple[float, float]:
-        return (self.columns + 1) * self.square, (self.rows + 1) * self.square
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        return -self.square, -self.square
+    name, counted, uncounted = "chessboard", "inner corners", 1
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = to_gray(image)
@@ -186,9 +186,6 @@ class ChessboardPattern(Pattern):
             return None
         start = np.asarray(corners, dtype=float).reshape(-1, 2)
         return self._fitted(gray, times, start, np.arange(len(start)), _SQUARE_REACH)
-
-    def black(self) -> Array:
-        return _black_squares(self.columns + 1, self.rows + 1, self.square, self.origin)
 
 
 @dataclass(frozen=True)
@@ -211,7 +208,7 @@ class CharucoPattern(Pattern):
     dictionary: str = "DICT_5X5_50"
     legacy: bool = False
 
-    name, counted = "ChArUco board", "squares"
+    name, counted, uncounted = "ChArUco board", "squares", 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -228,18 +225,6 @@ class CharucoPattern(Pattern):
                 f"{self.dictionary} has {there}",
                 hint="take a larger dictionary of the same cells, for example DICT_5X5_250",
             )
-
-    @property
-    def corners(self) -> tuple[int, int]:
-        return self.columns - 1, self.rows - 1
-
-    @property
-    def size(self) -> tuple[float, float]:
-        return self.columns * self.square, self.rows * self.square
-
-    @property
-    def origin(self) -> tuple[float, float]:
-        return 0.0, 0.0
 
     @property
     def plain(self) -> float:
@@ -271,8 +256,7 @@ class CharucoPattern(Pattern):
         return self._fitted(gray, times, start, numbers, _GAP_REACH * gap)
 
     def black(self) -> Array:
-        first = 0 if self._starts_black else 1
-        boxes = [_black_squares(self.columns, self.rows, self.square, self.origin, first)]
+        boxes = [super().black()]
         for number, (column, row) in enumerate(self.marker_squares()):
             gap = (self.square - self.marker) / 2
             offset = np.array([column * self.square + gap, row * self.square + gap, 0.0, 0.0])
@@ -285,8 +269,7 @@ class CharucoPattern(Pattern):
 
     def marker_squares(self) -> list[tuple[int, int]]:
         """Column and row of the white squares, in the order of the markers' ids."""
-        first = 1 if self._starts_black else 0
-        return [(c, r) for r in range(self.rows) for c in range(self.columns) if (c + r) % 2 == first]
+        return self._every_other_square(1 if self._starts_black else 0)
 
 
 @lru_cache(maxsize=8)
@@ -296,14 +279,6 @@ def _charuco_detector(pattern: CharucoPattern) -> Any:
     )
     board.setLegacyPattern(pattern.legacy)
     return cv2.aruco.CharucoDetector(board)
-
-
-def _black_squares(
-    columns: int, rows: int, square: float, origin: tuple[float, float], first: int = 0
-) -> Array:
-    squares = [(c, r) for r in range(rows) for c in range(columns) if (c + r) % 2 == first]
-    corner = np.array(origin) + square * np.array(squares, dtype=float)
-    return np.hstack([corner, np.full((len(squares), 2), square)])
 
 
 def _check_length(what: str, length: float) -> None:

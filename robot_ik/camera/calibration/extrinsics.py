@@ -11,7 +11,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -27,7 +27,7 @@ from robot_ik.camera.calibration.handeye import (
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
-from robot_ik.files import toml_string, write_atomically
+from robot_ik.files import plain, toml_value, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.tables import Position, SchemaVersion, Table, Wxyz, read_table
@@ -165,7 +165,7 @@ def locate_camera(
     """
     if not views:
         raise CameraError("the board was seen in no picture, so the camera's pose is not known")
-    start, _ = robust_mean_pose([view.pose_camera_board for view in views])
+    start = robust_mean_pose([view.pose_camera_board for view in views])
     view = _averaged(views, start)
     sample = HandEyeSample(Pose(), view)
 
@@ -237,31 +237,19 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
 # --------------------------------------------------------------------------------------- file
 
 
-def _numbers(values: Any) -> str:
-    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
-
-
 def _text(extrinsics: CameraExtrinsics) -> str:
-    pose, covariance = extrinsics.pose_parent_camera, extrinsics.covariance
-    rows = "".join(f"  {_numbers(row)},\n" for row in covariance)
+    names = (
+        "covariance", "sigma_position", "sigma_angle", "residual_px", "residual_mm", "method", "views",
+        "date", "doubt",
+    )  # fmt: skip
+    values = {"schema": 1, "parent": extrinsics.parent, **plain(extrinsics.pose_parent_camera)}
+    values |= {name: getattr(extrinsics, name) for name in names}
+    values["intrinsics"] = extrinsics.intrinsics_hash
     return (
         "# Where a camera is.  Lengths in m, angles in rad, quaternions w x y z; camera axes are OpenCV's:\n"
-        "# x right, y down, z forward.\n"
-        "schema = 1\n"
-        f"parent = {toml_string(extrinsics.parent)}\n"
-        f"position = {_numbers(pose.position)}\n"
-        f"wxyz = {_numbers(pose.wxyz)}\n"
-        "# translation over rotation, along the parent's axes, rotation about the camera's origin\n"
-        f"covariance = [\n{rows}]\n"
-        f"sigma_position = {extrinsics.sigma_position!r}\n"
-        f"sigma_angle = {extrinsics.sigma_angle!r}\n"
-        f"residual_px = {float(extrinsics.residual_px)!r}\n"
-        f"residual_mm = {float(extrinsics.residual_mm)!r}\n"
-        f"method = {toml_string(extrinsics.method)}\n"
-        f"views = {int(extrinsics.views)}\n"
-        f"date = {toml_string(extrinsics.date)}\n"
-        f"intrinsics = {toml_string(extrinsics.intrinsics_hash)}\n"
-        + (f"doubt = {toml_string(extrinsics.doubt)}\n" if extrinsics.doubt else "")
+        "# x right, y down, z forward.  Covariance: translation over rotation, along the parent's axes,\n"
+        "# rotation about the camera's origin.\n"
+        + "".join(f"{key} = {toml_value(value)}\n" for key, value in values.items())
     )
 
 

@@ -58,7 +58,7 @@ class Mount:
     Attributes:
         pose_parent_camera: X.
         pose_other_board: Y.
-        mounting: Who is carried.
+        mounting: ``eye_in_hand``: parent is the hand, other the world; ``eye_to_hand``: the other way round.
 
     Raises:
         CalibrationError: Unknown mounting.
@@ -82,6 +82,11 @@ class Mount:
         """Where the board should be seen."""
         chain = sample.pose_parent_other(self.mounting).compose(self.pose_other_board)
         return self.pose_parent_camera.inverse().compose(chain)
+
+    def pose_world_hand(self, seen: Pose) -> Pose:
+        """Where the hand is when the board is ``seen`` (``pose_camera_board``)."""
+        chain = self.pose_parent_camera.compose(seen).compose(self.pose_other_board.inverse())
+        return chain.inverse() if self.mounting == "eye_in_hand" else chain
 
     def miss(self, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> Array:
         """(n, 2) predicted minus seen, px; NaN behind the camera."""
@@ -189,8 +194,8 @@ def mean_rotation(wxyz: Array, weights: Array | None = None) -> Array:
     return np.asarray(-mean if mean[0] < 0 else mean)
 
 
-def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
-    """Mean that a minority of wrong poses hardly moves, and the weights (n,), 0 to 1, that it ended with.
+def robust_mean_pose(poses: Sequence[Pose]) -> Pose:
+    """Mean that a minority of wrong poses hardly moves.
 
     Starts at the pose in the middle (least sum of distances to all others), then weights by Cauchy's
     function of the distance, in units of the median distance.
@@ -198,14 +203,13 @@ def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
     away = np.array([[one.distance(other) for other in poses] for one in poses])  # (n, n, 2)
     scale = np.maximum(np.median(away, axis=(0, 1)), _LEAST_SCALE)
     mean = poses[int(np.argmin((away / scale).sum(axis=(1, 2))))]
-    weights = np.ones(len(poses))
     for _ in range(_AVERAGE_ROUNDS):
         far = np.array([mean.distance(pose) for pose in poses])
         scale = np.maximum(_MEDIAN_TO_SIGMA * np.median(far, axis=0), _LEAST_SCALE)
         weights = cauchy_weight(np.linalg.norm(far / scale, axis=1))
         position = np.average([pose.position for pose in poses], axis=0, weights=weights)
         mean = Pose(position, mean_rotation(np.array([pose.wxyz for pose in poses]), weights))
-    return mean, weights
+    return mean
 
 
 def rotation_spread(rotations: Sequence[Array]) -> Array:
@@ -304,7 +308,7 @@ def start_handeye(samples: Sequence[HandEyeSample], mounting: Mounting) -> Mount
     position = _translation(motions, rotation, weights)
     camera = Pose.from_rotation(rotation, position)
     boards = [chain.inverse().compose(camera).compose(pose) for chain, pose in zip(chains, seen, strict=True)]
-    return Mount(camera, robust_mean_pose(boards)[0], mounting)
+    return Mount(camera, robust_mean_pose(boards), mounting)
 
 
 def _weights(misses: Array, least: float) -> Array:
@@ -362,12 +366,10 @@ class ViewResidual:
 
 
 @dataclass(frozen=True, eq=False)
-class HandEye:
-    """Result of ``solve_handeye``.
+class HandEye(Mount):
+    """The mount that ``solve_handeye`` finds, and how well.
 
     Attributes:
-        mounting: ``eye_in_hand``: parent is the hand, other the world; ``eye_to_hand``: the other way round.
-        pose_parent_camera, pose_other_board: What was asked for.
         covariance: (12, 12) of the two: translation (m) over rotation (rad), along the axes of parent and
             other, rotation about the origin of camera and board.
         residuals: Of each view, in order.
@@ -376,9 +378,6 @@ class HandEye:
         spread: (3,) standard deviation of the hand's rotations, rad, by principal axis.
     """
 
-    mounting: Mounting
-    pose_parent_camera: Pose
-    pose_other_board: Pose
     covariance: Array
     residuals: tuple[ViewResidual, ...]
     residual_px: float
@@ -439,9 +438,9 @@ def solve_handeye(
     # What all views have alike does not show in their scatter, nor does it become less with their number.
     off = normal.moved_by(np.array([_by_bias(mount, sample, intrinsics) for sample in samples]))
     return HandEye(
-        mounting=mounting,
-        pose_parent_camera=mount.pose_parent_camera,
-        pose_other_board=mount.pose_other_board,
+        mount.pose_parent_camera,
+        mount.pose_other_board,
+        mounting,
         covariance=normal.covariance + np.outer(off, off),
         residuals=tuple(residuals),
         residual_px=float(np.sqrt(np.mean([one.pixels**2 for one in good]))),

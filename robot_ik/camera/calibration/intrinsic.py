@@ -114,8 +114,8 @@ class CalibrationResult:
     """A calibration, and how far to trust it.
 
     Attributes:
-        intrinsics: With ``rms``, ``std`` (the larger one of the formal and the jackknife's) and ``views``.
-        rms: Reprojection error over all used corners, px.
+        intrinsics: With ``rms`` (over all used corners), ``views``, and ``std`` (the larger one of the formal
+            and the jackknife's).
         per_view: One report a view, in the order given.
         hold_out_rms: Reprojection error of views that the calibration had not seen, px.
         coverage: Where in the picture corners were, and how the board was tilted.
@@ -125,7 +125,6 @@ class CalibrationResult:
     """
 
     intrinsics: CameraIntrinsics
-    rms: float
     per_view: tuple[ViewReport, ...]
     hold_out_rms: float
     coverage: Coverage
@@ -191,7 +190,7 @@ def calibrate(
     if coefficients == 8 and _fit(found, size, 5).rms < _WORTHLESS * fit.rms:
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
-        intrinsics, fit.rms, _reports(named, used, fit, left_out), hold_out, coverage,
+        intrinsics, _reports(named, used, fit, left_out), hold_out, coverage,
         _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones, markers),
     )  # fmt: skip
 

@@ -102,14 +102,15 @@ class ArmEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """What does not change while the unknowns are sought.
+    """An arm, what was seen of it, and what is known beforehand.
 
     Attributes:
         robot: All its joints are in ``q`` (nq = nv).
-        frame: What carries board (eye to hand) or camera (eye in hand).
-        intrinsics: Of the camera.
-        views: The measurements.
-        camera, board: What is known beforehand.
+        frame: What carries the board (eye to hand) or the camera (eye in hand).
+        intrinsics: Of the pictures' size.
+        views: What was measured; for zero offsets at least 4, and 30 that bend every joint are good.
+        camera: Where it is, seen from the world or the frame, and how well that is known.
+        board: The same of the board, seen from the other of the two.
         mounting: Who is carried.
     """
 
@@ -119,7 +120,7 @@ class ArmModel:
     views: Sequence[CalibrationStation]
     camera: KnownPose
     board: KnownPose
-    mounting: Mounting
+    mounting: Mounting = "eye_to_hand"
 
     def start(self) -> ArmEstimate:
         """No offsets, the poses as they are thought to be."""
@@ -217,39 +218,19 @@ def pose_error(
     )
 
 
-def measure_errors(
-    views: Sequence[CalibrationStation],
-    robot: Robot,
-    frame: str,
-    intrinsics: CameraIntrinsics,
-    *,
-    camera: KnownPose,
-    board: KnownPose,
-) -> tuple[PoseError, ...]:
-    """The errors of an arm that carries a board before a standing camera; nothing is fitted.
-
-    Args:
-        views: What was measured.
-        robot: Its joints are those of ``q``.
-        frame: What carries the board.
-        intrinsics: Of the pictures' size.
-        camera: Where it is in the world, and how well that is known.
-        board: Where the board is on ``frame``, and how well that is known.
-    """
-    model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, "eye_to_hand")
-    state = model.start()
+def measure_errors(model: ArmModel) -> tuple[PoseError, ...]:
+    """The errors of the arm as it is; nothing is fitted."""
+    state, known = model.start(), np.zeros((POSES, POSES))
     # The hand as the picture has it: what the corners and the two poses are worth is linear there.
-    from_board = board.pose.inverse()
     samples = [
-        HandEyeSample(camera.pose.compose(one.view.pose_camera_board).compose(from_board), one.view)
-        for one in views
+        HandEyeSample(state.mount.pose_world_hand(one.view.pose_camera_board), one.view)
+        for one in model.views
     ]
-    linear, left = compress(state.mount, samples, intrinsics)
-    known = np.zeros((12, 12))
-    known[:6, :6], known[6:, 6:] = camera.covariance, board.covariance
+    linear, left = compress(state.mount, samples, model.intrinsics)
+    known[:6, :6], known[6:, 6:] = model.camera.covariance, model.board.covariance
     rows = linear.rows
     covariances = linear.pixels * pixel_scale(left) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
-    return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(views)))
+    return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(samples)))
 
 
 # A combination of offsets with a larger standard deviation than this, rad, is not determined.
@@ -299,37 +280,20 @@ class ZeroOffsets:
         return tuple(k for k, one in enumerate(self.errors) if one.outlier)
 
 
-def fit_zero_offsets(
-    views: Sequence[CalibrationStation],
-    robot: Robot,
-    frame: str,
-    intrinsics: CameraIntrinsics,
-    *,
-    camera: KnownPose,
-    board: KnownPose,
-    mounting: Mounting = "eye_to_hand",
-    hold: Sequence[str] = (),
-) -> ZeroOffsets:
+def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
     """By how much the joints are ahead of what their servos say.
 
-    Args:
-        views: At least 4; 30 that bend every joint are good.
-        robot: Its joints are those of ``q``.
-        frame: What carries the board (eye to hand) or the camera (eye in hand).
-        intrinsics: Of the pictures' size.
-        camera: Where it is, seen from the world or the frame, and how well that is known.
-        board: The same of the board, seen from the other of the two.
-        mounting: Who is carried.
-        hold: Joints whose offset is 0 for sure.
+    ``hold``: joints whose offset is 0 for sure.
 
     Raises:
         CalibrationError: Too few views, an unknown mounting, joints that are no vector, or views that no
             offsets explain.
         UnknownJointError: ``hold`` names a joint that is not there.
     """
-    if len(views) < LEAST_VIEWS:
+    robot, count = model.robot, len(model.views)
+    if count < LEAST_VIEWS:
         raise CalibrationError(
-            f"{len(views)} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
+            f"{count} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
             hint="take 30 that bend every joint",
         )
     if robot.nq != robot.nv:
@@ -337,10 +301,10 @@ def fit_zero_offsets(
     for name in hold:
         if name not in robot.joints:
             raise UnknownJointError(name, robot.joints)
-    model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, mounting)
     held = set(hold)
     unobservable: list[Unobservable] = []
-    parent, other = (frame, "the world") if mounting == "eye_in_hand" else ("the world", frame)
+    carried = model.mounting == "eye_in_hand"
+    parent, other = (model.frame, "the world") if carried else ("the world", model.frame)
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
         # From the start each time: an offset that nothing determines may have gone anywhere.
@@ -392,10 +356,8 @@ def _result(
 # What hand-eye calibration says of camera and board is worth no more than this, each axis, m and rad, before
 # the zeros are known.
 ANYWHERE = (0.05, float(np.deg2rad(5.0)))
-# A zero is doubted where it is off by more than this, rad, and by so many standard deviations.  Over 170 arms
-# with 5 to 15 views, ticks of 4096 a turn, play of 0.1 deg, 0.5 px of noise, a lens off by 0.3 % or a board
-# by 0.5 %, right zeros came out off by up to 0.14 deg, and by 6 standard deviations at most; those off by
-# 0.5 deg by 0.36 deg and more, and 6.9 standard deviations and more.
+# A zero is doubted where it is off by more than this, rad, and by so many standard deviations: 12 views then
+# show one that is off by 0.5 degrees, and ticks of servos and noise of corners make no right one doubtful.
 _DOUBTED_ZERO, _SURE = float(np.deg2rad(0.25)), 5.0
 
 
@@ -408,12 +370,7 @@ def doubted_zeros(
 ) -> dict[str, tuple[float, float]]:
     """Joints whose zero is off by what the views of a hand-eye calibration say themselves.
 
-    Args:
-        views: What ``found`` was found from.
-        robot: Its joints are those of ``q``.
-        frame: What carries camera or board.
-        intrinsics: Of the pictures' size.
-        found: The result.
+    ``views`` are those that ``found`` was found from; the rest as in ``ArmModel``.
 
     Returns:
         By joint: by how much it is ahead of what its servo says, and the standard deviation of that, rad.
@@ -422,13 +379,11 @@ def doubted_zeros(
     if robot.nq != robot.nv:
         return {}
     slides = [name for name, kind in zip(robot.joints, robot.tree.kind, strict=True) if kind == SLIDE]
+    poses = found.pose_parent_camera, found.pose_other_board
+    camera, board = (KnownPose.within(pose, *ANYWHERE) for pose in poses)
+    model = ArmModel(robot, frame, intrinsics, views, camera, board, found.mounting)
     try:
-        fit = fit_zero_offsets(
-            views, robot, frame, intrinsics,
-            camera=KnownPose.within(found.pose_parent_camera, *ANYWHERE),
-            board=KnownPose.within(found.pose_other_board, *ANYWHERE),
-            mounting=found.mounting, hold=slides,
-        )  # fmt: skip
+        fit = fit_zero_offsets(model, slides)
     except CalibrationError:  # no zeros explain the views: what is wrong is something else
         return {}
     return {

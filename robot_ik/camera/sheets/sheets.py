@@ -20,7 +20,7 @@ from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
-from robot_ik.files import toml_string
+from robot_ik.files import toml_value
 from robot_ik.ports import Array
 
 Area = tuple[float, float]
@@ -117,6 +117,14 @@ def moved(boxes: Array, x: float, y: float) -> Array:
     return np.asarray(boxes + np.array([x, y, 0.0, 0.0, 0.0]))
 
 
+def _prints(request: SheetRequest, places: Sequence[Area] | Array) -> Array:
+    """Boxes (n, 5) of the markers, each with its upper left corner at x, y of ``places``, mm."""
+    return np.concatenate([
+        _black(marker_boxes(request.dictionary, marker, request.size), x, y)
+        for marker, (x, y) in zip(request.marker_ids, places, strict=False)
+    ])  # fmt: skip
+
+
 def _names(ids: Sequence[int]) -> str:
     if len(ids) > 2 and list(ids) == list(range(ids[0], ids[0] + len(ids))):
         return f"{ids[0]} to {ids[-1]}"
@@ -129,13 +137,11 @@ def _markers(request: SheetRequest, area: Area) -> Block:
     columns = int(np.clip((area[0] - 2 * quiet + request.gap) // pitch, 1, len(ids)))
     rows = -(-len(ids) // columns)
     step = pitch + _LABEL + 1.0
-    boxes, labels = [], []
-    for k, marker in enumerate(ids):
-        x, y = quiet + k % columns * pitch, quiet + k // columns * step
-        boxes.append(_black(marker_boxes(request.dictionary, marker, request.size), x, y))
-        labels.append(
-            TextLine(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm")
-        )
+    places = [(quiet + k % columns * pitch, quiet + k // columns * step) for k in range(len(ids))]
+    labels = tuple(
+        TextLine(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm")
+        for marker, (x, y) in zip(ids, places, strict=True)
+    )
     width = columns * pitch - request.gap + 2 * quiet
     height = rows * step - request.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
     what = "marker" if len(ids) == 1 else "markers"
@@ -144,20 +150,13 @@ def _markers(request: SheetRequest, area: Area) -> Block:
         f"--dictionary {request.dictionary} --size {request.size / 1e3:g} --ids {' '.join(map(str, ids))}"
     )
     use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
-    return Block(width, height, np.concatenate(boxes), tuple(labels), about, use=use)
+    return Block(width, height, _prints(request, places), labels, about, use=use)
 
 
 def _board(request: SheetRequest, area: Area) -> Block:
     (columns, rows), ids = request.counts, request.marker_ids
     quiet, pitch = request.size * QUIET, request.size + request.gap
-    boxes = [
-        _black(
-            marker_boxes(request.dictionary, marker, request.size),
-            quiet + k % columns * pitch,
-            quiet + k // columns * pitch,
-        )
-        for k, marker in enumerate(ids)
-    ]
+    places = [(quiet + k % columns * pitch, quiet + k // columns * pitch) for k in range(len(ids))]
     about = (
         f"board of {columns}x{rows} markers {_names(ids)} of {request.dictionary}, {request.size:g} mm, "
         f"gap {request.gap:g} mm"
@@ -165,11 +164,10 @@ def _board(request: SheetRequest, area: Area) -> Block:
     # That name says nothing of the ids: they count from 0.
     board = "" if ids[0] else f"grid:{columns}x{rows}:{request.size:g}:{request.gap:g}"
     size = [n * pitch - request.gap + 2 * quiet for n in (columns, rows)]
-    return Block(size[0], size[1], np.concatenate(boxes), (), about, use=_BODY_USE, board=board)
+    return Block(size[0], size[1], _prints(request, places), (), about, use=_BODY_USE, board=board)
 
 
 def _cube(request: SheetRequest, area: Area) -> Block:
-    ids = request.marker_ids
     white = (request.edge - request.size) / 2
     if white < _LEAST_WHITE * request.size - 1e-9:
         raise CameraError(
@@ -181,21 +179,15 @@ def _cube(request: SheetRequest, area: Area) -> Block:
     cuts, folds, _ = cube_paper(request.edge)
     corners = np.vstack([cuts, folds]).reshape(-1, 2)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    boxes = [
-        _black(
-            marker_boxes(request.dictionary, marker, request.size),
-            *(request.edge * np.array(face) - low - request.size / 2),
-        )
-        for marker, face in zip(ids, _FACES, strict=False)
-    ]
+    boxes = _prints(request, request.edge * np.array(_FACES) - low - request.size / 2)
     lines = np.vstack([cuts, dashed(folds)]) - np.tile(low, 2)
     about = (
-        f"cube of {request.edge:g} mm with markers {_names(ids)} of {request.dictionary}, "
-        f"{request.size:g} mm "
+        f"cube of {request.edge:g} mm with markers {_names(request.marker_ids)} of "
+        f"{request.dictionary}, {request.size:g} mm "
         "(cut along the lines, fold the dashed ones back, glue the tabs inside)"
     )
     width, height = (float(v) for v in high - low)
-    return Block(width, height, np.concatenate(boxes), (), about, lines, _BODY_USE)
+    return Block(width, height, boxes, (), about, lines, _BODY_USE)
 
 
 def _pattern(request: SheetRequest, area: Area) -> Block:
@@ -437,7 +429,7 @@ def body_of(request: SheetRequest) -> MarkerBody:
 def body_file(request: SheetRequest, name: str) -> str:
     """The text of a file for ``robot_ik.camera.bodies.load_bodies``, with the body called ``name``."""
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
-    lines += [f"name = {toml_string(name)}", f'dictionary = "{request.dictionary}"', "markers = ["]
+    lines += [f"name = {toml_value(name)}", f'dictionary = "{request.dictionary}"', "markers = ["]
     for marker, (size, pose) in body_of(request).markers.items():
         position, wxyz = (", ".join(_number(v) for v in part) for part in (pose.position, pose.wxyz))
         lines.append(f"  {{id = {marker}, size = {size:.9g}, position = [{position}], wxyz = [{wxyz}]}},")

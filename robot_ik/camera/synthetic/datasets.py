@@ -320,13 +320,11 @@ def handeye_set(
         rotation = rotation_exp(np.deg2rad(spread_deg) * rng.normal(0, 1, 3) * axes)
         position = (*rng.normal(0, 0.04, 2), rng.uniform(0.5, 0.9))
         seen = Pose(position, (0, 1, 0, 0)).compose(Pose(wxyz=rotation))  # facing the camera, then turned
-        chain = truth.pose_parent_camera.compose(seen).compose(truth.pose_other_board.inverse())
-        hand = chain if mounting == "eye_to_hand" else chain.inverse()
         pixels = STANDARD_CAMERA.project(seen.apply(points)) + rng.normal(0, 1, (4, 2)) * pixel
         said = Pose().moved(rng.normal(0, 1, 6) * np.repeat(arm, 3))
         rough = Pose().moved(rng.normal(0, pixel, 6) * _ROUGH)
         view = BoardView(points, pixels, seen.compose(rough), max(pixel, 0.01))
-        samples.append(HandEyeSample(hand.compose(said), view))
+        samples.append(HandEyeSample(truth.pose_world_hand(seen).compose(said), view))
     return truth, samples
 
 

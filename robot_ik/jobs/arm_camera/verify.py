@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
 from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.calibration.kinematic import (
+    ArmModel,
     CalibrationStation,
     KnownPose,
     PoseError,
@@ -146,17 +146,17 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
         Raises:
             MarkerNotFoundError: The board was seen at too few of the ``stations``.
         """
-        samples, robot = self.samples, self.robot
+        samples = self.samples
         samples.require(stations, "where camera and board are said to be")
         views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
-        asked = (views, robot, samples.frame, samples.intrinsics)
-        fitted = partial(fit_zero_offsets, *asked, camera=samples.camera, board=samples.board)
+        known = samples.camera, samples.board
+        model = ArmModel(self.robot, samples.frame, samples.intrinsics, views, *known)
         if samples.by_arm:
             # The pose as the arm's views have it: what is left are the errors that change from view to view.
-            self.errors = fitted(hold=robot.joints).errors
+            self.errors = fit_zero_offsets(model, self.robot.joints).errors
         else:
-            self.errors = measure_errors(*asked, camera=samples.camera, board=samples.board)
-        self.fit = fitted() if fit else None
+            self.errors = measure_errors(model)
+        self.fit = fit_zero_offsets(model) if fit else None
 
     @property
     def unsure(self) -> tuple[int, ...]:

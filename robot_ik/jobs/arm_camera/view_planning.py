@@ -278,8 +278,7 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
         rotated_board = Pose(board.position, orientation)
         if not task.shown(rotated_board):
             return None
-        world_board = mount.pose_parent_camera.compose(rotated_board)
-        return world_board.compose(mount.pose_other_board.inverse())
+        return mount.pose_world_hand(rotated_board)
     # The camera stays where it is; its view turns so that the middle of the board comes to a random pixel.
     middle = board.apply(np.mean([pose.position for _, pose in task.layout.values()], axis=0))
     pixel = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
@@ -287,8 +286,7 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
     board = Pose(wxyz=rotation).compose(board)
     if not task.shown(board):
         return None
-    world_camera = mount.pose_other_board.compose(board.inverse())
-    return world_camera.compose(mount.pose_parent_camera.inverse())
+    return mount.pose_world_hand(board)
 
 
 def _tilted(position: Array, rng: np.random.Generator) -> Pose:

@@ -176,6 +176,14 @@ def test_metres_in_the_words_of_a_board_are_reported() -> None:
     assert "0.05 m are 50" in refused.value.hint
 
 
+@pytest.mark.parametrize("text", ["charuco:8x6:2000:22", "chessboard:9x6:2000"])
+def test_a_pattern_that_cannot_be_is_refused_in_millimetres(text: str) -> None:
+    """It was said to have squares of 2 m, which were to be 2 mm."""
+    with pytest.raises(CameraError, match="a square of 2000 mm is not possible") as refused:
+        parse_board(text)
+    assert refused.value.hint == "give 1 to 1000 mm"
+
+
 def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "bodies.toml"
     one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'

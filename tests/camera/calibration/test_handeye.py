@@ -238,8 +238,8 @@ def test_the_mean_rotation_is_scipys_whatever_the_signs(seed: int) -> None:
 def test_the_robust_mean_leaves_a_stray_pose_alone() -> None:
     rng = np.random.default_rng(0)
     poses = [Pose().moved(rng.normal(0, 1e-3, 6)) for _ in range(9)]
-    mean, weights = robust_mean_pose([*poses, Pose((0.3, 0, 0), (0, 1, 0, 0))])
-    assert max(mean.distance(Pose())) < 1.5e-3 and weights[-1] < 1e-3
+    mean = robust_mean_pose([*poses, Pose((0.3, 0, 0), (0, 1, 0, 0))])
+    assert max(mean.distance(Pose())) < 1.5e-3
 
 
 def test_spread_by_axis() -> None:

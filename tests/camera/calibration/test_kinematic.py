@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
+    ArmModel,
     CalibrationStation,
     KnownPose,
     doubted_zeros,
@@ -54,9 +55,14 @@ def views_of(
     return views
 
 
-def fit(views: list[CalibrationStation], robot: Robot, **changes: Any) -> Any:
+def model_of(views: list[CalibrationStation], robot: Robot, **changes: Any) -> ArmModel:
     known = {"camera": KnownPose.within(CAMERA, *EXACT), "board": KnownPose.within(BOARD, *EXACT)}
-    return fit_zero_offsets(views, robot, FRAME, STANDARD_CAMERA, **(known | changes))
+    asked = {"robot": robot, "frame": FRAME, "intrinsics": STANDARD_CAMERA, "views": views}
+    return ArmModel(**(asked | known | changes))
+
+
+def fit(views: list[CalibrationStation], robot: Robot, *, hold: Any = (), **changes: Any) -> Any:
+    return fit_zero_offsets(model_of(views, robot, **changes), hold)
 
 
 @settings(max_examples=4)
@@ -85,6 +91,11 @@ def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
     found = fit(views, robot, mounting="eye_in_hand", **known)
     np.testing.assert_allclose(found.offsets, offsets, atol=1e-5)
     assert max(one.distance for one in found.errors) < 2e-5
+    errors = measure_errors(model_of(views, robot, mounting="eye_in_hand", **known))
+    for one, view in zip(errors, views, strict=True):
+        said, really = (robot.forward(q, FRAME).compose(camera) for q in (view.q, view.q + offsets))
+        np.testing.assert_allclose(one.vector, really.position - said.position, atol=1e-9)
+        assert 0.0 < one.sigma < 2e-4
 
 
 def test_stated_uncertainty_is_that_of_the_errors(robot: Robot) -> None:
@@ -140,14 +151,11 @@ def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
         )
 
     views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
-    known = KnownPose.within(CAMERA, *EXACT), KnownPose.within(BOARD, *EXACT)
-    found = fit_zero_offsets(views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1])
+    found = fit(views, robot, frame="link5")
     (one,) = found.unobservable
     assert one.joint == "joint6" and one.text == "the offset of joint6 does not show in these views"
     assert np.isinf(one.sigma)
-    held = fit_zero_offsets(
-        views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1], hold=["joint6", "joint2"]
-    )
+    held = fit(views, robot, frame="link5", hold=["joint6", "joint2"])
     assert held.unobservable == () and held.offsets[1] == held.sigma[1] == 0.0
 
 
@@ -165,7 +173,7 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
     offsets = np.deg2rad([0.0, 2.0, 0.0, 0.0, 1.0, 0.0])
     views = views_of(robot, offsets, 5, 2)
     known = KnownPose.within(CAMERA, 1e-3, 1e-6), KnownPose.within(BOARD, 1e-6, 1e-6)
-    errors = measure_errors(views, robot, FRAME, STANDARD_CAMERA, camera=known[0], board=known[1])
+    errors = measure_errors(model_of(views, robot, camera=known[0], board=known[1]))
     for one, view in zip(errors, views, strict=True):
         said, really = (robot.forward(q, FRAME).compose(BOARD) for q in (view.q, view.q + offsets))
         np.testing.assert_allclose(one.vector, really.position - said.position, atol=1e-9)
@@ -175,7 +183,7 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
         assert 1.7e-3 < one.sigma < 1.9e-3
     # a camera turned by a little moves what it sees by as much as it is far
     turned = KnownPose.within(CAMERA, 1e-6, 1e-3), known[1]
-    errors = measure_errors(views, robot, FRAME, STANDARD_CAMERA, camera=turned[0], board=turned[1])
+    errors = measure_errors(model_of(views, robot, camera=turned[0], board=turned[1]))
     for one, view in zip(errors, views, strict=True):
         far = float(np.linalg.norm(view.view.pose_camera_board.position))
         assert one.sigma == pytest.approx(np.sqrt(2.0) * 1e-3 * far, rel=0.03)
@@ -190,11 +198,10 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
     for k in (0, 3, 6, 9):
         view = views[k]
         others = fit([*views[:k], *views[k + 1 :]], robot, camera=camera, board=board)
-        (one,) = measure_errors(
-            [CalibrationStation(view.q + others.offsets, view.view)], robot, FRAME, STANDARD_CAMERA,
-            camera=KnownPose.within(others.pose_parent_camera, *EXACT),
-            board=KnownPose.within(others.pose_other_board, *EXACT),
-        )  # fmt: skip
+        corrected = CalibrationStation(view.q + others.offsets, view.view)
+        poses = (others.pose_parent_camera, others.pose_other_board)
+        known = dict(zip(("camera", "board"), (KnownPose.within(p, *EXACT) for p in poses), strict=True))
+        (one,) = measure_errors(model_of([corrected], robot, **known))
         apart.append((np.linalg.norm(one.vector - whole.errors[k].vector), one.distance))
     miss, size = np.sqrt(np.mean(np.square(apart), axis=0))
     assert miss < 0.2 * size
