@@ -70,18 +70,10 @@ def test_an_enable_that_fails_and_leaves_torque_on_is_reported_so_at_the_end_too
     assert "torque may be ON" in arm.exit_report.text
 
 
-def test_an_enable_that_fails_and_takes_torque_back_says_so(arm_config, servos):
+def test_an_enable_that_fails_and_takes_torque_back_says_so(arm_config, servos, enable_fails):
     arm = open_arm(arm_config, "sim", virtual_bus=servos)
     arm.connect()
-    original = arm.bus.sync_write
-
-    def no_watchdog(register, values):
-        if register.name != "bus_watchdog" or not any(values.values()):
-            original(register, values)
-
-    arm.bus.sync_write = no_watchdog
-    with pytest.raises(HardwareError, match="bus watchdog"):
-        arm.enable()
+    enable_fails(arm)
     assert [servo.torque for servo in servos.servos] == [False] * 6 and arm.state is ArmState.CONNECTED
     arm.close()
     assert arm.exit_report.ok and arm.exit_report.done == "torque_off"
