@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -125,15 +124,14 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
 
     All rates are tried only when a servo is missing at the arm file's.
     """
-    port = os.path.expanduser(port)
-    rows = [serial_row(port, "servos")]
     try:
         found = scan(port, [config.baud])
         seen = {servo.id for servo in found}
         if not seen.issuperset(config.servo_ids):
             found += scan(port, [rate for rate in LIKELY if rate != config.baud])
     except HardwareError as error:
-        return [*rows, CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
+        return [CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
+    rows = [serial_row(port, "servos")]
     if not found:
         return [*rows, CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY))]
     rows += _speed_rows(port, config, found)
