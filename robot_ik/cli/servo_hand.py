@@ -270,7 +270,8 @@ def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
 class ServoPlayOptions(BusOptions):
     """Repeats a recording: slowly to where it begins, then as it was, within limits and caps of the arm file.
 
-    A recording that leaves the limits is refused; one that is too fast is played slower.
+    A recording that leaves the limits is refused; one that is too fast is played slower. One without the
+    gripper's joints, as reach writes it, moves the arm and leaves the gripper as it is.
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
@@ -288,9 +289,12 @@ def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
     from robot_ik.jobs.teach import load_playable, play_motion
 
-    config = load_arm(options.arm).whole
+    arm_file = load_arm(options.arm)
     require_share("--speed", options.speed, "speed caps")
-    motion, stretch = load_playable(options.file, config, options.speed)
+    config, motion, stretch = load_playable(options.file, arm_file, options.speed)
+    if config.auxiliary:
+        held = ", ".join(joint.name for joint in config.auxiliary)
+        console.say(f"the recording has no {held}: held where it stands", "dim")
     arm = arm_on(options, config, options.on_exit)
     with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:
         sinks: list[JointSink] = []
