@@ -25,7 +25,7 @@ from robot_ik.hardware.control_table import (
     ControlTable,
     OperatingMode,
 )
-from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, ServoId, Sign, StopAt, Twin
+from robot_ik.hardware.joint_map import ARM, Gains, JointMap, ServoId, Sign, StopAt, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey, parse_toml, read_text
@@ -396,7 +396,7 @@ def _joint_map(table: JointFile) -> JointMap:
     for key, value in table:
         name, one = _field(key)
         values[name] = value if one is None or value is None else one * value
-    return JointMap(**values | {"mode": MODES[table.mode]})
+    return JointMap(**values | {"mode": OperatingMode[table.mode.upper()]})
 
 
 def _keys(joint: JointMap) -> dict[str, Any]:

@@ -54,6 +54,12 @@ HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
 """Bit of Hardware Error Status and Shutdown -> name."""
 
 
+TRIPPED = -1
+"""What Bus Watchdog reads once it has run out."""
+RETURN_READ, RETURN_ALL = 1, 2
+"""What a servo answers at each Status Return Level: 0 ping only, 1 also reads, 2 everything."""
+
+
 class OperatingMode(IntEnum):
     """Values of the Operating Mode register."""
 

@@ -25,9 +25,6 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.tables import Positive
 
-_POSITION_MODES = ("POSITION", "EXTENDED_POSITION", "CURRENT_BASED_POSITION")
-MODES = {name.lower(): OperatingMode[name] for name in _POSITION_MODES}
-"""Word in the arm file -> operating mode."""
 POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 """Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it
 (ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md)."""

@@ -7,6 +7,7 @@ What asks servos raises the errors of the bus too, by joint name.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 from collections.abc import Callable, Mapping
@@ -28,7 +29,13 @@ from robot_ik.errors import (
 from robot_ik.hardware.bus import ServoBus, read_all, require_models
 from robot_ik.hardware.calibration import check_calibration, own_calibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode, hardware_error_names
+from robot_ik.hardware.control_table import (
+    RETURN_ALL,
+    TICKS_PER_REVOLUTION,
+    TRIPPED,
+    OperatingMode,
+    hardware_error_names,
+)
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
 from robot_ik.hardware.torque import set_profiles
@@ -42,14 +49,8 @@ T = TypeVar("T")
 NO_SECONDARY_ID = 255
 """Secondary ID of a servo that takes no other servo's packets."""
 
-RETURN_ALL = 2
-"""Status Return Level: answer everything."""
-
 RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
-
-TRIPPED = -1
-"""Bus Watchdog of a servo that has stopped because the bus was silent."""
 
 WATCHDOG = "bus_watchdog"
 """What a servo whose watchdog has tripped is said to have, beside hardware errors."""
@@ -184,15 +185,11 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
 def _return_all(bus: ServoBus, joint: JointMap) -> None:
     """Status Return Level 2: a servo at 0 or 1 would look dead."""
     register = joint.table["status_return_level"]
-    try:
+    with contextlib.suppress(BusTimeoutError):  # at level 0 it answers no reads …
         if bus.read(joint.id, register).data == RETURN_ALL:
             return
-    except BusTimeoutError:
-        log.debug("servo %d does not answer reads; raising its status return level", joint.id)
-    try:
+    with contextlib.suppress(BusTimeoutError):  # … and below 2 no writes
         bus.write(joint.id, register, RETURN_ALL)
-    except BusTimeoutError:
-        log.debug("servo %d did not answer the write either, as expected below level 2", joint.id)
     if bus.read(joint.id, register).data != RETURN_ALL:
         raise HardwareError(f"servo id {joint.id} (joint {joint.name!r}) keeps its status return level")
 

@@ -12,17 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import RETURN_ALL, RETURN_READ
 from robot_ik.hardware.virtual import servo as instructions
 from robot_ik.hardware.virtual.faults import Fault, Injected
 from robot_ik.hardware.virtual.protocol import BROADCAST, ErrorCode, Instruction, Packet, Parser, build_status
-from robot_ik.hardware.virtual.servo import (
-    RETURN_ALL,
-    RETURN_READ,
-    Request,
-    VirtualServo,
-    fast_status_packets,
-    responding,
-)
+from robot_ik.hardware.virtual.servo import Request, VirtualServo, fast_status_packets, responding
 from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule, collide
 from robot_ik.ports import Array, Clock
 
