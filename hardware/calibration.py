@@ -290,13 +290,12 @@ def check_calibration(
 def require_calibrated(config: ArmConfig) -> None:
     """Raises ``ConfigError`` for an arm file whose zeros are placeholders."""
     if config.uncalibrated:
-        raise ConfigError(
+        raise config.wrong(
             "the zeros of this arm file are placeholders: every arm of this kind has others; "
             "nothing was switched on",
-            file=config.file or config.name,
-            key="uncalibrated",
-            allowed="an arm file with measured zeros",
-            hint=f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
+            "uncalibrated",
+            "an arm file with measured zeros",
+            f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
         )
 
 

@@ -46,6 +46,7 @@ ARM, GRIPPER = "arm", "gripper"
 ServoId = Annotated[int, Field(ge=IDS[0], le=IDS[-1])]
 Sign = Literal[1, -1]
 """Which way a servo counts."""
+Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
 _Gain = Annotated[int, Field(ge=0, le=16383)]
 
 LEAST_LEAD = 0.1
@@ -167,7 +168,7 @@ class Twin:
 
     id: ServoId
     direction: Sign = 1
-    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_REVOLUTION // 2
+    zero_ticks: Ticks = TICKS_PER_REVOLUTION // 2
     shadow: bool = False
     reverse: bool | None = None
 

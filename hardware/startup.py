@@ -20,7 +20,6 @@ from robot_ik.errors import (
     BusDisconnectedError,
     BusNotOpenError,
     BusTimeoutError,
-    ConfigError,
     HardwareError,
     MotorFaultError,
     ServoRefusedError,
@@ -173,13 +172,12 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
     offsets = read_all(bus, config, "homing_offset")
     for servo in config.servos:
         if servo.mode == OperatingMode.POSITION and abs(offsets[servo.id]) > POSITION_MODE_HOMING:
-            raise ConfigError(
+            problem = (
                 f"{servo.name!r} (servo id {servo.id}) has a Homing Offset of {offsets[servo.id]} ticks, "
-                "which servos in position mode ignore",
-                file=config.file or config.name,
-                key=f"joints[{config.whole.names.index(servo.name)}].mode",
-                allowed=HOMING_FIXES,
+                "which servos in position mode ignore"
             )
+            key = f"joints[{config.whole.names.index(servo.name)}].mode"
+            raise config.wrong(problem, key, HOMING_FIXES)
 
 
 def _return_all(bus: ServoBus, joint: JointMap) -> None:
@@ -258,12 +256,11 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
         low, high = lowest[joint.id], highest[joint.id]
         if joint.mode == OperatingMode.POSITION and not low <= first <= last <= high:
             ends = sorted(joint.to_radians(ticks) / joint.per_unit for ticks in (low, high))
-            raise ConfigError(
+            raise config.wrong(
                 f"the servo's own limits (ticks {low} to {high}) are narrower than "
                 f"lower_{joint.unit} .. upper_{joint.unit}",
-                file=config.file or config.name,
-                key=f"joints[{config.whole.names.index(joint.name)}]",
-                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
+                f"joints[{config.whole.names.index(joint.name)}]",
+                f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
             )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, RobotIkError
+from robot_ik.errors import RobotIkError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import RETURN_ALL, RETURN_READ
 from robot_ik.hardware.virtual import servo as instructions
@@ -72,9 +72,7 @@ class VirtualBus:
         n = len(config.joints)
         q = np.zeros(n) if start is None else np.asarray(start, dtype=float)
         if q.shape != (n,) or not np.isfinite(q).all():
-            raise ConfigError(
-                f"start {q.tolist()} is no pose", file=config.file or config.name, allowed=f"{n} angles, rad"
-            )
+            raise config.wrong(f"start {q.tolist()} is no pose", "", f"{n} angles, rad")
         q = np.clip(q, config.lower, config.upper)
         q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
         servos = [
