@@ -83,7 +83,7 @@ def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
     for joint in config.servos:
         _clear_watchdog(bus, config, joint)
     if real and (found := own_calibration(config)) is not None:
-        check_calibration(bus, config, found, {})
+        check_calibration(bus, config, found)
     set_up_servos(bus, config)
     feedback = Feedback(config)
     feedback.prepare(bus, read_all(bus, config, "firmware_version"))

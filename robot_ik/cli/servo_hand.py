@@ -184,7 +184,7 @@ def _calibrate(
         require_limp(arm)
         with attempt():
             found = measure()
-            made = save_calibrated(arm, found, options.out, limits, options.to_lerobot)
+            made = save_calibrated(arm, found, options.out, options.to_lerobot)
         _show(arm.config, made, found)
         console.say(f"wrote {options.out} and {beside}; from here on: --arm {options.out}", "green")
     return console.DONE
@@ -196,10 +196,9 @@ def _check(options: ServoCalibrateOptions) -> int:
 
     found = Calibration.load(calibration_beside(options.out))
     config = load_arm(str(options.out)).whole
-    limits = model_limits(config)
     with claimed(options.to_lerobot, overwrite=options.overwrite):
-        with arm_on(options, replace(config, file=None)) as arm:
-            check_calibration(arm.bus, config, found, limits)
+        with arm_on(options, config) as arm:  # which compares it with the model
+            check_calibration(arm.bus, config, found)
         if options.to_lerobot is not None:
             save_lerobot(options.to_lerobot, found)
     console.result(f"{options.out}, its calibration, model and servos agree")

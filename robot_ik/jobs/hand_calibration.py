@@ -93,9 +93,7 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
     return measured_calibration(bus, config, sweep, zero, pose, directions, limits)
 
 
-def save_calibrated(
-    arm: Arm, found: Calibration, out: Path, limits: Limits, lerobot: Path | None = None
-) -> ArmConfig:
+def save_calibrated(arm: Arm, found: Calibration, out: Path, lerobot: Path | None = None) -> ArmConfig:
     """The calibrated arm, in the arm file ``out``; what was measured goes into a file beside it.
 
     It is compared with the servos of the connected arm before anything is written, and the arm file is
@@ -107,7 +105,7 @@ def save_calibrated(
     """
     found = replace(found, file=calibration_beside(out))
     config = calibrated(arm.config, found)
-    check_calibration(arm.bus, config, found, limits)
+    check_calibration(arm.bus, config, found)
     if lerobot is not None:
         save_lerobot(lerobot, found)
     found.save(calibration_beside(out))
