@@ -188,6 +188,11 @@ class ControlTable:
         """mA of one count of the current registers; 0 where there are none."""
         return float(self["goal_current"].unit.split()[0]) if "goal_current" in self else 0.0
 
+    def block(self, first: str, last: str) -> Register:
+        """All bytes from one register to the end of another, to be read at once."""
+        begin = self[first].address
+        return Register(f"{first} to {last}", begin, self[last].end - begin)
+
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""
         return block.take_apart(value, (r for r in self if block.address <= r.address and r.end <= block.end))

@@ -251,6 +251,10 @@ class Cycle:
         self._last_traffic = -math.inf
         self._unheard: set[int] = set()  # ids whose bus watchdogs may have tripped unseen
 
+    def positions(self) -> dict[str, float]:
+        """Joint -> last measured rad (m of a slide); NaN before the first sample."""
+        return dict(zip(self._config.names, self.samples.q.tolist(), strict=True))
+
     def stand(self, goals: Mapping[int, int], *, held: bool = False) -> None:
         """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
         self.goals = dict(goals)

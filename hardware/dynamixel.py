@@ -416,8 +416,8 @@ class DynamixelBus:
         sent = self._now()
         # From here on the wire is busy: what is done now costs nothing.
         parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
-        deadline = sent + len(before) * port.seconds_per_byte + self._timeout(plan, port)
         bytes_over = sent + (len(before) + len(plan.request) + plan.bytes_back) * port.seconds_per_byte
+        deadline = bytes_over + self._times.timeout(RESPONSE_TIME)
         usual = self._times.expected
         expected = None if usual is None else bytes_over + usual
         waiting = set(wanted.asked)

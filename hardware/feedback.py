@@ -205,6 +205,5 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
 
 def _plain_block(table: ControlTable) -> _Block:
     """From torque to temperature, as they lie: the same 83 bytes in all models."""
-    first = table["torque_enable"].address
-    register = Register("torque to temperature", first, table["present_temperature"].end - first)
-    return register, [table[name] for name in (*_PARTS, *_health_of(table))]
+    names = (*_PARTS, *_health_of(table))
+    return table.block("torque_enable", "present_temperature"), [table[name] for name in names]

@@ -12,7 +12,6 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
     X_SERIES,
-    Register,
     hardware_error_names,
 )
 from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
@@ -52,11 +51,8 @@ class ServoState:
         return self.ticks is not None and self.torque is not None
 
 
-_ENDS = (("torque_enable", "hardware_error_status"), ("present_current", "present_temperature"))
-_HEALTH, _MOTION = (
-    Register(f"{first} to {last}", X_SERIES[first].address, X_SERIES[last].end - X_SERIES[first].address)
-    for first, last in _ENDS
-)
+_HEALTH = X_SERIES.block("torque_enable", "hardware_error_status")
+_MOTION = X_SERIES.block("present_current", "present_temperature")
 
 
 def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
