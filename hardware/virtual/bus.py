@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
@@ -51,7 +50,6 @@ class VirtualBus:
         self.schedule = WireSchedule(clock)
         self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
         self.wire = VirtualWire((servo.id for servo in self.servos), seed)
-        self._rng = random.Random(seed)
         self._injected: list[Injected] = []
         self._parser = Parser()
         self._delay = 0.0
@@ -106,7 +104,6 @@ class VirtualBus:
         """Random faults begin anew; faults stay."""
         with self.lock:
             self.wire.reseed(seed)
-            self._rng = random.Random(seed)
 
     def inject(self, *faults: Fault) -> None:
         """Lets faults happen, now or at their time, which counts from now.
@@ -250,7 +247,7 @@ class VirtualBus:
         return [self._on_wire(packets)] if packets else []
 
     def _on_wire(self, packets: list[bytes]) -> bytes:
-        return packets[0] if len(packets) == 1 else collide(packets, self._rng)
+        return packets[0] if len(packets) == 1 else collide(packets, self.wire.rng)
 
 
 def robot_of(config: ArmConfig) -> Robot | None:
