@@ -14,7 +14,7 @@ from enum import IntEnum
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 
-from robot_ik.errors import ConfigError, close_matches
+from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.hardware.x_series import (
     MODELS,
     REVERSE,
@@ -163,9 +163,8 @@ class ControlTable:
         try:
             return self.registers[name]
         except KeyError:
-            close = close_matches(name, self.registers)
-            hint = f"; did you mean {' or '.join(close)}?" if close else ""
-            raise KeyError(f"{self.model} has no register {name!r}{hint}") from None
+            hint = did_you_mean(name, self.registers)
+            raise KeyError(f"{self.model} has no register {name!r}; {hint}".removesuffix("; ")) from None
 
     def __contains__(self, name: object) -> bool:
         return name in self.registers

@@ -102,9 +102,7 @@ class Samples:
         self._twins = [
             (k, config.names.index(servo.name)) for k, servo in enumerate(self._servos) if k >= self._joints
         ]
-        self._speeds = [
-            config.velocity[config.names.index(servo.name)] * servo.ticks_per_unit for servo in self._servos
-        ]
+        self._speeds = [servo.velocity * servo.ticks_per_unit for servo in self._servos]
         self.ticks: dict[int, int] = {}
         self.jumped: dict[int, int] = {}
         self._angles = np.full(len(self._servos), np.nan)

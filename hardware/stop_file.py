@@ -79,11 +79,10 @@ class StopFile:
         """``hold`` or ``torque_off`` if somebody asks for it."""
         if not self._request or not os.path.exists(self._request):
             return None
-        try:
-            policy = read_json(Path(self._request), "the request")["policy"]
-        except (OSError, ValueError, LookupError, TypeError):
-            policy = None
-        return "torque_off" if policy == "torque_off" else "hold"  # whatever it says, somebody asks
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            if read_json(Path(self._request), "the request")["policy"] == "torque_off":
+                return "torque_off"
+        return "hold"  # whatever it says, somebody asks
 
     def acknowledge(self, *, ok: bool, text: str) -> None:
         """What became of the request, if there is one: a stop may have come from inside the program."""
