@@ -11,11 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from robot_ik.errors import (
-    BusCorruptError,
-    BusTimeoutError,
-    ServoMismatchError,
-)
+from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoMismatchError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import Register, model_name
 from robot_ik.ports import Clock

@@ -307,9 +307,7 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
     joints = {joint.name: joint for joint in config.whole.joints}
     known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
     rows = []
-    for row in found.joints:
-        if row.name not in joints.keys() & known:
-            continue
+    for row in (row for row in found.joints if row.name in joints.keys() & known):
         joint, now = joints[row.name], limits[row.name]
         then = joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper
         if max(abs(a - b) for a, b in zip(then, now, strict=True)) > _SAME_LIMIT:

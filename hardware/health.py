@@ -9,11 +9,7 @@ from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    VELOCITY_UNIT,
-    X_SERIES,
-    hardware_error_names,
-)
+from robot_ik.hardware.control_table import VELOCITY_UNIT, X_SERIES, hardware_error_names
 from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.ports import quicker, serial_row
