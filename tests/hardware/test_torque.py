@@ -116,6 +116,24 @@ def test_an_arm_of_some_joints_whose_enable_fails_leaves_the_others_alone(arm_co
 # ---------------------------------------------------------------------- (c) hold means torque and goal
 
 
+def test_a_held_servo_that_missed_it_is_told_again_to_stop_watching_the_bus(
+    arm_config, servos, stream, start, registers
+):
+    with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
+        arm.enable()
+        stream(arm, [start] * 3)
+        original, lost = arm.bus.sync_write, []
+
+        def loses_one(register, values):
+            if register.name == "bus_watchdog" and not lost:
+                lost.append(values)
+                values = {id: value for id, value in values.items() if id != 3}
+            original(register, values)
+
+        arm.bus.sync_write = loses_one
+    assert lost and arm.exit_report.ok and registers(arm, "bus_watchdog") == [0] * 6
+
+
 def test_a_limp_joint_is_named_when_the_arm_is_to_hold(arm_config, servos, stream, start):
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
         arm.enable()
