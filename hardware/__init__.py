@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.pty import PtyPort
 
-__all__ = ["BUSES", "Bus", "bus_row", "open_arm", "open_bus", "pty_port"]
+__all__ = ["BUSES", "SIMULATED", "Bus", "bus_row", "open_arm", "open_bus", "pty_port"]
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,9 @@ BUSES: Mapping[str, Bus] = MappingProxyType(
     }
 )
 """Every way to reach servos; the only place of registration."""
+
+SIMULATED = "--bus " + " or ".join(bus.name for bus in BUSES.values() if bus.virtual)
+"""Where servos are simulated, for messages."""
 
 
 def bus_row(name: str) -> Bus:

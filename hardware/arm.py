@@ -265,8 +265,7 @@ class Arm(Closing):
     def positions(self) -> dict[str, float]:
         """Joint -> last measured rad (m of a slide), those of a gripper too; NaN before the first sample."""
         with self._lock:
-            names = self.config.whole.names
-            return dict(zip(names, self._cycle.samples.q.tolist(), strict=True))
+            return self._cycle.positions()
 
     def hold(self) -> None:
         """Stay where you are; the next ``send`` goes on from here, from rest.

@@ -152,10 +152,9 @@ def _read(bus: ServoBus, id: int, table: ControlTable, registers: Sequence[Regis
     values: dict[str, int] = {}
     left = registers
     while left:
-        begin = left[0].address
-        block = [register for register in left if register.end <= begin + _BLOCK]
+        block = [register for register in left if register.end <= left[0].address + _BLOCK]
         left = left[len(block) :]
-        whole = Register(f"{block[0].name} ...", begin, block[-1].end - begin)
+        whole = table.block(block[0].name, block[-1].name)
         found = table.values(whole, bus.read(id, whole).data or 0)
         values |= {r.name: found[r.name] for r in block}
     return values

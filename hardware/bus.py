@@ -11,12 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from robot_ik.errors import (
-    BusCorruptError,
-    BusTimeoutError,
-    ConfigError,
-    ServoMismatchError,
-)
+from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoMismatchError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import Register, model_name
 from robot_ik.ports import Clock
@@ -206,12 +201,8 @@ def shared_register(config: ArmConfig, name: str) -> Register:
     for joint in config.servos:
         other = joint.table[name]
         if (other.address, other.size, other.signed) != (first.address, first.size, first.signed):
-            raise ConfigError(
-                f"{name} lies elsewhere in {joint.model} than in {config.servos[0].model}",
-                file=config.file or config.name,
-                key="joints",
-                allowed="models with one layout on one bus",
-            )
+            problem = f"{name} lies elsewhere in {joint.model} than in {config.servos[0].model}"
+            raise config.wrong(problem, "joints", "models with one layout on one bus")
     return first
 
 

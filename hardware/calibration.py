@@ -254,12 +254,8 @@ def measured_calibration(
     return Calibration(config.name, config.robot, timestamp(), tuple(rows[:n]), tuple(rows[n:]))
 
 
-def check_calibration(
-    bus: ServoBus, config: ArmConfig, found: Calibration, limits: Mapping[str, tuple[float, float]]
-) -> None:
-    """Compares a calibration with arm file, servos and model.  Writes nothing.
-
-    ``limits``: joint -> limits of the model now, rad; empty where the model is not at hand.
+def check_calibration(bus: ServoBus, config: ArmConfig, found: Calibration) -> None:
+    """Compares a calibration with arm file and servos.  Writes nothing.
 
     Raises:
         CalibrationMismatchError: With a table of all differences.
@@ -277,12 +273,12 @@ def check_calibration(
     rows: list[tuple[str, str, str, str]] = []
     for joint, row in zip(config.servos, found.rows, strict=True):
         said = {name: values[joint.id] for name, values in servo.items()}
-        rows += _differences(joint, row, said, limits.get(joint.name))
+        rows += _differences(joint, row, said)
     if rows:
         raise CalibrationMismatchError(
             f"the arm does not agree with its calibration {found.file or ''}".rstrip(),
             rows,
-            "calibrate again; or bring servos, arm file and model back to what they were "
+            "calibrate again; or bring servos and arm file back to what they were "
             "(a present position that is whole revolutions off: turn the joint by hand)",
         )
 
@@ -290,13 +286,12 @@ def check_calibration(
 def require_calibrated(config: ArmConfig) -> None:
     """Raises ``ConfigError`` for an arm file whose zeros are placeholders."""
     if config.uncalibrated:
-        raise ConfigError(
+        raise config.wrong(
             "the zeros of this arm file are placeholders: every arm of this kind has others; "
             "nothing was switched on",
-            file=config.file or config.name,
-            key="uncalibrated",
-            allowed="an arm file with measured zeros",
-            hint=f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
+            "uncalibrated",
+            "an arm file with measured zeros",
+            f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
         )
 
 
@@ -311,8 +306,14 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
         return
     joints = {joint.name: joint for joint in config.whole.joints}
     known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
-    here = [(joints[row.name], row) for row in found.joints if row.name in joints.keys() & known]
-    if rows := [line for joint, row in here for line in _other_limits(joint, row, limits[joint.name])]:
+    rows = []
+    for row in (row for row in found.joints if row.name in joints.keys() & known):
+        joint, now = joints[row.name], limits[row.name]
+        then = joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper
+        if max(abs(a - b) for a, b in zip(then, now, strict=True)) > _SAME_LIMIT:
+            what = f"limits of the model, {joint.unit}"
+            rows.append((joint.name, what, _range(joint, *then), _range(joint, *now)))
+    if rows:
         raise CalibrationMismatchError(
             f"the model is not the one of the calibration {found.file}", rows, "calibrate again"
         )
@@ -336,9 +337,9 @@ def _servos(rows: Sequence[JointCalibration | JointMap]) -> list[str]:
 
 
 def _differences(
-    joint: JointMap, row: JointCalibration, servo: Mapping[str, int], limits: tuple[float, float] | None
+    joint: JointMap, row: JointCalibration, servo: Mapping[str, int]
 ) -> list[tuple[str, str, str, str]]:
-    """(joint, what, expected, found) of what differs at one joint; ``limits``: of the model now, rad."""
+    """(joint, what, expected, found) of what differs at one joint."""
     pairs = [(key, getattr(row, key), getattr(joint, key)) for key in _IN_ARM_FILE]
     # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
     # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); the two are compared when torque goes on.
@@ -356,13 +357,4 @@ def _differences(
         present %= TICKS_PER_REVOLUTION
     if not row.range_min - RANGE_TOLERANCE_TICKS <= present <= row.range_max + RANGE_TOLERANCE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
-    return rows + ([] if limits is None else _other_limits(joint, row, limits))
-
-
-def _other_limits(
-    joint: JointMap, row: JointCalibration, limits: tuple[float, float]
-) -> list[tuple[str, str, str, str]]:
-    then = (joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper)
-    if max(abs(a - b) for a, b in zip(then, limits, strict=True)) <= _SAME_LIMIT:
-        return []
-    return [(joint.name, f"limits of the model, {joint.unit}", _range(joint, *then), _range(joint, *limits))]
+    return rows

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, RootModel, model_valida
 
 from robot_ik.errors import ConfigError
 from robot_ik.files import timestamp, write_atomically
-from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config import ArmConfig, toml_rows
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign, Twin
 from robot_ik.hardware.x_series import REVERSE
@@ -83,11 +83,11 @@ class Calibration:
 
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
-        lines = [f"schema = {SCHEMA}"]
-        lines += [f"{k} = {json.dumps(getattr(self, k))}" for k in ("arm", "robot", "created")]
+        head = {"schema": SCHEMA, "arm": self.arm, "robot": self.robot, "created": self.created}
+        lines = toml_rows(head)
         for table, rows in (("joints", self.joints), ("twins", self.twins)):
             for row in rows:
-                lines += ["", f"[[{table}]]", *(f"{k} = {json.dumps(v)}" for k, v in asdict(row).items())]
+                lines += ["", f"[[{table}]]", *toml_rows(asdict(row))]
         write_atomically(path, "\n".join(lines) + "\n")
 
     @classmethod

@@ -20,12 +20,11 @@ from robot_ik.hardware.control_table import (
     BAUD_RATES,
     CONTROL_TABLES,
     IDS,
-    MULTI_TURN_TICKS,
     TICKS_PER_REVOLUTION,
     ControlTable,
     OperatingMode,
 )
-from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, ServoId, Sign, StopAt, Twin
+from robot_ik.hardware.joint_map import ARM, Gains, JointMap, ServoId, Sign, StopAt, Ticks, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey, parse_toml, read_text
@@ -68,7 +67,7 @@ class JointFile(Table):
     model: Word
     mode: Literal["position", "extended_position", "current_based_position"] = "extended_position"
     direction: Sign = 1
-    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
+    zero_ticks: Ticks = 2048
     ratio: Positive = 1.0
     reverse: bool = False
     current_ma: Positive | None = None
@@ -241,13 +240,13 @@ class ArmConfig:
             "uncalibrated": self.uncalibrated or None,
         }
         bus = {key: getattr(self, key) for key in BusFile.model_fields}
-        lines = [*_rows(head), "", "[bus]", *_rows(bus)]
+        lines = [*toml_rows(head), "", "[bus]", *toml_rows(bus)]
         for joint in self.whole.joints:
             values = _keys(joint)
             parts = {name: values.pop(name) for name in ("twin", "gains", "stop_at")}
-            lines += ["", "[[joints]]", *_rows(values)]
+            lines += ["", "[[joints]]", *toml_rows(values)]
             for name, part in parts.items():
-                if part is not None and (rows := _rows(asdict(part))):
+                if part is not None and (rows := toml_rows(asdict(part))):
                     lines += ["", f"[joints.{name}]", *rows]
         return "\n".join(lines) + "\n"
 
@@ -305,6 +304,10 @@ class ArmConfig:
     def resolution(self) -> Array:
         """(n,) rad per tick."""
         return np.array([joint.resolution for joint in self.joints])
+
+    def wrong(self, problem: str, key: str, allowed: str = "", hint: str = "") -> ConfigError:
+        """The error of a key of this arm's file."""
+        return WrongKey(problem, key, allowed, hint).in_file(self.file or self.name)
 
     def joint(self, name: str) -> JointMap:
         """A joint by name, also one that is no part of q.
@@ -396,7 +399,7 @@ def _joint_map(table: JointFile) -> JointMap:
     for key, value in table:
         name, one = _field(key)
         values[name] = value if one is None or value is None else one * value
-    return JointMap(**values | {"mode": MODES[table.mode]})
+    return JointMap(**values | {"mode": OperatingMode[table.mode.upper()]})
 
 
 def _keys(joint: JointMap) -> dict[str, Any]:
@@ -413,8 +416,8 @@ def _keys(joint: JointMap) -> dict[str, Any]:
     return values | {"mode": mode, "group": group, "reverse": joint.reverse or None}
 
 
-def _rows(values: Mapping[str, Any]) -> list[str]:
-    """Those that are given."""
+def toml_rows(values: Mapping[str, Any]) -> list[str]:
+    """Lines of a TOML table; None is left out."""
     return [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
 
 

@@ -14,7 +14,7 @@ from enum import IntEnum
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 
-from robot_ik.errors import ConfigError, close_matches
+from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.hardware.x_series import (
     MODELS,
     REVERSE,
@@ -52,6 +52,12 @@ HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
     {0: "input_voltage", 2: "overheating", 3: "motor_encoder", 4: "electrical_shock", 5: "overload"}
 )
 """Bit of Hardware Error Status and Shutdown -> name."""
+
+
+TRIPPED = -1
+"""What Bus Watchdog reads once it has run out."""
+RETURN_READ, RETURN_ALL = 1, 2
+"""What a servo answers at each Status Return Level: 0 ping only, 1 also reads, 2 everything."""
 
 
 class OperatingMode(IntEnum):
@@ -157,9 +163,8 @@ class ControlTable:
         try:
             return self.registers[name]
         except KeyError:
-            close = close_matches(name, self.registers)
-            hint = f"; did you mean {' or '.join(close)}?" if close else ""
-            raise KeyError(f"{self.model} has no register {name!r}{hint}") from None
+            hint = did_you_mean(name, self.registers)
+            raise KeyError(f"{self.model} has no register {name!r}; {hint}".removesuffix("; ")) from None
 
     def __contains__(self, name: object) -> bool:
         return name in self.registers
@@ -181,6 +186,11 @@ class ControlTable:
     def current_unit(self) -> float:
         """mA of one count of the current registers; 0 where there are none."""
         return float(self["goal_current"].unit.split()[0]) if "goal_current" in self else 0.0
+
+    def block(self, first: str, last: str) -> Register:
+        """All bytes from one register to the end of another, to be read at once."""
+        begin = self[first].address
+        return Register(f"{first} to {last}", begin, self[last].end - begin)
 
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""

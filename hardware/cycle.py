@@ -102,9 +102,7 @@ class Samples:
         self._twins = [
             (k, config.names.index(servo.name)) for k, servo in enumerate(self._servos) if k >= self._joints
         ]
-        self._speeds = [
-            config.velocity[config.names.index(servo.name)] * servo.ticks_per_unit for servo in self._servos
-        ]
+        self._speeds = [servo.velocity * servo.ticks_per_unit for servo in self._servos]
         self.ticks: dict[int, int] = {}
         self.jumped: dict[int, int] = {}
         self._angles = np.full(len(self._servos), np.nan)
@@ -249,6 +247,11 @@ class Cycle:
         self._last_now: float | None = None
         self._moved_until = -math.inf  # time on our own clock that the commands so far have used
         self._last_traffic = -math.inf
+        self._unheard: set[int] = set()  # ids whose bus watchdogs may have tripped unseen
+
+    def positions(self) -> dict[str, float]:
+        """Joint -> last measured rad (m of a slide); NaN before the first sample."""
+        return dict(zip(self._config.names, self.samples.q.tolist(), strict=True))
 
     def stand(self, goals: Mapping[int, int], *, held: bool = False) -> None:
         """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
@@ -304,7 +307,8 @@ class Cycle:
         ``start``: since when no packet was sent.
         """
         statuses = self._bus.exchange(self._goal, goals, self.feedback.asked(), within=self.period)
-        self._last_traffic = start
+        heard_again = any(statuses[id].data is not None for id in self._unheard)
+        self._last_traffic = -math.inf if heard_again else start
         now = self._clock.now()
         measured = {id: self.feedback.measurement(status, now) for id, status in statuses.items()}
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
@@ -393,7 +397,8 @@ class Cycle:
     def stay_alive(self) -> None:
         """Where a bus watchdog may have tripped, sees to it that the arm goes on from its goals, from rest.
 
-        A servo whose watchdog has tripped refuses goals, and a sync write has no reply to say so.
+        A servo whose watchdog has tripped refuses goals, and a sync write has no reply to say so.  One whose
+        reply is lost here is asked again as soon as it is heard.
 
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError, HardwareError.
@@ -405,6 +410,7 @@ class Cycle:
         armed = self._config.watchdog_ms // WATCHDOG_UNIT_MS
         watchdog = shared_register(self._config, "bus_watchdog")
         statuses = self._bus.sync_read(self._config.servo_ids, watchdog)
+        self._unheard = {id for id, status in statuses.items() if status.data is None}
         if all(status.data in (armed, None) for status in statuses.values()):
             return
         log.info("a bus watchdog tripped in a pause of the commands; the arm is held")

@@ -7,6 +7,8 @@ every id alone.
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -26,12 +28,14 @@ from robot_ik.hardware.control_table import (
     require_id,
 )
 from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
+from robot_ik.hardware.packets import SHORTEST_STATUS
 from robot_ik.hardware.serial_port import RESPONSE_TIME
 
 LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
 """Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
 
 _MANY = 3  # rates at which no servos are all found again, but where a port has no rate
+_READ_BYTES = 14 + SHORTEST_STATUS  # of a read and its reply, without the data
 _READS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
 
@@ -43,6 +47,7 @@ class FoundServo:
         id, baud: Where; ``number``: Model Number, None where replies were too damaged to tell.
         firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
             each None if it could not be read.
+        late: s by which its quickest reply came later than its bytes and ``return_delay`` ask for, or None.
         errors: Latched hardware errors by name.
         shared: Replies collide: two servos seem to have this id.
     """
@@ -55,6 +60,7 @@ class FoundServo:
     temperature: int | None = None
     return_delay: int | None = None
     torque: bool | None = None
+    late: float | None = None
     errors: tuple[str, ...] = ()
     shared: bool = False
 
@@ -158,6 +164,7 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
     table = servo.table or X_SERIES
     before = bus.counters.corrupt
     values: dict[str, int] = {}
+    quickest = math.inf  # a busy computer is not the adapter's fault
     names = (
         "firmware_version",
         "return_delay_time",
@@ -168,10 +175,13 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
         *("present_position", "realtime_tick") * (_READS // 2),
     )
     for name in names:
+        begin = time.perf_counter()
         try:
             values[name] = bus.read(servo.id, table[name]).data or 0
         except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
             continue
+        bytes_of_both = _READ_BYTES + table[name].size
+        quickest = min(quickest, time.perf_counter() - begin - bytes_of_both * 10.0 / servo.baud)
     volts, delay, torque = (values.get(name) for name in ("present_input_voltage", *names[1:3]))
     return replace(
         servo,
@@ -180,6 +190,7 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
         temperature=values.get("present_temperature"),
         return_delay=None if delay is None else 2 * delay,
         torque=None if torque is None else bool(torque),
+        late=None if delay is None else max(quickest - 2e-6 * delay, 0.0),
         errors=hardware_error_names(values.get("hardware_error_status", 0)),
         shared=bus.counters.corrupt - before > 1,
     )

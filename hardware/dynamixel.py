@@ -416,8 +416,8 @@ class DynamixelBus:
         sent = self._now()
         # From here on the wire is busy: what is done now costs nothing.
         parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
-        deadline = sent + len(before) * port.seconds_per_byte + self._timeout(plan, port)
         bytes_over = sent + (len(before) + len(plan.request) + plan.bytes_back) * port.seconds_per_byte
+        deadline = bytes_over + self._times.timeout(RESPONSE_TIME)
         usual = self._times.expected
         expected = None if usual is None else bytes_over + usual
         waiting = set(wanted.asked)
@@ -525,27 +525,19 @@ class DynamixelBus:
     def _receive_status(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
         """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""
         while True:
-            packet = self._receive(port)
-            if packet is None:
+            packet, result = self._packet.rxPacket(port, False)
+            whole = result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS
+            # End of the data; the length field is that after unstuffing.
+            end = 5 + (packet[5] | packet[6] << 8) if whole else 0
+            if not 9 <= end <= len(packet):
+                self.counters.corrupt += result in (COMM_SUCCESS, COMM_RX_CORRUPT)
                 return None
-            if packet.id == id:
-                if packet.code or len(packet.data) == size:
-                    return packet
+            code, alert = packet[8] & ~ALERT_BIT, bool(packet[8] & ALERT_BIT)
+            self.counters.alerts += alert
+            if packet[4] == id:
+                if code or end - 9 == size:
+                    return StatusPacket(id, code, alert, bytes(packet[9:end]))
                 self.counters.corrupt += 1
                 return None
             if port.isPacketTimeout():
                 return None
-
-    def _receive(self, port: SleepingPortHandler) -> StatusPacket | None:
-        """The next status packet within the packet's time; None if there was none or it was damaged."""
-        packet, result = self._packet.rxPacket(port, False)
-        if result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS:
-            end = 5 + (packet[5] | packet[6] << 8)  # of the data; the length field is that after unstuffing
-            if 9 <= end <= len(packet):
-                error = packet[8]
-                alert = bool(error & ALERT_BIT)
-                self.counters.alerts += alert
-                return StatusPacket(packet[4], error & ~ALERT_BIT, alert, bytes(packet[9:end]))
-        if result in (COMM_SUCCESS, COMM_RX_CORRUPT):
-            self.counters.corrupt += 1
-        return None

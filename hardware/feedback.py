@@ -13,6 +13,7 @@ which requests differ (``dynamixel``), so that a late reply is still known by it
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import math
 from collections.abc import Mapping
@@ -67,7 +68,7 @@ class Feedback:
         self._thresholds = {
             servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
         }
-        self._health_index = 0
+        self._turns = itertools.cycle(self._thresholds)
         self._asked: Mapping[int, Register] = self.registers
         self._beyond: MotorFaultError | None = None
         for id in self._servos:
@@ -108,9 +109,7 @@ class Feedback:
         """Servo id -> register of the next cycle: ``registers``, with more of the servo whose turn it is."""
         if not self._thresholds:
             return self.registers
-        ids = tuple(self._thresholds)
-        self._health_index = (self._health_index + 1) % len(ids)
-        turn = ids[self._health_index]
+        turn = next(self._turns)
         self._asked = {**self.registers, turn: self._blocks[turn][0]}
         return self._asked
 
@@ -206,6 +205,5 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
 
 def _plain_block(table: ControlTable) -> _Block:
     """From torque to temperature, as they lie: the same 83 bytes in all models."""
-    first = table["torque_enable"].address
-    register = Register("torque to temperature", first, table["present_temperature"].end - first)
-    return register, [table[name] for name in (*_PARTS, *_health_of(table))]
+    names = (*_PARTS, *_health_of(table))
+    return table.block("torque_enable", "present_temperature"), [table[name] for name in names]

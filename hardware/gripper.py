@@ -72,22 +72,19 @@ class Fingers:
 
     def at_rest(self, now: float, cycle: Cycle) -> bool:
         """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
-        at, sent = self._at(cycle), dict(zip(self._names, cycle.limits.q, strict=True))
+        at, sent = cycle.positions(), dict(zip(self._names, cycle.limits.q, strict=True))
         pairs = ((at, self._last), (sent, self.goals))
         if any(j.ticks_between(a[j.name], b[j.name]) > STILL_TICKS for a, b in pairs for j in self._joints):
             self._last, self._since = at, now
         return now - self._since >= REST
 
     def report(self, bus: ServoBus, cycle: Cycle) -> tuple[Grip, ...]:
-        grips, at = [], self._at(cycle)
+        grips, at = [], cycle.positions()
         for joint in self._joints:
             asked, q = self.goals[joint.name], at[joint.name]
             held = joint.ticks_between(q, asked) > HELD_TICKS
             grips.append(Grip(joint.name, asked, q, held, _current(bus, joint)))
         return tuple(grips)
-
-    def _at(self, cycle: Cycle) -> dict[str, float]:
-        return dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
 
 
 def _current(bus: ServoBus, joint: JointMap) -> float | None:

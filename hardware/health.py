@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
-from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
+from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    VELOCITY_UNIT,
-    X_SERIES,
-    Register,
-    hardware_error_names,
-)
+from robot_ik.hardware.control_table import VELOCITY_UNIT, X_SERIES, hardware_error_names
 from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
-from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.ports import quicker, serial_row
 
@@ -56,11 +47,8 @@ class ServoState:
         return self.ticks is not None and self.torque is not None
 
 
-_ENDS = (("torque_enable", "hardware_error_status"), ("present_current", "present_temperature"))
-_HEALTH, _MOTION = (
-    Register(f"{first} to {last}", X_SERIES[first].address, X_SERIES[last].end - X_SERIES[first].address)
-    for first, last in _ENDS
-)
+_HEALTH = X_SERIES.block("torque_enable", "hardware_error_status")
+_MOTION = X_SERIES.block("present_current", "present_temperature")
 
 
 def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
@@ -113,8 +101,6 @@ WATCHDOG_FIRMWARE = 38
 _LATE = 4e-3
 """s; a latency timer of 1 ms, the computer and its USB stay below."""
 
-_ASKED = 6  # requests whose quickest reply counts
-_READ_BYTES = 14 + 15  # a read of four bytes, and its reply
 _CYCLE_BYTES, _CYCLE_BYTES_EACH = 14 + 14, 5 + 1 + 16  # a sync write and a sync read; of each servo in them
 
 _WARM = 10  # C below its limit, a servo is worth a word
@@ -125,15 +111,14 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
 
     All rates are tried only when a servo is missing at the arm file's.
     """
-    port = os.path.expanduser(port)
-    rows = [serial_row(port, "servos")]
     try:
         found = scan(port, [config.baud])
         seen = {servo.id for servo in found}
         if not seen.issuperset(config.servo_ids):
             found += scan(port, [rate for rate in LIKELY if rate != config.baud])
     except HardwareError as error:
-        return [*rows, CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
+        return [CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
+    rows = [serial_row(port, "servos")]
     if not found:
         return [*rows, CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY))]
     rows += _speed_rows(port, config, found)
@@ -148,35 +133,15 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
 
 def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
     """How late replies come, beyond the time that their bytes take, and how many cycles that leaves."""
-    responding = [f for f in found if f.baud == config.baud and not f.shared and f.return_delay is not None]
-    if not responding:
+    lates = [f.late for f in found if f.baud == config.baud and not f.shared and f.late is not None]
+    if not lates:
         return []
-    seconds = _response_time(port, responding[0])
-    if seconds is None:
-        return []
-    byte, n = 10.0 / config.baud, len(config.servo_ids)
-    late = max(seconds - _READ_BYTES * byte - 1e-6 * (responding[0].return_delay or 0), 0.0)
+    late, byte, n = min(lates), 10.0 / config.baud, len(config.servo_ids)
     rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
     said = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
         return [CheckRow("servo speed", OK, said)]
     return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", quicker(port))]
-
-
-def _response_time(port: str, servo: FoundServo) -> float | None:
-    """s from a request to its reply, the best of some: a busy computer is not the adapter's fault."""
-    times = []
-    try:
-        with contextlib.closing(DynamixelBus(port, servo.baud, retries=0)) as bus:
-            bus.open()
-            for _ in range(_ASKED):
-                begin = time.perf_counter()
-                with contextlib.suppress(BusTimeoutError, BusCorruptError, ServoRefusedError):
-                    bus.read(servo.id, X_SERIES["present_position"])
-                    times.append(time.perf_counter() - begin)
-    except HardwareError:
-        return None
-    return min(times, default=None)
 
 
 def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:

@@ -25,9 +25,6 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.tables import Positive
 
-_POSITION_MODES = ("POSITION", "EXTENDED_POSITION", "CURRENT_BASED_POSITION")
-MODES = {name.lower(): OperatingMode[name] for name in _POSITION_MODES}
-"""Word in the arm file -> operating mode."""
 POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 """Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it
 (ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md)."""
@@ -49,6 +46,7 @@ ARM, GRIPPER = "arm", "gripper"
 ServoId = Annotated[int, Field(ge=IDS[0], le=IDS[-1])]
 Sign = Literal[1, -1]
 """Which way a servo counts."""
+Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
 _Gain = Annotated[int, Field(ge=0, le=16383)]
 
 LEAST_LEAD = 0.1
@@ -170,7 +168,7 @@ class Twin:
 
     id: ServoId
     direction: Sign = 1
-    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_REVOLUTION // 2
+    zero_ticks: Ticks = TICKS_PER_REVOLUTION // 2
     shadow: bool = False
     reverse: bool | None = None
 

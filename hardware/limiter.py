@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,8 +67,7 @@ class LimiterState:
         return cls(q=here, velocity=still, command=here, command_velocity=still)
 
 
-@dataclass(frozen=True)
-class LimiterReport:
+class LimiterReport(NamedTuple):
     """What was changed in one tick, by joint name.
 
     Attributes:
@@ -75,11 +75,8 @@ class LimiterReport:
         capped: Joints whose move was shortened or delayed by the velocity or acceleration cap.
     """
 
-    clipped: tuple[str, ...] = ()
-    capped: tuple[str, ...] = ()
-
-    def __bool__(self) -> bool:
-        return bool(self.clipped or self.capped)
+    clipped: tuple[str, ...]
+    capped: tuple[str, ...]
 
 
 class SafetyLimiter:

@@ -9,6 +9,9 @@ from typing import Any
 
 from robot_ik.environment import NOTE, OK, CheckRow, named_users_of, permission_hint
 
+NO_PORTS = ("sim", "pty")
+"""Names of buses (``robot_ik.hardware.BUSES``) whose servos are simulated."""
+
 BY_ID = Path("/dev/serial/by-id")
 """Where Linux names ports by their adapters."""
 

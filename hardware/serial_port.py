@@ -18,9 +18,10 @@ from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
 from robot_ik.environment import users_of
-from robot_ik.errors import BusNotOpenError
+from robot_ik.errors import BusNotOpenError, did_you_mean
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.control_table import BAUD_RATES
+from robot_ik.hardware.ports import NO_PORTS
 
 LONGEST_DRAIN = 0.1
 """s after which a line that does not fall silent is no longer waited for."""
@@ -213,7 +214,7 @@ def describe_failure(port: str, error: Exception) -> BusNotOpenError:
         reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
         hint = "close the other program first"
     elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        reason, hint = "there is no such port", ""
+        reason, hint = "there is no such port", did_you_mean(port, NO_PORTS)
     elif number in (errno.EACCES, errno.EPERM):
         reason = "this user may not open it"
         hint = "join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
@@ -225,7 +226,7 @@ def describe_failure(port: str, error: Exception) -> BusNotOpenError:
         reason, hint = text, ""
     names = [f"{p.device} ({p.description})" for p in list_ports.comports()]
     exist = f"serial ports here: {', '.join(names)}" if names else "there is no serial port on this machine"
-    lines = [hint, exist, "without servos use the bus 'pty' or 'sim'"]
+    lines = [hint, exist, f"without servos: --bus {' or '.join(NO_PORTS)}"]
     return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))
 
 

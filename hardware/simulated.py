@@ -52,9 +52,6 @@ class InProcessPort(SleepingPortHandler):
 
     clearPort = clear
 
-    def drain(self, quiet: float) -> None:
-        self._buffer = b""
-
     def writePort(self, packet: Sequence[int] | bytes) -> int:
         self._advance()
         self._counters.bytes_sent += len(packet)
@@ -68,9 +65,6 @@ class InProcessPort(SleepingPortHandler):
 
     def receive(self, deadline: float, expected: float | None = None) -> bytes:
         return self.readPort(len(self._buffer))
-
-    def setPacketTimeoutMillis(self, msec: float) -> None:
-        """Nothing is waited for here."""
 
     def isPacketTimeout(self) -> bool:
         """What is not there now will not come."""

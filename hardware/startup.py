@@ -7,6 +7,7 @@ What asks servos raises the errors of the bus too, by joint name.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 from collections.abc import Callable, Mapping
@@ -19,7 +20,6 @@ from robot_ik.errors import (
     BusDisconnectedError,
     BusNotOpenError,
     BusTimeoutError,
-    ConfigError,
     HardwareError,
     MotorFaultError,
     ServoRefusedError,
@@ -28,7 +28,13 @@ from robot_ik.errors import (
 from robot_ik.hardware.bus import ServoBus, read_all, require_models
 from robot_ik.hardware.calibration import check_calibration, own_calibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode, hardware_error_names
+from robot_ik.hardware.control_table import (
+    RETURN_ALL,
+    TICKS_PER_REVOLUTION,
+    TRIPPED,
+    OperatingMode,
+    hardware_error_names,
+)
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
 from robot_ik.hardware.torque import set_profiles
@@ -42,14 +48,8 @@ T = TypeVar("T")
 NO_SECONDARY_ID = 255
 """Secondary ID of a servo that takes no other servo's packets."""
 
-RETURN_ALL = 2
-"""Status Return Level: answer everything."""
-
 RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
-
-TRIPPED = -1
-"""Bus Watchdog of a servo that has stopped because the bus was silent."""
 
 WATCHDOG = "bus_watchdog"
 """What a servo whose watchdog has tripped is said to have, beside hardware errors."""
@@ -83,7 +83,7 @@ def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
     for joint in config.servos:
         _clear_watchdog(bus, config, joint)
     if real and (found := own_calibration(config)) is not None:
-        check_calibration(bus, config, found, {})
+        check_calibration(bus, config, found)
     set_up_servos(bus, config)
     feedback = Feedback(config)
     feedback.prepare(bus, read_all(bus, config, "firmware_version"))
@@ -172,27 +172,22 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
     offsets = read_all(bus, config, "homing_offset")
     for servo in config.servos:
         if servo.mode == OperatingMode.POSITION and abs(offsets[servo.id]) > POSITION_MODE_HOMING:
-            raise ConfigError(
+            problem = (
                 f"{servo.name!r} (servo id {servo.id}) has a Homing Offset of {offsets[servo.id]} ticks, "
-                "which servos in position mode ignore",
-                file=config.file or config.name,
-                key=f"joints[{config.whole.names.index(servo.name)}].mode",
-                allowed=HOMING_FIXES,
+                "which servos in position mode ignore"
             )
+            key = f"joints[{config.whole.names.index(servo.name)}].mode"
+            raise config.wrong(problem, key, HOMING_FIXES)
 
 
 def _return_all(bus: ServoBus, joint: JointMap) -> None:
     """Status Return Level 2: a servo at 0 or 1 would look dead."""
     register = joint.table["status_return_level"]
-    try:
+    with contextlib.suppress(BusTimeoutError):  # at level 0 it answers no reads …
         if bus.read(joint.id, register).data == RETURN_ALL:
             return
-    except BusTimeoutError:
-        log.debug("servo %d does not answer reads; raising its status return level", joint.id)
-    try:
+    with contextlib.suppress(BusTimeoutError):  # … and below 2 no writes
         bus.write(joint.id, register, RETURN_ALL)
-    except BusTimeoutError:
-        log.debug("servo %d did not answer the write either, as expected below level 2", joint.id)
     if bus.read(joint.id, register).data != RETURN_ALL:
         raise HardwareError(f"servo id {joint.id} (joint {joint.name!r}) keeps its status return level")
 
@@ -261,12 +256,11 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
         low, high = lowest[joint.id], highest[joint.id]
         if joint.mode == OperatingMode.POSITION and not low <= first <= last <= high:
             ends = sorted(joint.to_radians(ticks) / joint.per_unit for ticks in (low, high))
-            raise ConfigError(
+            raise config.wrong(
                 f"the servo's own limits (ticks {low} to {high}) are narrower than "
                 f"lower_{joint.unit} .. upper_{joint.unit}",
-                file=config.file or config.name,
-                key=f"joints[{config.whole.names.index(joint.name)}]",
-                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
+                f"joints[{config.whole.names.index(joint.name)}]",
+                f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
             )
 
 

@@ -17,7 +17,6 @@ import uuid
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from robot_ik.errors import HardwareError
 from robot_ik.files import write_atomically
@@ -80,11 +79,10 @@ class StopFile:
         """``hold`` or ``torque_off`` if somebody asks for it."""
         if not self._request or not os.path.exists(self._request):
             return None
-        try:
-            policy = read_json(Path(self._request), "the request")["policy"]
-        except (OSError, ValueError, LookupError, TypeError):
-            policy = None
-        return "torque_off" if policy == "torque_off" else "hold"  # whatever it says, somebody asks
+        with suppress(OSError, ValueError, LookupError, TypeError):
+            if read_json(Path(self._request), "the request")["policy"] == "torque_off":
+                return "torque_off"
+        return "hold"  # whatever it says, somebody asks
 
     def acknowledge(self, *, ok: bool, text: str) -> None:
         """What became of the request, if there is one: a stop may have come from inside the program."""
@@ -145,19 +143,18 @@ def running_arms(port: str | None = None) -> list[RunningArm]:
     """
     found = []
     for path in sorted(runtime_folder().glob("*.arm")):
-        about = _read_living(path)
-        if about is None:
+        arm = _read_living(path)
+        if arm is None:
             if path.exists() and path.stat().st_size:  # an empty one is about to be locked
                 for ending in (".arm", ".stop", ".done"):  # its program was killed
                     path.with_suffix(ending).unlink(missing_ok=True)
-        elif port is None or about["port"] == os.path.realpath(port):
-            stem = path.with_suffix("")
-            found.append(RunningArm(str(about["name"]), str(about["port"]), int(about["pid"]), stem))
+        elif port is None or arm.port == os.path.realpath(port):
+            found.append(arm)
     return found
 
 
-def _read_living(path: Path) -> dict[str, Any] | None:
-    """What the file says; None where no process has it locked any more."""
+def _read_living(path: Path) -> RunningArm | None:
+    """The arm of a file; None where no process has it locked any more."""
     try:
         file = os.open(path, os.O_RDWR)
     except OSError:
@@ -166,8 +163,8 @@ def _read_living(path: Path) -> dict[str, Any] | None:
         if _locked(file):
             return None
         about = json.loads(os.read(file, 4096) or b"{}")
-        return about if {"name", "port", "pid"} <= about.keys() else None
-    except (OSError, ValueError, AttributeError):
+        return RunningArm(str(about["name"]), str(about["port"]), int(about["pid"]), path.with_suffix(""))
+    except (OSError, ValueError, LookupError, TypeError):
         return None
     finally:
         os.close(file)

@@ -342,9 +342,10 @@ class _Leaving:
                 there = bus.sync_read(list(left), goal)
                 powered = bus.sync_read(list(left), torque)
                 self.limp = {id for id in left if powered[id].data == 0}
-                for id in list(left):
-                    if there[id].data == goals[id] and powered[id].data == 1:
-                        del left[id]
+                held = [id for id in left if there[id].data == goals[id] and powered[id].data == 1]
+                self._disarm(held)
+                for id in held:
+                    del left[id]
             if left and self.limp.issuperset(left):
                 break  # nothing that is written here gives them torque
             if left:

@@ -17,10 +17,6 @@ from dataclasses import dataclass, field, replace
 # recommended voltage), read on 2026-11-22.
 
 
-RPM = 2.0 * math.pi / 60.0
-"""One revolution a minute, rad/s."""
-
-
 @dataclass(frozen=True)
 class Motor:
     """A motor with its gear, seen at the output shaft.
@@ -50,7 +46,7 @@ class Motor:
     @property
     def no_load_speed(self) -> float:
         """rad/s at ``volts``."""
-        return self.no_load_rpm * RPM
+        return self.no_load_rpm * 2.0 * math.pi / 60.0
 
 
 # name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
@@ -10,19 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, RobotIkError
+from robot_ik.errors import RobotIkError
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import RETURN_ALL, RETURN_READ
 from robot_ik.hardware.virtual import servo as instructions
 from robot_ik.hardware.virtual.faults import Fault, Injected
 from robot_ik.hardware.virtual.protocol import BROADCAST, ErrorCode, Instruction, Packet, Parser, build_status
-from robot_ik.hardware.virtual.servo import (
-    RETURN_ALL,
-    RETURN_READ,
-    Request,
-    VirtualServo,
-    fast_status_packets,
-    responding,
-)
+from robot_ik.hardware.virtual.servo import Request, VirtualServo, fast_status_packets, responding
 from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule, collide
 from robot_ik.ports import Array, Clock
 
@@ -57,7 +50,6 @@ class VirtualBus:
         self.schedule = WireSchedule(clock)
         self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
         self.wire = VirtualWire((servo.id for servo in self.servos), seed)
-        self._rng = random.Random(seed)
         self._injected: list[Injected] = []
         self._parser = Parser()
         self._delay = 0.0
@@ -78,9 +70,7 @@ class VirtualBus:
         n = len(config.joints)
         q = np.zeros(n) if start is None else np.asarray(start, dtype=float)
         if q.shape != (n,) or not np.isfinite(q).all():
-            raise ConfigError(
-                f"start {q.tolist()} is no pose", file=config.file or config.name, allowed=f"{n} angles, rad"
-            )
+            raise config.wrong(f"start {q.tolist()} is no pose", "", f"{n} angles, rad")
         q = np.clip(q, config.lower, config.upper)
         q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
         servos = [
@@ -114,7 +104,6 @@ class VirtualBus:
         """Random faults begin anew; faults stay."""
         with self.lock:
             self.wire.reseed(seed)
-            self._rng = random.Random(seed)
 
     def inject(self, *faults: Fault) -> None:
         """Lets faults happen, now or at their time, which counts from now.
@@ -258,7 +247,7 @@ class VirtualBus:
         return [self._on_wire(packets)] if packets else []
 
     def _on_wire(self, packets: list[bytes]) -> bytes:
-        return packets[0] if len(packets) == 1 else collide(packets, self._rng)
+        return packets[0] if len(packets) == 1 else collide(packets, self.wire.rng)
 
 
 def robot_of(config: ArmConfig) -> Robot | None:

@@ -23,9 +23,9 @@ from robot_ik.hardware.control_table import (
     HARDWARE_ERRORS,
     IDS,
     TICKS_PER_REVOLUTION,
+    TRIPPED,
 )
 from robot_ik.hardware.joint_map import JointMap, ServoId
-from robot_ik.hardware.virtual.memory import TRIPPED
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.reading import WrongKey, parse_toml, read_text

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robot_ik.hardware.control_table import ControlTable, OperatingMode, Register
+from robot_ik.hardware.control_table import TRIPPED, ControlTable, OperatingMode, Register
 from robot_ik.hardware.virtual.protocol import ErrorCode
 from robot_ik.hardware.x_series import TIME_BASED
 
@@ -21,9 +21,6 @@ CONTROLLER = (
 )
 """Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
 "Control Table Backup"; the indirect addresses come on top)."""
-
-TRIPPED = -1
-"""What Bus Watchdog reads once it has tripped."""
 
 PROTOCOL_2, RC_PROTOCOLS = 2, 20
 """Protocol Type: the usual one, and the first of those of remote controls (20 to 22, of the 330 family)."""

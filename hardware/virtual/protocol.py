@@ -177,16 +177,11 @@ class Parser:
             self._seek(1)
 
     def _seek(self, start: int) -> None:
-        """Drops everything before the next header at or after ``start``; keeps the start of one."""
-        buffer = self._buffer
-        at = buffer.find(HEADER, start)
+        """Drops everything before the next header at or after ``start``; keeps what may begin one."""
+        at = self._buffer.find(HEADER, start)
         if at < 0:
-            at = len(buffer)
-            for length in (3, 2, 1):
-                if len(buffer) - length >= start and buffer.endswith(HEADER[:length]):
-                    at -= length
-                    break
-        del buffer[:at]
+            at = max(len(self._buffer) - len(HEADER) + 1, start)
+        del self._buffer[:at]
 
     def _take(self, size: int) -> Packet:
         raw = bytes(self._buffer[:size])

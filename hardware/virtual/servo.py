@@ -17,12 +17,14 @@ from robot_ik.hardware.control_table import (
     HARDWARE_ERRORS,
     IDS,
     RADIANS_PER_TICK,
+    RETURN_READ,
     TICKS_PER_REVOLUTION,
+    TRIPPED,
     OperatingMode,
     Register,
     control_table,
 )
-from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, TRIPPED, Memory
+from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, Memory
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
 from robot_ik.hardware.virtual.protocol import (
     ALERT,
@@ -49,6 +51,7 @@ BROWN_OUT = 0.4
 _ERROR_BITS = {name: 1 << bit for bit, name in HARDWARE_ERRORS.items()}
 # Heat and strain change slowly: they are updated no more often than this, s.
 _ELECTRICS_PERIOD = 0.02
+_SUPPLY = ("present_input_voltage",)  # outlasts every start
 _NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *TORQUE_MODES)))
 
 
@@ -269,9 +272,7 @@ class VirtualServo:
     def reboot(self) -> None:
         """RAM at its defaults, torque off, errors gone, revolutions forgotten; as when power comes back."""
         memory = self.memory
-        volts = memory.values["present_input_voltage"]
-        memory.reset(eeprom=False)
-        memory.set("present_input_voltage", volts)
+        memory.reset(eeprom=False, keep=_SUPPLY)
         if "backup_ready" in self.table:
             memory.set("backup_ready", int(bool(self._backup)))
         self._registered = None
@@ -291,9 +292,7 @@ class VirtualServo:
         keep = {0xFF: (), 1: ("id",), 2: ("id", "baud_rate")}.get(option)
         if keep is None:
             return ErrorCode.DATA_RANGE
-        volts = self.memory.values["present_input_voltage"]
-        self.memory.reset(eeprom=True, keep=keep)
-        self.memory.set("present_input_voltage", volts)
+        self.memory.reset(eeprom=True, keep=keep + _SUPPLY)
         self.reboot()
         return ErrorCode.NONE
 
@@ -490,9 +489,6 @@ class VirtualServo:
 #
 # Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0", Instruction Details.
 
-
-RETURN_READ, RETURN_ALL = 1, 2
-"""What a servo answers at each Status Return Level: 0 ping only, 1 also reads, 2 everything."""
 
 Request = tuple[int, int, int]
 """(servo id, address, length) of one part of a sync or bulk read."""

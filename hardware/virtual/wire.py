@@ -30,7 +30,7 @@ class WireSchedule:
         self._clock = clock
         self._timed: list[tuple[float, int, Action]] = []
         self._counted: list[tuple[int, int, Action]] = []
-        self._number = 0
+        self._numbers = itertools.count()
 
     @property
     def next_time(self) -> float | None:
@@ -39,13 +39,11 @@ class WireSchedule:
 
     def at(self, time: float, action: Action) -> None:
         """Books ``action`` for ``time``, s on the clock; a time that has passed is the next ``run``."""
-        self._number += 1
-        heapq.heappush(self._timed, (time, self._number, action))
+        heapq.heappush(self._timed, (time, next(self._numbers), action))
 
     def at_packet(self, number: int, action: Action) -> None:
         """Books ``action`` for just before the packet with this number (the first is 1) is handled."""
-        self._number += 1
-        heapq.heappush(self._counted, (number, self._number, action))
+        heapq.heappush(self._counted, (number, next(self._numbers), action))
 
     def run(self) -> None:
         while self._timed and self._timed[0][0] <= self._clock.now():

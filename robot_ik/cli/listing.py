@@ -347,7 +347,7 @@ def run_doctor(options: DoctorOptions) -> int:
 
     config = None
     if options.bus:
-        from robot_ik.cli.connection import load_arm
+        from robot_ik.cli.connection import load_arm, served_or_serial_port
 
         config = load_arm(options.arm)  # a wrong name is reported at once
     with console.busy("looking at this machine"):
@@ -355,8 +355,9 @@ def run_doctor(options: DoctorOptions) -> int:
     if config is not None:
         from robot_ik.hardware.health import servo_rows
 
-        with console.busy(f"asking the servos on {options.bus}"):
-            rows += servo_rows(options.bus, config)
+        asking = console.busy(f"asking the servos on {options.bus}")
+        with asking, served_or_serial_port(options.bus, options.arm) as port:
+            rows += servo_rows(port, config)
     problems = sum(row.status == PROBLEM for row in rows)
     if options.json:
         console.print_json({"schema": SCHEMA, "ok": not problems, "rows": [asdict(row) for row in rows]})

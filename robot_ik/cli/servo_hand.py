@@ -177,7 +177,7 @@ def _calibrate(
         require_limp(arm)
         with attempt():
             found = measure()
-            made = save_calibrated(arm, found, options.out, limits, options.to_lerobot)
+            made = save_calibrated(arm, found, options.out, options.to_lerobot)
         _show(arm.config, made, found)
         console.say(f"wrote {options.out} and {beside}; from here on: --arm {options.out}", "green")
     return console.DONE
@@ -189,10 +189,9 @@ def _check(options: ServoCalibrateOptions) -> int:
 
     found = Calibration.load(calibration_beside(options.out))
     config = load_arm(str(options.out)).whole
-    limits = model_limits(config)
     with claimed(options.to_lerobot, overwrite=options.overwrite):
-        with arm_on(options, replace(config, file=None)) as arm:
-            check_calibration(arm.bus, config, found, limits)
+        with arm_on(options, config) as arm:  # which compares it with the model
+            check_calibration(arm.bus, config, found)
         if options.to_lerobot is not None:
             save_lerobot(options.to_lerobot, found)
     console.result(f"{options.out}, its calibration, model and servos agree")
@@ -260,7 +259,8 @@ def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
 class ServoPlayOptions(BusOptions):
     """Repeats a recording: slowly to where it begins, then as it was, within limits and caps of the arm file.
 
-    A recording that leaves the limits is refused; one that is too fast is played slower.
+    A recording that leaves the limits is refused; one that is too fast is played slower. One without the
+    gripper's joints, as reach writes it, moves the arm and leaves the gripper as it is.
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
@@ -277,8 +277,10 @@ def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
     from robot_ik.jobs.hand_guiding import load_playable, play_motion
 
-    config = load_arm(options.arm).whole
-    motion, stretch = load_playable(options.file, config, options.speed)
+    config, motion, stretch = load_playable(options.file, load_arm(options.arm), options.speed)
+    if config.auxiliary:
+        held = ", ".join(joint.name for joint in config.auxiliary)
+        console.say(f"the recording has no {held}: held where it stands", "dim")
     arm = arm_on(options, config, options.on_exit)
     with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:
         sinks: list[JointSink] = []

@@ -104,9 +104,7 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
     return measured_calibration(bus, config, sweep, zero, pose, directions, limits)
 
 
-def save_calibrated(
-    arm: Arm, found: Calibration, out: Path, limits: Limits, lerobot: Path | None = None
-) -> ArmConfig:
+def save_calibrated(arm: Arm, found: Calibration, out: Path, lerobot: Path | None = None) -> ArmConfig:
     """The calibrated arm, in the arm file ``out``; what was measured goes into a file beside it.
 
     It is compared with the servos of the connected arm before anything is written, and the arm file is
@@ -118,7 +116,7 @@ def save_calibrated(
     """
     found = replace(found, file=calibration_beside(out))
     config = calibrated(arm.config, found)
-    check_calibration(arm.bus, config, found, limits)
+    check_calibration(arm.bus, config, found)
     if lerobot is not None:
         save_lerobot(lerobot, found)
     found.save(calibration_beside(out))
@@ -201,31 +199,37 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float
     return [(joint, excess) for joint, excess in pairs if excess > ALLOWED_OUTSIDE * joint.lever]
 
 
-def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
+def load_motion(path: Path, joints: Sequence[str], some: Sequence[str] = ()) -> Trajectory:
     """A motion in the order of ``joints``, as ``Trajectory.load_csv`` reads it.
+
+    ``some``: it may be of these alone, in their order.
 
     Raises:
         ConfigError: It cannot be read, its numbers are no motion, or it is of other joints.
     """
     motion = Trajectory.load_csv(path)
+    if sorted(motion.joints) == sorted(some):
+        joints = some
     if sorted(motion.joints) != sorted(joints):
         raise ConfigError(
             f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}",
-            hint="servo teach records the gripper, too; what a reach recorded is drawn by ar --motion",
+            hint="the gripper's joints may be missing, no others; ar --motion draws any motion of the robot",
         )  # fmt: skip
     order = [motion.joints.index(name) for name in joints]
     return Trajectory(motion.times, motion.q[:, order], joints)
 
 
-def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajectory, float]:
-    """A recording as the arm can repeat it, and how much longer it takes than it was recorded.
+def load_playable(path: Path, arm: ArmConfig, speed: float) -> tuple[ArmConfig, Trajectory, float]:
+    """The arm with the joints of a recording, which it can repeat, and how much longer that takes.
 
-    ``speed`` is a share of the recorded one, above 0 and up to 1.
+    Of ``arm`` all joints are moved, or those of its q where the recording has no others: then it holds its
+    gripper where it is.  ``speed`` is a share of the recorded one, above 0 and up to 1.
 
     Raises:
         ConfigError: It cannot be read, is of other joints, or leaves the limits.
     """
-    motion = load_motion(path, config.names)
+    motion = load_motion(path, arm.whole.names, arm.names)
+    config = arm if motion.joints == arm.names else arm.whole
     for joint, excess in outside(motion, config):
         low, high = joint.limits
         raise ConfigError(
@@ -234,7 +238,7 @@ def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajecto
             key=joint.name,
             allowed=f"{low / joint.per_unit:.1f} to {joint.text(high)}",
         )
-    return playable(motion, config, speed)
+    return config, *playable(motion, config, speed)
 
 
 @dataclass(frozen=True)
@@ -277,6 +281,7 @@ def play_motion(
     first = approach(arm.read().q, motion.q[0], arm.config)
     with busy("going to where it begins", first.duration):
         execute(first, targets, source=arm, clock=arm.clock, settle=0.2)
+    arm.clock.sleep_until(arm.clock.now() + 1.0 / arm.config.rate_hz)  # a recording has each time once
     with busy("playing", motion.duration):
         done = execute(motion, targets, source=arm, clock=arm.clock, settle=0.4)
     assert done.final_error is not None and done.tracking_error is not None  # there was a source

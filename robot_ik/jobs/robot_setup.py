@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_ik.errors import ConfigError, ModelError, UnknownJointError, UnsupportedJointError
-from robot_ik.hardware import bus_row, open_arm
+from robot_ik.hardware import SIMULATED, bus_row, open_arm
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
@@ -232,7 +232,7 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     if not virtual and (rehearsal.zero_offset_deg or rehearsal.stuck):
         raise ConfigError(
             "servo faults can be rehearsed on simulated servos only",
-            file="command line", key="--rehearse", allowed="--bus pty or --bus sim",
+            file="command line", key="--rehearse", allowed=SIMULATED,
         )  # fmt: skip
     clock: Clock = RealClock() if request.view else VirtualClock()
     if without_bus and request.arm_file is None:

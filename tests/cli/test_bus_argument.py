@@ -10,6 +10,7 @@ import pytest
 from robot_ik import hardware
 from robot_ik.hardware import BUSES, Bus
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.ports import NO_PORTS
 from robot_ik.jobs.script import load_script
 from robot_ik.jobs.script.run import ScriptRequest, ScriptRun
 from robot_ik.jobs.teleop import open_pair
@@ -26,6 +27,11 @@ def test_help_names_every_bus_of_the_table(command: tuple[str, ...], robot_ik: A
     assert "|".join(BUSES) in text
     for bus in BUSES.values():
         assert f"{bus.name}: {bus.title.split(',')[0]}" in text
+
+
+def test_messages_name_the_buses_of_simulated_servos() -> None:
+    assert tuple(bus.name for bus in BUSES.values() if bus.virtual) == NO_PORTS
+    assert hardware.SIMULATED == "--bus sim or pty"
 
 
 @pytest.fixture

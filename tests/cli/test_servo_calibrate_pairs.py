@@ -13,7 +13,7 @@ import pytest
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated, check_calibration
+from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated, check_calibration, check_model
 from robot_ik.hardware.calibration_file import Calibration, load_lerobot, save_lerobot
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
@@ -84,7 +84,7 @@ def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object
     with arm:
         found = calibrate_by_hand(arm, Hand(true, bus, slip), dict.fromkeys(REACH, 0.0), LIMITS)
         made = calibrated(arm.config, found)
-        check_calibration(arm.bus, made, found, LIMITS)
+        check_calibration(arm.bus, made, found)
     return true, bus, found, made
 
 
@@ -129,11 +129,11 @@ def test_a_swapped_second_servo_is_a_mismatch() -> None:
     other = dataclasses.replace(made.joints[0], twin=dataclasses.replace(OWN, direction=-1))
     changed = dataclasses.replace(made, joints=(other, made.joints[1]))
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
-        check_calibration(arm.bus, changed, found, LIMITS)
+        check_calibration(arm.bus, changed, found)
     assert ("lift", "direction", "1", "-1") in caught.value.rows
     single = dataclasses.replace(made, joints=tuple(dataclasses.replace(j, twin=None) for j in made.joints))
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(ConfigError, match="lift, rack, lift"):
-        check_calibration(arm.bus, single, found, LIMITS)
+        check_calibration(arm.bus, single, found)
 
 
 def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> None:
@@ -141,12 +141,12 @@ def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> 
     _, bus, found, made = measured(SHADOW)
     bus.servo(3).memory.set("homing_offset", 25)
     with open_arm(made, "sim", virtual_bus=bus) as arm:
-        check_calibration(arm.bus, made, found, LIMITS)
+        check_calibration(arm.bus, made, found)
         arm.enable()
     bus.servo(3).memory.set("homing_offset", 0)
     bus.servo(1).memory.set("homing_offset", 25)  # of the first one it moves the zero of the joint
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
-        check_calibration(arm.bus, made, found, LIMITS)
+        check_calibration(arm.bus, made, found)
     assert caught.value.rows == (("lift", "homing_offset", "0", "25"),)
     bus.servo(1).memory.set("homing_offset", 0)
     bus.servo(3).memory.set("homing_offset", 600)  # beside the first one it would fight it
@@ -154,7 +154,7 @@ def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> 
         open_arm(made, "sim", virtual_bus=bus) as arm,
         pytest.raises(HardwareError, match="two servos of joint 'lift' read"),
     ):
-        check_calibration(arm.bus, made, found, LIMITS)
+        check_calibration(arm.bus, made, found)
         arm.enable()
 
 
@@ -163,17 +163,19 @@ def test_of_drive_mode_only_the_reverse_bit_counts() -> None:
     _, bus, found, made = measured(OWN)
     with open_arm(made, "sim", virtual_bus=bus) as arm:
         bus.servo(1).memory.set("drive_mode", 4)
-        check_calibration(arm.bus, made, found, LIMITS)
+        check_calibration(arm.bus, made, found)
         bus.servo(1).memory.set("drive_mode", 5)
         with pytest.raises(CalibrationMismatchError) as caught:
-            check_calibration(arm.bus, made, found, LIMITS)
+            check_calibration(arm.bus, made, found)
     assert ("lift", "drive_mode", "0", "5") in caught.value.rows
 
 
-def test_the_model_of_a_slide_is_compared_in_millimetres() -> None:
-    _, bus, found, made = measured(OWN)
-    with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
-        check_calibration(arm.bus, made, found, LIMITS | {"rack": (0.0, 0.02)})
+def test_the_model_of_a_slide_is_compared_in_millimetres(tmp_path: Path) -> None:
+    _, _, found, made = measured(OWN)
+    made.save(tmp_path / "pairs.toml")
+    found.save(tmp_path / "pairs.calibration.toml")
+    with pytest.raises(CalibrationMismatchError) as caught:
+        check_model(ArmConfig.load(tmp_path / "pairs.toml"), LIMITS | {"rack": (0.0, 0.02)})
     assert caught.value.rows == (("rack", "limits of the model, mm", "0.0 .. 30.0", "0.0 .. 20.0"),)
 
 

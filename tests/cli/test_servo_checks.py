@@ -112,3 +112,11 @@ def test_no_such_port_and_no_such_arm(robot_ik: Any, tmp_path: Any, monkeypatch:
     run = robot_ik("doctor", "--bus", "no")
     assert run.code == 2 and "no such port" in run.out
     robot_ik("doctor", "--bus", "x", "--arm", "pmua560").assert_one_screen_error()
+
+
+def test_simulated_servos_can_be_asked_too_and_a_slip_is_named(robot_ik: Any) -> None:
+    run = robot_ik("doctor", "--bus", "sim", "--arm", "koch_v11", "--json")
+    said = {row["what"] for row in json.loads(run.out)["rows"]}
+    assert run.code == 0 and {"servo 1 shoulder_pan", "servo 6 gripper"} <= said
+    run = robot_ik("doctor", "--bus", "smi")
+    assert run.code == 2 and "did you mean sim?" in run.out

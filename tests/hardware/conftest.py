@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from robot_ik.errors import HardwareError
 from robot_ik.hardware import BUSES, open_arm
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
@@ -154,6 +155,25 @@ def smooth() -> Callable[[Array, ArrayLike, float], Array]:
         return start + np.outer(10 * s**3 - 15 * s**4 + 6 * s**5, np.asarray(end) - start)
 
     return smooth
+
+
+@pytest.fixture(scope="session")
+def enable_fails() -> Callable[[Arm], None]:
+    """``enable`` of an arm whose servos get torque and do not take their Bus Watchdogs."""
+
+    def enable_fails(arm: Arm) -> None:
+        original = arm.bus.sync_write
+
+        def no_watchdog(register: Register, values: Mapping[int, int]) -> None:
+            if register.name != "bus_watchdog" or not any(values.values()):
+                original(register, values)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(arm.bus, "sync_write", no_watchdog)
+            with pytest.raises(HardwareError, match="bus watchdog"):
+                arm.enable()
+
+    return enable_fails
 
 
 # ------------------------------------------------------------------------------- servos and buses

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from robot_ik.hardware.bus import BusStatus
+
 
 def test_after_a_pause_the_tripped_watchdog_is_cleared_and_the_arm_goes_on(
     arm, stream, smooth, registers, start
@@ -56,5 +58,30 @@ def test_a_stall_inside_a_cycle_is_noticed_as_well(arm, stream, smooth, register
     stream(arm, [start])
     assert registers(arm, "bus_watchdog") == [10] * 6
     stream(arm, smooth(start, start + 0.1, 0.3))
+    arm.clock.sleep_until(arm.clock.now() + 0.05)
+    assert np.allclose(arm.read().q, start + 0.1, atol=0.01)
+
+
+def test_a_tripped_watchdog_whose_reply_is_lost_is_noticed_once_it_is_heard(
+    arm, stream, smooth, registers, start
+):
+    """Its servo refuses goals, and nothing else says so: it would stand while the others go."""
+    arm.enable()
+    stream(arm, [start] * 3)
+    arm.clock.sleep_until(arm.clock.now() + 5.0)
+    for servo in arm.virtual_bus.servos[:-1]:
+        servo.heard = arm.clock.now()  # only the last one trips
+    original, lost = arm.bus.sync_read, []
+
+    def loses_a_reply(ids, register):
+        statuses = original(ids, register)
+        if register.name == "bus_watchdog" and not lost:
+            lost.append(statuses[6].data)
+            statuses[6] = BusStatus(6, None)
+        return statuses
+
+    arm.bus.sync_read = loses_a_reply
+    stream(arm, smooth(start, start + 0.1, 0.3))
+    assert lost == [-1] and registers(arm, "bus_watchdog") == [10] * 6
     arm.clock.sleep_until(arm.clock.now() + 0.05)
     assert np.allclose(arm.read().q, start + 0.1, atol=0.01)

@@ -60,7 +60,9 @@ def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stre
     assert np.abs(after - before).max() <= 2 * arm.config.acceleration.max() * 0.01**2 + arm.resolution.max()
 
 
-def test_an_enable_that_fails_sends_nobody_back_to_goals_from_before_the_fault(arm_config, stream, start):
+def test_an_enable_that_fails_sends_nobody_back_to_goals_from_before_the_fault(
+    arm_config, stream, enable_fails, start
+):
     """A joint hung limp and was moved, got torque where it is, and then did not take its Bus Watchdog."""
     servos = VirtualBus.from_config(arm_config, VirtualClock(), start)
     arm = open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold")
@@ -68,15 +70,8 @@ def test_an_enable_that_fails_sends_nobody_back_to_goals_from_before_the_fault(a
     overloaded(arm, stream, start)
     arm.reset_fault()
     servos.servo(6).rotate_by_hand(400)
-    before, original = servos.true_angles(arm_config), arm.bus.sync_write
-
-    def no_watchdog(register, values):
-        if register.name != "bus_watchdog" or not any(values.values()):
-            original(register, values)
-
-    arm.bus.sync_write = no_watchdog
-    with pytest.raises(HardwareError, match="bus watchdog"):
-        arm.enable()
+    before = servos.true_angles(arm_config)
+    enable_fails(arm)
     assert arm.exit_report.done == "hold" and arm.exit_report.ok
     arm.clock.sleep_until(arm.clock.now() + 3.0)
     assert np.abs(servos.true_angles(arm_config) - before).max() < 0.01

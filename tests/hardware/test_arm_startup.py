@@ -207,12 +207,13 @@ def test_one_turn_limits_of_the_servo_narrower_than_the_file_are_an_error(arm_co
         open_arm(config, "sim", virtual_bus=servos).connect()
 
 
-def test_models_with_another_layout_cannot_share_a_cycle():
+def test_models_with_another_layout_cannot_share_a_cycle(arm_config):
     here = CONTROL_TABLES["XM430-W350"]["goal_position"]
     there = dataclasses.replace(here, address=30)
     joints = [SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))]
+    vars(arm_config)["servos"] = joints
     with pytest.raises(ConfigError, match="elsewhere in B than in A"):
-        shared_register(SimpleNamespace(servos=joints, file=None, name="arm"), "goal_position")
+        shared_register(arm_config, "goal_position")
 
 
 def test_an_unknown_policy_and_servos_for_a_real_port_are_refused(arm_config):

@@ -70,18 +70,10 @@ def test_an_enable_that_fails_and_leaves_torque_on_is_reported_so_at_the_end_too
     assert "torque may be ON" in arm.exit_report.text
 
 
-def test_an_enable_that_fails_and_takes_torque_back_says_so(arm_config, servos):
+def test_an_enable_that_fails_and_takes_torque_back_says_so(arm_config, servos, enable_fails):
     arm = open_arm(arm_config, "sim", virtual_bus=servos)
     arm.connect()
-    original = arm.bus.sync_write
-
-    def no_watchdog(register, values):
-        if register.name != "bus_watchdog" or not any(values.values()):
-            original(register, values)
-
-    arm.bus.sync_write = no_watchdog
-    with pytest.raises(HardwareError, match="bus watchdog"):
-        arm.enable()
+    enable_fails(arm)
     assert [servo.torque for servo in servos.servos] == [False] * 6 and arm.state is ArmState.CONNECTED
     arm.close()
     assert arm.exit_report.ok and arm.exit_report.done == "torque_off"
@@ -122,6 +114,24 @@ def test_an_arm_of_some_joints_whose_enable_fails_leaves_the_others_alone(arm_co
 
 
 # ---------------------------------------------------------------------- (c) hold means torque and goal
+
+
+def test_a_held_servo_that_missed_it_is_told_again_to_stop_watching_the_bus(
+    arm_config, servos, stream, start, registers
+):
+    with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
+        arm.enable()
+        stream(arm, [start] * 3)
+        original, lost = arm.bus.sync_write, []
+
+        def loses_one(register, values):
+            if register.name == "bus_watchdog" and not lost:
+                lost.append(values)
+                values = {id: value for id, value in values.items() if id != 3}
+            original(register, values)
+
+        arm.bus.sync_write = loses_one
+    assert lost and arm.exit_report.ok and registers(arm, "bus_watchdog") == [0] * 6
 
 
 def test_a_limp_joint_is_named_when_the_arm_is_to_hold(arm_config, servos, stream, start):

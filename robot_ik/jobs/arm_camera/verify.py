@@ -29,6 +29,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
+from robot_ik.hardware import SIMULATED
 from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
@@ -215,7 +216,7 @@ def run_verify(
     if request.rehearsal.zero_offset_deg and request.camera != "synthetic":
         raise ConfigError(
             "a zero offset can be rehearsed before the synthetic camera only",
-            file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
+            file="command line", key="--rehearse-zero-offset", allowed=f"--camera synthetic, {SIMULATED}",
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
         setup = prepare_robot(request)

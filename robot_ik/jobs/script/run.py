@@ -14,7 +14,7 @@ import numpy as np
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import RobotIkError, apart
 from robot_ik.goals import PoseGoal
-from robot_ik.hardware import bus_row
+from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
 from robot_ik.jobs.recording import open_recording
@@ -122,8 +122,8 @@ class ScriptRun(RunState):
         super().__init__(script, setup, solver_name("", setup.robot.file), seed)
         self._record = request.record
         if script.physics and not self.simulated:
-            allowed = "false, or --bus sim or pty"
-            raise script.wrong("servos on a real port move by themselves", "physics", allowed)
+            problem = "servos on a real port move by themselves"
+            raise script.wrong(problem, "physics", f"false, or {SIMULATED}")
         for k, step in enumerate(script.steps):
             try:
                 step.check(self)

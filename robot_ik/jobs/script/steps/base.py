@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from robot_ik.errors import apart
+from robot_ik.hardware import SIMULATED
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult, error_classes
 from robot_ik.motion.key_poses import KeyPoses, named_poses
@@ -98,7 +99,7 @@ class ScriptStep(Table):
         """
         if not now.simulated and self.simulated_only:
             problem = f"{self.do!r} is for simulated servos, and this is a real port"
-            raise WrongKey(problem, "do", "--bus sim or pty")
+            raise WrongKey(problem, "do", SIMULATED)
         if not now.simulated and self.needs_camera:
             problem = "the synthetic camera does not see a real desk"
             raise WrongKey(problem, "do", "other steps, or robot-ik reach")

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import model_validator
 
 from robot_ik.geometry import Pose
+from robot_ik.hardware import SIMULATED
 from robot_ik.jobs.script.state import RunState, StepResult, error_classes
 from robot_ik.jobs.script.steps.base import (
     ErrorClass,
@@ -82,7 +83,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
         super().check(now)
         if self.shafts and not now.simulated:
             problem = "nobody knows where real shafts are"
-            raise WrongKey(problem, "shafts", "false, or --bus sim or pty")
+            raise WrongKey(problem, "shafts", f"false, or {SIMULATED}")
         require_known("keyframe", self.keyframe, keyframes(now.robot), "keyframe")
         require_known("status", self.status, [status.name for status in Status], "status")
         require_known("joint", self.joint, now.robot.joints, "joint")
