@@ -160,6 +160,9 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     known = len(sigma) in (0, 2) and all(0.0 < one < math.inf for one in sigma)
     exact = "a pose that is known exactly or not at all"
     require(known, "--board-sigma", exact, "two numbers above 0")
+    picture = options.picture
+    drawn = picture is None or picture.suffix.lower() == ".png"
+    require(drawn, "--picture", f"no picture of errors is written as {picture}", "a name that ends in .png")
     writes = not options.yes or bool(options.fit and options.arm)
     require(writes, "--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
     return request_of(
