@@ -126,7 +126,7 @@ def show_plan(name: str, joints: Sequence[str], stations: Sequence[Array]) -> No
     console.show(console.table(name, *joints, rows=rows, title="planned, degrees"))
 
 
-def planned_values(report: ArmCameraReport[Any], job: str) -> dict[str, Any]:
+def planned_values(report: ArmCameraReport, job: str) -> dict[str, Any]:
     """What JSON says of a run that was planned, measured or not."""
     facts = {key: getattr(report.samples, key) for key in ("robot", "joints", "frame", "mounting")}
     return {"schema": 1, "job": job, **facts, "stations": report.stations, "unseen": report.unseen}

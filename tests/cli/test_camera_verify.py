@@ -67,7 +67,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             robot=robot, config=config, samples=all_views, stations=tuple(samples.q), unseen=(3,)
         )
         if not request.dry_run:
-            report.compare(9, fit=request.fit)
+            report.compare(fit=request.fit)
         return report
 
     monkeypatch.setattr(verify, "run_verify", run)

@@ -39,7 +39,7 @@ from robot_ik.jobs.arm_camera.handeye import (
     open_scene,
     visit_stations,
 )
-from robot_ik.jobs.arm_camera.samples import VerifySamples
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
@@ -127,7 +127,7 @@ _LEAST = 1e-12 * np.eye(6)
 
 
 @dataclass(eq=False, kw_only=True)
-class VerifyReport(ArmCameraReport[VerifySamples]):
+class VerifyReport(ArmCameraReport):
     """What came out.
 
     Attributes:
@@ -135,19 +135,20 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
         fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
     """
 
+    samples: VerifySamples
     robot: Robot
     config: ArmConfig | None
     errors: tuple[PoseError, ...] = ()
     fit: ZeroOffsets | None = None
 
-    def compare(self, stations: int, *, fit: bool) -> None:
+    def compare(self, *, fit: bool) -> None:
         """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
 
         Raises:
-            MarkerNotFoundError: The board was seen at too few of the ``stations``.
+            MarkerNotFoundError: The board was seen at too few of the stations.
         """
         samples, robot = self.samples, self.robot
-        samples.require(stations, "where camera and board are said to be")
+        samples.require(len(self.stations), "where camera and board are said to be")
         views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
         asked = (views, robot, samples.frame, samples.intrinsics)
         fitted = partial(fit_zero_offsets, *asked, camera=samples.camera, board=samples.board)
@@ -204,7 +205,7 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
 def run_verify(
     request: VerifyRequest,
     *,
-    keep: Callable[[VerifySamples], None] = lambda samples: None,
+    keep: Callable[[SampleSet], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> VerifyReport:
     """Locates the camera, plans, moves, looks, compares; ``keep`` as in ``run_handeye``.
@@ -230,11 +231,12 @@ def run_verify(
         samples = _locate(request, setup, scene, extrinsics, progress)
         report = VerifyReport(robot=setup.robot, config=setup.config, samples=samples)
         mount = Mount(samples.camera.pose, samples.board.pose, "eye_to_hand")
-        visit_stations(report, request, setup, scene, replace(scene.task, mount=mount), keep, progress)
+        scene = replace(scene, task=replace(scene.task, mount=mount))
+        visit_stations(report, request, setup, scene, keep, progress)
     if request.dry_run:
         return report
     progress("comparing", 0.0)
-    report.compare(len(report.stations), fit=request.fit)
+    report.compare(fit=request.fit)
     return report
 
 
@@ -266,7 +268,7 @@ def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board
     config = None if request.arm_file is None else samples.arm(request.arm_file)
     samples, robot = replace(samples, board=board), samples.load_robot()
     report = VerifyReport(robot=robot, config=config, samples=samples, stations=tuple(samples.q))
-    report.compare(len(samples), fit=request.fit)
+    report.compare(fit=request.fit)
     return report
 
 
