@@ -180,7 +180,6 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
         else (tool.size, _cube_side(k, tool.cube))
         for k, id in enumerate(tool.ids)
     }
-    table = None if reach.table is None else SceneTable(reach.table.height, reach.table.x, reach.table.y)
     return Scene(
         intrinsics=intrinsics,
         pose_world_camera=look_at(camera.position, camera.look_at),
@@ -193,7 +192,7 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
         cube_offset=Pose(),
         cube=cube,
         cube_margin=0.5 * (tool.cube - tool.size),
-        table=table,
+        table=None if reach.table is None else SceneTable(**dict(reach.table)),
     )
 
 
@@ -303,12 +302,11 @@ def _visibility(
     robot: Robot, scene: Scene, q_goal: Array, at_home: mujoco.MjData, at_goal: mujoco.MjData
 ) -> float:
     """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
-    marker = _facing(robot, scene, at_home, [scene.pose_world_marker], [scene.marker_size])
+    marker = _facing(robot, scene, at_home, [(scene.marker_size, scene.pose_world_marker)])
     if not marker or not _apart(robot, scene, robot.home):
         return 0.0
     cube = _cube_pose(robot, scene, q_goal)
-    sides = [cube.compose(pose) for _, pose in scene.cube.values()]
-    seen = _facing(robot, scene, at_goal, sides, [side for side, _ in scene.cube.values()])
+    seen = _facing(robot, scene, at_goal, [(side, cube.compose(pose)) for side, pose in scene.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
     score = min(marker[0], float(sum(seen[:2]) / np.sqrt(2.0)))
     return score if not score or _apart(robot, scene, q_goal) else _ONE_ON_THE_OTHER * score
@@ -336,13 +334,13 @@ def _apart(robot: Robot, scene: Scene, q: Array) -> bool:
 
 
 def _facing(
-    robot: Robot, scene: Scene, data: mujoco.MjData, markers: list[Pose], sides: list[float]
+    robot: Robot, scene: Scene, data: mujoco.MjData, markers: list[tuple[float, Pose]]
 ) -> list[float]:
-    """Cosines between view and paper of the markers that are seen whole, the best first."""
+    """Cosines between view and paper of the markers (side, pose) that are seen whole, the best first."""
     eye = scene.pose_world_camera.position
     width, height = scene.intrinsics.size
     found = []
-    for pose, side in zip(markers, sides, strict=True):
+    for side, pose in markers:
         h = 0.6 * side
         points = pose.apply(np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]]))
         view = eye - pose.position

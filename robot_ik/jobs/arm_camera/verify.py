@@ -261,7 +261,7 @@ def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board
         samples = replace(samples, intrinsics=lens)
     extrinsics = _given_extrinsics(request, samples.intrinsics)
     if extrinsics is not None:
-        samples = replace(samples, camera=_known_camera(extrinsics), by_arm=_by_arm(extrinsics))
+        samples = replace(samples, **_known_camera(extrinsics))
     board = replace(samples.board, pose=request.pose_other_board or samples.board.pose)
     if board_sigma:
         board = KnownPose.within(board.pose, *request.board_sigma)
@@ -298,9 +298,8 @@ def _locate(
     offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
     return VerifySamples(
         request.robot, joints, task.frame, "eye_to_hand", task.intrinsics,
-        camera=_known_camera(extrinsics),
+        **_known_camera(extrinsics),
         board=KnownPose.within(pose, *request.board_sigma),
-        by_arm=_by_arm(extrinsics),
         true_offsets=None if truth is None else np.deg2rad(offsets_deg),
         servos=() if config is None else tuple(map(plain, config.joints)),
     )  # fmt: skip
@@ -320,14 +319,12 @@ def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
     return locate_camera(seen, around.pose_world_marker, lens)
 
 
-def _by_arm(extrinsics: CameraExtrinsics) -> bool:
-    return extrinsics.method.startswith("handeye")
-
-
-def _known_camera(extrinsics: CameraExtrinsics) -> KnownPose:
-    if _by_arm(extrinsics):
-        return KnownPose.within(extrinsics.pose_parent_camera, *_BY_THE_ARM)
-    return KnownPose(extrinsics.pose_parent_camera, extrinsics.covariance + _LEAST)
+def _known_camera(extrinsics: CameraExtrinsics) -> dict[str, Any]:
+    """What samples know of the camera: ``camera`` and ``by_arm``."""
+    pose = extrinsics.pose_parent_camera
+    if extrinsics.method.startswith("handeye"):
+        return {"camera": KnownPose.within(pose, *_BY_THE_ARM), "by_arm": True}
+    return {"camera": KnownPose(pose, extrinsics.covariance + _LEAST), "by_arm": False}
 
 
 # ------------------------------------------------------------------------------------------
