@@ -143,24 +143,16 @@ def _straight(width: int, height: int) -> CameraIntrinsics:
 
 def _values(sighting: Sighting) -> dict[str, Any]:
     """A sighting by the names of JSON; corners in pixels (integer pixel centres)."""
-    return {
-        "markers": [_marker_values(m) for m in sighting.markers],
-        "bodies": [
-            {"name": name, "ids": seen.ids, "rejected": seen.rejected}
-            | _fit_values(seen, seen.pose_camera_body)
-            for name, seen in sighting.bodies.items()
-        ],
-    }
-
-
-def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
-    values = {
-        "id": marker.id,
-        "corners": marker.corners,
-        "corner_sigma": marker.sigma,
-        "refined": marker.refined,
-    }
-    return values if isinstance(marker, Corners) else values | _fit_values(marker, marker.pose)
+    markers = [
+        {"id": one.id, "corners": one.corners, "corner_sigma": one.sigma, "refined": one.refined}
+        | ({} if isinstance(one, Corners) else _fit_values(one, one.pose))
+        for one in sighting.markers
+    ]
+    bodies = [
+        {"name": name, "ids": seen.ids, "rejected": seen.rejected} | _fit_values(seen, seen.pose_camera_body)
+        for name, seen in sighting.bodies.items()
+    ]
+    return {"markers": markers, "bodies": bodies}
 
 
 def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
