@@ -260,13 +260,12 @@ def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board
             )
         samples = replace(samples, intrinsics=lens)
     extrinsics = _given_extrinsics(request, samples.intrinsics)
-    if extrinsics is not None:
-        samples = replace(samples, **_known_camera(extrinsics))
+    camera = {} if extrinsics is None else _known_camera(extrinsics)
     board = replace(samples.board, pose=request.pose_other_board or samples.board.pose)
     if board_sigma:
         board = KnownPose.within(board.pose, *request.board_sigma)
     config = None if request.arm_file is None else samples.arm(request.arm_file)
-    samples, robot = replace(samples, board=board), samples.load_robot()
+    samples, robot = replace(samples, board=board, **camera), samples.load_robot()
     report = VerifyReport(robot=robot, config=config, samples=samples, stations=tuple(samples.q))
     report.compare(fit=request.fit)
     return report
