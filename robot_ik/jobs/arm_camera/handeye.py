@@ -157,14 +157,12 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
     beside = Pose((_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])).compose(
         Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
     )
-    if reach <= 0.0:
-        return beside
-    sides = [Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside) for angle in _SIDES]
     clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
     view_points = (
         _VIEW_DEPTH * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
     )
-    for side in sides:
+    for angle in _SIDES if reach > 0.0 else ():
+        side = Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside)
         camera = hand.compose(side)
         if clearance.sees(robot.home, camera.position, camera.apply(view_points)):
             return side
