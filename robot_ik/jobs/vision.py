@@ -119,11 +119,6 @@ class Vision:
         self._goals = _ArmGoals(self)
         self._followed: SeenTarget | None = None
 
-    @property
-    def live(self) -> bool:
-        """Whether it can look again; not where its pictures are recorded."""
-        return self.source.live
-
     def picture(self) -> Frame:
         """Takes a picture, without its truth, and looks for nothing."""
         frame = self.source.read().without_truth()
@@ -138,7 +133,7 @@ class Vision:
         """
         tries = _SYNTHETIC_TRIES if self.synthetic is not None else _LIVE_TRIES
         # A recording is searched to its end: there is no hurry, and nothing else to see.
-        while tries > 0 or not self.live:
+        while tries > 0 or not self.source.live:
             try:
                 goal = self._goals.poll(self.setup.clock.now())
             except FrameTimeoutError:
@@ -156,7 +151,7 @@ class Vision:
         Raises:
             MarkerNotFoundError: As ``find_target``.
         """
-        if not self.live and self._followed is not None:
+        if not self.source.live and self._followed is not None:
             return self._followed
         return self.find_target()
 
@@ -248,7 +243,7 @@ class _ArmGoals(MarkerGoalSource):
             scene.pose_marker_tool,
             vision.setup.frame,
             motion=FilterOptions() if follow else None,
-            predict=follow and vision.live,
+            predict=None if follow else False,
             lead=vision.lead if follow else 0.0,
             when_lost=vision.when_lost if follow else WhenLost(),
             clock=vision.setup.clock,
@@ -257,7 +252,7 @@ class _ArmGoals(MarkerGoalSource):
         self.seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
-        super().observe(now, wait=True)  # every look is at a new picture
+        super().observe(now, wait=True)  # every look is at a new picture, for which a camera is waited for
         vision, goal, last, frame = self._vision, self.measured, self.last, self.last_frame
         if frame is None:
             return
