@@ -190,8 +190,7 @@ def loop(effort: Effort) -> Iterator[Quantity]:
 
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
-        wanted = _LOOP_WANTED[camera.width]
-        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted)
+        yield Quantity(what, 1e3 / took.processor, "frames/s", least=_LOOP_WANTED[camera.width])
         yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s")
 
 
@@ -224,7 +223,6 @@ def delay(effort: Effort) -> Iterator[Quantity]:
                     time.sleep(0.01)
         made, used = goals.goal_delays.summary(), goals.picture_ages.summary()
         size = f"{camera.width}×{camera.height}"
-        wanted = _DELAY_WANTED_MS
-        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted)
+        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", _DELAY_WANTED_MS)
         yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms")
         yield Quantity(f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms")
