@@ -129,7 +129,7 @@ def show_plan(name: str, joints: Sequence[str], stations: Sequence[Array]) -> No
     console.show(console.table(name, *joints, rows=rows, title="planned, degrees"))
 
 
-def planned_values(report: ArmCameraReport[Any], job: str) -> dict[str, Any]:
+def planned_values(report: ArmCameraReport, job: str) -> dict[str, Any]:
     """What JSON says of a run that was planned, measured or not."""
     facts = {key: getattr(report.samples, key) for key in ("robot", "joints", "frame", "mounting")}
     return {"schema": 1, "job": job, **facts, "stations": report.stations, "unseen": report.unseen}
@@ -397,6 +397,9 @@ def _verify_request(options: CameraVerifyOptions) -> VerifyRequest:
     known = len(sigma) in (0, 2) and all(0.0 < one < math.inf for one in sigma)
     exact = "a pose that is known exactly or not at all"
     require(known, "--board-sigma", exact, "two numbers above 0")
+    picture = options.picture
+    drawn = picture is None or picture.suffix.lower() == ".png"
+    require(drawn, "--picture", f"no picture of errors is written as {picture}", "a name that ends in .png")
     writes = not options.yes or bool(options.fit and options.arm)
     require(writes, "--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
     return request_of(

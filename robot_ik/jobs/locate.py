@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from robot_ik.camera.boards.board import Board, BoardView, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import FrameSource, open_source
+from robot_ik.camera.sources import open_source
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import Progress
@@ -101,11 +101,16 @@ def run_locate(
     intrinsics = CameraIntrinsics.load(request.intrinsics)
     views: list[BoardView] = []
     searched, blank = 0, deque[Image](maxlen=GUESSED_FROM)
-    with open_source(request.source) as source:
-        for view, image in _looks(source, board, intrinsics, left_out):
+    # A camera may give no more.
+    with open_source(request.source) as source, contextlib.suppress(FrameTimeoutError):
+        for frame in frames_of(source):
+            if isinstance(frame, CameraNotFoundError):
+                left_out(str(frame.args[0]))
+                continue
             searched += 1
+            view = board.see(frame, intrinsics)
             if view is None:
-                blank.append(image)
+                blank.append(frame.image)
             else:
                 views.append(view)
             progress("looking", searched / request.pictures)
@@ -119,18 +124,6 @@ def run_locate(
     extrinsics = locate_camera(views, request.pose_parent_board, intrinsics, parent=request.parent)
     pose_camera_board = extrinsics.pose_parent_camera.inverse() @ request.pose_parent_board
     return LocateReport(extrinsics, searched, [_miss(view, pose_camera_board, intrinsics) for view in views])
-
-
-def _looks(
-    source: FrameSource, board: Board, intrinsics: CameraIntrinsics, left_out: Callable[[str], None]
-) -> Iterator[tuple[BoardView | None, Image]]:
-    """The board in picture after picture, until they end or a camera gives no more."""
-    with contextlib.suppress(FrameTimeoutError):
-        for frame in frames_of(source):
-            if isinstance(frame, CameraNotFoundError):
-                left_out(str(frame.args[0]))
-            else:
-                yield board.see(frame, intrinsics), frame.image
 
 
 def _miss(view: BoardView, pose_camera_board: Pose, intrinsics: CameraIntrinsics) -> float:

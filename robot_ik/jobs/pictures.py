@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -143,24 +143,16 @@ def _straight(width: int, height: int) -> CameraIntrinsics:
 
 def _values(sighting: Sighting) -> dict[str, Any]:
     """A sighting by the names of JSON; corners in pixels (integer pixel centres)."""
-    return {
-        "markers": [_marker_values(m) for m in sighting.markers],
-        "bodies": [
-            {"name": name, "ids": seen.ids, "rejected": seen.rejected}
-            | _fit_values(seen, seen.pose_camera_body)
-            for name, seen in sighting.bodies.items()
-        ],
-    }
-
-
-def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
-    values = {
-        "id": marker.id,
-        "corners": marker.corners,
-        "corner_sigma": marker.sigma,
-        "refined": marker.refined,
-    }
-    return values if isinstance(marker, Corners) else values | _fit_values(marker, marker.pose)
+    markers = [
+        {"id": one.id, "corners": one.corners, "corner_sigma": one.sigma, "refined": one.refined}
+        | ({} if isinstance(one, Corners) else _fit_values(one, one.pose))
+        for one in sighting.markers
+    ]
+    bodies = [
+        {"name": name, "ids": seen.ids, "rejected": seen.rejected} | _fit_values(seen, seen.pose_camera_body)
+        for name, seen in sighting.bodies.items()
+    ]
+    return {"markers": markers, "bodies": bodies}
 
 
 def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
@@ -195,8 +187,8 @@ class PictureMarkers:
 
     file: str
     frame: int
-    size: tuple[int, int] | None
-    values: dict[str, Any]
+    size: tuple[int, int] | None = None
+    values: dict[str, Any] = field(default_factory=lambda: {"markers": [], "bodies": []})
     image: Any = None
     error: CameraError | None = None
     in_film: bool = False
@@ -235,42 +227,32 @@ def find_markers(
     pictures have one size, it is the last.
     """
     finder = make_finder()
-    for file, number, frame, in_film in _pictures(name):
-        if in_film and number == 0:
-            finder = make_finder(film=True)
-        nothing: dict[str, Any] = {"markers": [], "bodies": []}
-        if isinstance(frame, CameraError):
-            yield PictureMarkers(file, number, None, nothing, error=frame)
-            continue
-        try:
-            sighting = finder.observe(frame)
-        except CalibrationError as error:  # of another size
-            yield PictureMarkers(file, number, frame.size, nothing, error=error)
-            if in_film:
-                return
-            continue
-        yield PictureMarkers(file, number, frame.size, _values(sighting), frame.image, in_film=in_film)
-        if drawings is not None:
-            drawing = draw_markers(frame.image, sighting.markers, finder.intrinsics)
-            drawings.save(file, number if in_film else None, drawing)
-
-
-def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
-    """File, number, picture or why there is none, and whether it is of a film."""
     try:
         source = sources.open_source(name)
     except CameraNotFoundError as error:
-        yield name, 0, error, False
+        yield PictureMarkers(name, 0, error=error)
         return
+    if film := isinstance(source, VideoSource):
+        finder = make_finder(film=True)
+    files = source.files if isinstance(source, FolderSource) else itertools.repeat(name)
+    count = None if isinstance(source, (FolderSource, ImageSource, VideoSource)) else 1
     with source:
-        if isinstance(source, FolderSource):
-            for number, (file, frame) in enumerate(zip(source.files, frames_of(source), strict=True)):
-                yield str(file), number, frame, False
-        elif isinstance(source, (ImageSource, VideoSource)):
-            for seen in source:
-                yield name, seen.sequence, seen, isinstance(source, VideoSource)
-        else:
-            yield name, 0, source.read(), False
+        frames = itertools.islice(frames_of(source), count)
+        for number, (file, frame) in enumerate(zip(files, frames, strict=False)):
+            if isinstance(frame, CameraError):
+                yield PictureMarkers(str(file), number, error=frame)
+                continue
+            try:
+                sighting = finder.observe(frame)
+            except CalibrationError as error:  # of another size
+                yield PictureMarkers(str(file), number, frame.size, error=error)
+                if film:
+                    return
+                continue
+            yield PictureMarkers(str(file), number, frame.size, _values(sighting), frame.image, in_film=film)
+            if drawings is not None:
+                drawing = draw_markers(frame.image, sighting.markers, finder.intrinsics)
+                drawings.save(str(file), number if film else None, drawing)
 
 
 # Pictures without a marker that are looked at again for markers of other kinds.
@@ -310,12 +292,13 @@ class ViewFolder:
 
     def _free_folder(self) -> Path:
         """A new or empty one, or one that is a source: views of another day may be of another focus."""
-        for number in itertools.count(1):
-            folder = self._out.with_name(f"{self._out.stem}-views" + (f"-{number}" if number > 1 else ""))
-            given = folder.resolve() in [Path(text).resolve() for text in self._sources]
-            if given or not folder.exists() or not any(folder.iterdir()):
-                return folder
-        raise AssertionError("there is no last number")
+        name, given = f"{self._out.stem}-views", [Path(text).resolve() for text in self._sources]
+        names = itertools.chain([name], (f"{name}-{k}" for k in itertools.count(2)))
+        return next(
+            folder
+            for folder in map(self._out.with_name, names)
+            if folder.resolve() in given or not folder.exists() or not any(folder.iterdir())
+        )
 
 
 def gather_views(
@@ -333,15 +316,13 @@ def gather_views(
     camera, ``size`` is asked of it, and ``say`` is given what happens, for the person at it.
     """
     with sources.open_source(name, size=size) as source:
-        if isinstance(source, FolderSource):
-            for path, frame in zip(source.files, frames_of(source), strict=True):
+        if isinstance(source, (FolderSource, ImageSource)):
+            files = source.files if isinstance(source, FolderSource) else [Path(name)]
+            for path, frame in zip(files, frames_of(source), strict=True):
                 if isinstance(frame, CameraNotFoundError):
                     gatherer.notices.append(f"left out: {frame.args[0]}")
                 else:
                     gatherer.offer(frame, path.name, selective=False)
-            return
-        if isinstance(source, ImageSource):
-            gatherer.offer(source.read(), Path(name).name, selective=False)
             return
         unseen = 0
         if source.live:

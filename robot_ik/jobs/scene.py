@@ -180,7 +180,6 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
         else (tool.size, _cube_side(k, tool.cube))
         for k, id in enumerate(tool.ids)
     }
-    table = None if reach.table is None else SceneTable(reach.table.height, reach.table.x, reach.table.y)
     return Scene(
         intrinsics=intrinsics,
         pose_world_camera=look_at(camera.position, camera.look_at),
@@ -193,7 +192,7 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
         cube_offset=Pose(),
         cube=cube,
         cube_margin=0.5 * (tool.cube - tool.size),
-        table=table,
+        table=None if reach.table is None else SceneTable(**dict(reach.table)),
     )
 
 
@@ -235,7 +234,7 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
     """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
     rng = np.random.default_rng(0)
     best, best_score = None, 0.0
-    home, at_home = robot.forward(robot.home, frame), _posed(robot, robot.home)
+    home, at_home = robot.forward(robot.home, frame), _posed(robot, scene, robot.home)
     for attempt in range(_TRIES):
         # From a quarter of the range towards all of it, should nothing near home do.
         share = 0.25 + 0.75 * attempt / _TRIES
@@ -248,14 +247,13 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
             continue
         below = Pose(tool.position - [0.0, 0.0, scene.hover])  # enough where the position is
         marker = below if upright else tool.compose(scene.pose_marker_tool.inverse())
-        placed = replace(scene, pose_world_marker=marker)
-        placed = replace(placed, table=_ground(robot, placed, q, reach))
+        placed, at_goal = replace(scene, pose_world_marker=marker), _posed(robot, scene, q)
+        placed = replace(placed, table=_ground(placed, at_goal[1], reach))
         ground = 0.0 if placed.table is None else placed.table.height
-        at_goal = _posed(robot, q)
         for pose in _cameras(marker.position, tool.position, reach):
             if pose.position[2] < ground + 0.1 * reach:
                 continue
-            score = _visibility(robot, replace(placed, pose_world_camera=pose), q, at_home, at_goal)
+            score = _visibility(robot, replace(placed, pose_world_camera=pose), at_home, at_goal)
             if score > best_score * (1.0 + 1e-6):  # by rounding errors alone no other one is chosen
                 best, best_score = replace(placed, pose_world_camera=pose), score
         enough = _GOOD_VIEW if attempt < _PATIENCE else _ONE_ON_THE_OTHER * _GOOD_VIEW
@@ -270,9 +268,8 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
     return best
 
 
-def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> SceneTable | None:
+def _ground(scene: Scene, cube: Pose, reach: float) -> SceneTable | None:
     """A table top below marker and tool where the floor, at height 0, would hide them."""
-    cube = _cube_pose(robot, scene, q_goal)
     side = next(side for side, _ in scene.cube.values())
     lowest = min(scene.pose_world_marker.position[2] - scene.marker_size, cube.position[2] - 1.2 * side)
     height = float(lowest) - 0.02 * reach
@@ -291,35 +288,30 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
     return found
 
 
-def _posed(robot: Robot, q: Array) -> mujoco.MjData:
-    """The model at ``q`` (nq,), for rays."""
+def _posed(robot: Robot, scene: Scene, q: Array) -> tuple[mujoco.MjData, Pose]:
+    """The model at ``q`` (nq,), for rays, and where the cube is."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_kinematics(robot.model, data)
-    return data
+    return data, robot.forward(q, scene.cube_frame).compose(scene.cube_offset)
 
 
 def _visibility(
-    robot: Robot, scene: Scene, q_goal: Array, at_home: mujoco.MjData, at_goal: mujoco.MjData
+    robot: Robot, scene: Scene, at_home: tuple[mujoco.MjData, Pose], at_goal: tuple[mujoco.MjData, Pose]
 ) -> float:
     """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
-    marker = _facing(robot, scene, at_home, [scene.pose_world_marker], [scene.marker_size])
-    if not marker or not _apart(robot, scene, robot.home):
+    (home, cube_at_home), (goal, cube) = at_home, at_goal
+    marker = _facing(robot, scene, home, [(scene.marker_size, scene.pose_world_marker)])
+    if not marker or not _apart(scene, cube_at_home):
         return 0.0
-    cube = _cube_pose(robot, scene, q_goal)
-    sides = [cube.compose(pose) for _, pose in scene.cube.values()]
-    seen = _facing(robot, scene, at_goal, sides, [side for side, _ in scene.cube.values()])
+    seen = _facing(robot, scene, goal, [(side, cube.compose(pose)) for side, pose in scene.cube.values()])
     # Two sides at once tell how the cube is turned far better than one seen squarely.
     score = min(marker[0], float(sum(seen[:2]) / np.sqrt(2.0)))
-    return score if not score or _apart(robot, scene, q_goal) else _ONE_ON_THE_OTHER * score
+    return score if not score or _apart(scene, cube) else _ONE_ON_THE_OTHER * score
 
 
-def _cube_pose(robot: Robot, scene: Scene, q: Array) -> Pose:
-    return robot.forward(q, scene.cube_frame).compose(scene.cube_offset)
-
-
-def _apart(robot: Robot, scene: Scene, q: Array) -> bool:
-    """Whether the picture at ``q`` shows the target, and a cell of white round it, beside the whole cube."""
+def _apart(scene: Scene, cube: Pose) -> bool:
+    """Whether the picture shows the target, and a cell of white round it, beside the whole cube there."""
     to_camera = scene.pose_world_camera.inverse()
 
     def outline(pose: Pose, points: Array) -> NDArray[np.float32]:
@@ -331,18 +323,18 @@ def _apart(robot: Robot, scene: Scene, q: Array) -> bool:
     side = next(side for side, _ in scene.cube.values())
     c = 0.5 * side + scene.cube_margin
     corners = c * np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    target, cube = outline(scene.pose_world_marker, paper), outline(_cube_pose(robot, scene, q), corners)
-    return not cv2.intersectConvexConvex(target, cube)[0] > 0.0
+    overlap, _ = cv2.intersectConvexConvex(outline(scene.pose_world_marker, paper), outline(cube, corners))
+    return not overlap > 0.0
 
 
 def _facing(
-    robot: Robot, scene: Scene, data: mujoco.MjData, markers: list[Pose], sides: list[float]
+    robot: Robot, scene: Scene, data: mujoco.MjData, markers: list[tuple[float, Pose]]
 ) -> list[float]:
-    """Cosines between view and paper of the markers that are seen whole, the best first."""
+    """Cosines between view and paper of the markers (side, pose) that are seen whole, the best first."""
     eye = scene.pose_world_camera.position
     width, height = scene.intrinsics.size
     found = []
-    for pose, side in zip(markers, sides, strict=True):
+    for side, pose in markers:
         h = 0.6 * side
         points = pose.apply(np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]]))
         view = eye - pose.position

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -41,36 +41,11 @@ if TYPE_CHECKING:
 
 
 # ------------------------------------------------------------------------------------------
-# Pictures without their truth, and a printed marker that somebody pushes about.
+# A printed marker that somebody pushes about.
 
 
 # The synthetic marker that is followed lies still for a while in the end.
 REST_SECONDS = 1.5
-
-
-class WithoutTruth(FrameSource):
-    """A source whose pictures come without their truth; the truth is kept for the report."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-        self.truth: Any = None
-        self.image: Any = None
-
-    @property
-    def live(self) -> bool:
-        return self._source.live
-
-    @property
-    def exhausted(self) -> bool:
-        return self._source.exhausted
-
-    def read(self) -> Frame:
-        frame = self._source.read()
-        self.truth, self.image = frame.truth, frame.image
-        return frame.without_truth()
-
-    def close(self) -> None:
-        self._source.close()
 
 
 def wandering(home: Pose, begin: float, seconds: float, size: float, now: float) -> Pose:
@@ -119,9 +94,9 @@ class Vision:
         why_blind: Why its pictures do not show the arm, so that it cannot judge; empty: they do.
         synthetic: ``source``, where it is synthetic; its marker wanders while it is followed.
         when_lost, lead: For following.
+        last_image: The last picture that was taken; None before the first.
         cover_gripper: From the first picture of the gripper on its markers are hidden (a rehearsal).
         delays: After following: from grab to goal, and the age of the picture at each tick.
-        path: From following on: where the synthetic marker truly is, by time; None where it is unknown.
     """
 
     scene: Scene
@@ -134,29 +109,21 @@ class Vision:
     lead: float = 0.0
     cover_gripper: bool = False
     delays: tuple[Delays, Delays] | None = field(default=None, init=False)
-    path: Callable[[float], Pose] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
-        self.pictures = WithoutTruth(self.source)
+        self.last_image: Any = None
         sides = {id: side for id, (side, _) in self.scene.cube.items()}
         self._cubes = MarkerTracker(self.scene.intrinsics, self.scene.dictionary, sides)
         self._goals = _ArmGoals(self)
         self._followed: SeenTarget | None = None
 
-    @property
-    def live(self) -> bool:
-        """Whether it can look again; not where its pictures are recorded."""
-        return self.source.live
-
-    @property
-    def last_image(self) -> Any:
-        return self.pictures.image
-
-    def picture(self) -> Any:
-        """Takes a picture and looks for nothing."""
-        return self.pictures.read().image
+    def picture(self) -> Frame:
+        """Takes a picture, without its truth, and looks for nothing."""
+        frame = self.source.read().without_truth()
+        self.last_image = frame.image
+        return frame
 
     def find_target(self) -> SeenTarget:
         """The target marker in the next pictures.
@@ -166,14 +133,14 @@ class Vision:
         """
         tries = _SYNTHETIC_TRIES if self.synthetic is not None else _LIVE_TRIES
         # A recording is searched to its end: there is no hurry, and nothing else to see.
-        while tries > 0 or not self.live:
+        while tries > 0 or not self.source.live:
             try:
                 goal = self._goals.poll(self.setup.clock.now())
             except FrameTimeoutError:
                 break
             if isinstance(goal, PoseGoal | PositionGoal) and self._goals.seen is not None:
                 return self._goals.seen
-            if self.pictures.exhausted:
+            if self.source.exhausted:
                 break
             tries -= 1
         raise self._not_found()
@@ -184,15 +151,22 @@ class Vision:
         Raises:
             MarkerNotFoundError: As ``find_target``.
         """
-        if not self.live and self._followed is not None:
+        if not self.source.live and self._followed is not None:
             return self._followed
         return self.find_target()
+
+    def true_target(self, time: float) -> Pose | None:
+        """Where the synthetic target marker is, world; None before a real camera."""
+        if self.synthetic is None:
+            return None
+        pose = next(m.pose for m in self.synthetic.scene.markers if m.id == self.scene.marker_id)
+        return pose(time) if callable(pose) else pose
 
     def find_gripper(self) -> BodyObservation | None:
         """The gripper's markers in a new picture; None when none is in view."""
         if self.cover_gripper and self.synthetic is not None:
             self.synthetic.scene = self.synthetic.scene.with_marker(*self.scene.cube, condition="covered")
-        return self._cubes.observe_body(self.pictures.read(), dict(self.scene.cube))
+        return self._cubes.observe_body(self.picture(), dict(self.scene.cube))
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
@@ -212,20 +186,19 @@ class Vision:
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
         synthetic, id, goals = self.synthetic, self.scene.marker_id, _ArmGoals(self, follow=True)
-        if synthetic is not None:
-            home = next(m.pose for m in synthetic.scene.markers if m.id == id)
-            assert isinstance(home, Pose)
+        home = self.true_target(clock.now())
+        if synthetic is not None and home is not None:
             begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
-            self.path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
-            synthetic.scene = synthetic.scene.with_marker(id, pose=self.path)
+            path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
+            synthetic.scene = synthetic.scene.with_marker(id, pose=path)
             usual, synthetic.quality = synthetic.quality, QUALITIES["fast"]
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
         self.delays = goals.goal_delays.summary(), goals.picture_ages.summary()
         if synthetic is None:
             self._followed = goals.seen
-        elif self.path is not None:
-            synthetic.scene = synthetic.scene.with_marker(id, pose=self.path(clock.now()))
+        else:
+            synthetic.scene = synthetic.scene.with_marker(id, pose=self.true_target(clock.now()))
             synthetic.quality = usual
 
     def for_arm(self, goal: Any) -> Any:
@@ -263,14 +236,14 @@ class _ArmGoals(MarkerGoalSource):
         scene = vision.scene
         sizes = {scene.marker_id: scene.marker_size}
         super().__init__(
-            vision.pictures,
+            vision.source,
             MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
             scene.pose_world_camera,
             scene.marker_id,
             scene.pose_marker_tool,
             vision.setup.frame,
             motion=FilterOptions() if follow else None,
-            predict=follow and vision.live,
+            predict=None if follow else False,
             lead=vision.lead if follow else 0.0,
             when_lost=vision.when_lost if follow else WhenLost(),
             clock=vision.setup.clock,
@@ -279,12 +252,14 @@ class _ArmGoals(MarkerGoalSource):
         self.seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
-        super().observe(now, wait=wait)
-        goal, last, scene = self.measured, self.last, self._vision.scene
+        super().observe(now, wait=True)  # every look is at a new picture, for which a camera is waited for
+        vision, goal, last, frame = self._vision, self.measured, self.last, self.last_frame
+        if frame is None:
+            return
+        vision.last_image = frame.image
         if goal is not None and isinstance(last, MarkerObservation):
-            true_poses = (self._vision.pictures.truth or {}).get("pose_world_marker", {})
-            pose = scene.pose_world_camera.compose(last.pose)
-            self.seen = SeenTarget(self._vision.for_arm(goal), last, pose, true_poses.get(scene.marker_id))
+            pose = vision.scene.pose_world_camera.compose(last.pose)
+            self.seen = SeenTarget(vision.for_arm(goal), last, pose, vision.true_target(frame.time))
 
     def goal_at(self, now: float) -> Any:
         return self._vision.for_arm(super().goal_at(now))

@@ -28,7 +28,6 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.jobs.pictures import MarkerFinder
-from robot_ik.jobs.vision import WithoutTruth
 
 
 def picture(value: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
@@ -237,26 +236,6 @@ def test_a_film_on_a_server_is_opened_and_is_not_live(film: Path) -> None:
 def test_an_image_source_counts_as_exhausted_once_given(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), picture(1))
     assert len(list(ImageSource(tmp_path / "a.png"))) == 1
-
-
-@pytest.mark.parametrize("live", [True, False])
-def test_what_wraps_a_source_passes_on_whether_it_is_live(live: bool) -> None:
-    class Some(FrameSource):
-        def __init__(self) -> None:
-            self.now = live
-
-        @property
-        def live(self) -> bool:
-            return self.now
-
-        def read(self) -> Frame:
-            return Frame(picture(0), 0.0, 0)
-
-    source = Some()
-    wrapped = WithoutTruth(WithoutTruth(source))
-    assert wrapped.live is live
-    source.now = not live
-    assert wrapped.live is not live
 
 
 def test_no_source_is_one_without_saying_whether_it_is_live() -> None:

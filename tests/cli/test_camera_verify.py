@@ -67,7 +67,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             robot=robot, config=config, samples=all_views, stations=tuple(samples.q), unseen=(3,)
         )
         if not request.dry_run:
-            report.compare(9, fit=request.fit)
+            report.compare(fit=request.fit)
         return report
 
     monkeypatch.setattr(verify, "run_verify", run)
@@ -205,6 +205,7 @@ def test_a_plan_is_printed(robot_ik: Any, arm: Path) -> None:
         (["--rehearse-zero-offset", "joint2"], "JOINT=DEGREES"),
         (["--camera", "0"], "robot-ik camera locate"),
         (["--arm", "nowhere.toml"], "nowhere.toml"),
+        (["--picture", "errors.xyz"], "a name that ends in .png"),
     ],
 )
 def test_what_cannot_be_meant_is_reported(robot_ik: Any, arguments: list[str], words: str) -> None:

@@ -13,7 +13,7 @@ FORMER = {
     "AnswerTimes": "RoundTripEstimator",
     "answer_times": "round-trip estimator",
     "arm_zeros": "kinematic calibration",
-    "Blindfold": "WithoutTruth",
+    "Blindfold": "Frame.without_truth",
     "CameraPlace": "CameraExtrinsics",
     "CompiledAhead": "Precompilation",
     "dice": "rng, a random generator",

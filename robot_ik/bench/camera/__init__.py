@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import math
+import pkgutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -43,8 +43,7 @@ class Row:
 
     def measure(self, effort: Effort) -> Iterator[Quantity]:
         """Measures; figures come as they are ready."""
-        module, _, name = self.function.partition(":")
-        measure: Measure = getattr(importlib.import_module(module), name)
+        measure: Measure = pkgutil.resolve_name(self.function)
         yield from measure(effort)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import mujoco
@@ -21,7 +22,7 @@ from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.renderers import ARTISTS, Artist, DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
@@ -354,9 +355,9 @@ def latency_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Miss
     times = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
     frames = [board_frame(hand_motion(t), BOARD, rng, number=k, time=float(t)) for k, t in enumerate(times)]
     watcher = BoardWatcher(MarkerBoard(BOARD, DICTIONARY), STANDARD_CAMERA, window=False)
-    observations = [watcher.see(frame) for frame in frames]
+    watcher.see = cache(watcher.see)  # type: ignore[method-assign]  # all options look at the same pictures
     return {
-        name: _latency_error(latency_options, round(share * steps), frames, observations, robot_points(0))
+        name: _latency_error(latency_options, round(share * steps), frames, watcher, robot_points(0))
         for name, (share, latency_options) in LATENCY_CASES.items()
     }
 
@@ -365,20 +366,13 @@ def _latency_error(
     latency_options: LatencyOptions,
     steps: int,
     frames: list[Frame],
-    observations: list[Seen | None],
+    watcher: BoardWatcher,
     points: Array,
 ) -> Misses:
-    registrar = Registrar(
-        _RecordedWatcher(observations),
-        PainterArtist(),
-        DrawnRobot(mujoco.MjSpec().compile()),
-        STANDARD_CAMERA,
-        latency_options,
-    )
+    nobody = DrawnRobot(mujoco.MjSpec().compile())
+    registrar = Registrar(watcher, PainterArtist(), nobody, STANDARD_CAMERA, latency_options)
     offsets = []
-    for k in range(len(frames)):
-        if k < steps:
-            continue
+    for k in range(steps, len(frames)):
         seen = registrar.track(frames[k - steps])
         # the first half second is for the filter to find the speed
         pose, motion = registrar.place(seen, frames[k])
@@ -390,16 +384,6 @@ def _latency_error(
             drawn = drawn @ motion[:, :2].T + motion[:, 2]
         offsets.append((drawn - true)[_in_view(true)])
     return Misses.of(offsets)
-
-
-class _RecordedWatcher(BoardWatcher):
-    """Has seen all pictures before."""
-
-    def __init__(self, observations: list[Seen | None]) -> None:
-        self._observations = observations
-
-    def see(self, frame: Frame) -> Seen | None:
-        return self._observations[frame.sequence]
 
 
 # ------------------------------------------------------------------------------------------

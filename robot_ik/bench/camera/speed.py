@@ -8,10 +8,11 @@ three rounds of a picture, and the median over pictures.  Delays are by the cloc
 from __future__ import annotations
 
 import itertools
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -189,35 +190,23 @@ def loop(effort: Effort) -> Iterator[Quantity]:
 
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
-        wanted = _LOOP_WANTED[camera.width]
-        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted)
+        yield Quantity(what, 1e3 / took.processor, "frames/s", least=_LOOP_WANTED[camera.width])
         yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s")
 
 
-class _Camera:
+def _camera(frames: Sequence[Frame]) -> Any:
     """What ``cv2.VideoCapture`` is to ``DeviceSource``: pictures that come 30 times a second."""
+    coming, due = itertools.cycle(frames), time.monotonic()
 
-    def __init__(self, frames: Sequence[Frame]) -> None:
-        self._frames, self._next, self._due = frames, 0, time.monotonic()
-        self._open = threading.Event()
+    def read() -> tuple[bool, Any]:
+        nonlocal due
+        due += _PERIOD
+        time.sleep(max(0.0, due - time.monotonic()))
+        return True, next(coming).image
 
-    def set(self, *_: Any) -> bool:
-        return True
-
-    def get(self, *_: Any) -> float:
-        return 0.0
-
-    def isOpened(self) -> bool:
-        return True
-
-    def read(self) -> tuple[bool, Any]:
-        self._due += _PERIOD
-        self._open.wait(max(0.0, self._due - time.monotonic()))
-        self._next += 1
-        return True, self._frames[self._next % len(self._frames)].image
-
-    def release(self) -> None:
-        """Nothing to let go of."""
+    return SimpleNamespace(
+        read=read, set=lambda *_: True, get=lambda *_: 0.0, isOpened=lambda: True, release=lambda: None
+    )
 
 
 def delay(effort: Effort) -> Iterator[Quantity]:
@@ -225,7 +214,7 @@ def delay(effort: Effort) -> Iterator[Quantity]:
     robot = load_robot(_ARM)
     for camera in CAMERAS:
         frames = moving_frames(camera, 30, effort.seed)
-        with DeviceSource("simulated", opener=lambda frames=frames: _Camera(frames)) as source:  # type: ignore[misc]
+        with DeviceSource("simulated", opener=partial(_camera, frames)) as source:
             goals = _goals(source, camera, robot, clock=RealClock())
             with LatestGoals(goals, RealClock()) as latest:
                 end = time.monotonic() + (1.5 if effort.quick else 5.0)
@@ -234,7 +223,6 @@ def delay(effort: Effort) -> Iterator[Quantity]:
                     time.sleep(0.01)
         made, used = goals.goal_delays.summary(), goals.picture_ages.summary()
         size = f"{camera.width}×{camera.height}"
-        wanted = _DELAY_WANTED_MS
-        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted)
+        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", _DELAY_WANTED_MS)
         yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms")
         yield Quantity(f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms")

@@ -64,12 +64,6 @@ class RayField:
         self._map.real = rows @ (normalized[..., 0] @ columns)
         self._map.imag = rows @ (normalized[..., 1] @ columns)
 
-    def grid(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Normalized coordinates (len(y), len(x), 2) = (X/Z, Y/Z) where pixel columns and rows cross."""
-        columns, rows = np.meshgrid(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        pixels = np.stack([columns.reshape(-1), rows.reshape(-1)], axis=1)
-        return self.points(pixels).reshape(*rows.shape, 2)
-
     def box(self, x0: int, y0: int, x1: int, y1: int) -> Array:
         """Normalized coordinates (y1 - y0, x1 - x0, 2) of a block of pixel centres."""
         return _pairs(self._map[y0 + 1 : y1 + 1, x0 + 1 : x1 + 1])

@@ -204,9 +204,7 @@ class PainterArtist(Artist):
         return samples.layer(painter.base_colours(drawn.model))
 
 
-@lru_cache(maxsize=4)
-def _caster(model: mujoco.MjModel) -> Caster:
-    return Caster(model)
+_caster = lru_cache(maxsize=4)(Caster)
 
 
 class RayArtist(Artist):

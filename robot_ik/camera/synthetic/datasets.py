@@ -440,10 +440,6 @@ def open_moving(text: str) -> MovingSource:
     name, _, query = text.removeprefix("synthetic:").partition("?")
     if name not in _SCENES:
         raise CameraNotFoundError(unknown_name_text("synthetic scene", name, list(_SCENES)))
-    return MovingSource(_moving_options(query), _SCENES[name])
-
-
-def _moving_options(query: str) -> MovingOptions:
     known = {name: type(value) for name, value in asdict(MovingOptions()).items()}
     given: dict[str, Any] = {}
     for key, value in parse_qsl(query, keep_blank_values=True):
@@ -455,4 +451,4 @@ def _moving_options(query: str) -> MovingOptions:
             raise CameraNotFoundError(f"{key}={value!r} of a synthetic source must be a number") from None
         if not 0 <= given[key] < 1e9:
             raise CameraNotFoundError(f"{key}={value} of a synthetic source cannot be negative or endless")
-    return MovingOptions(**given)
+    return MovingSource(MovingOptions(**given), _SCENES[name])

@@ -90,7 +90,10 @@ def lattice(field: RayField, box: Box, stride: int) -> tuple[Array, Array, Array
         np.asarray(low + (np.arange(-(-(high - low) // stride)) + 0.5) * stride - 0.5, dtype=float)
         for low, high in ((box[0], box[2]), (box[1], box[3]))
     )
-    return field.box(*box) if stride == 1 else field.grid(x, y), x, y
+    if stride == 1:
+        return field.box(*box), x, y
+    centres = np.stack(np.meshgrid(x, y), axis=-1)
+    return field.points(centres.reshape(-1, 2)).reshape(centres.shape), x, y
 
 
 def enlarged(picture: ArrayLike, stride: int, size: tuple[int, int]) -> Float32:

@@ -7,6 +7,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -140,12 +141,13 @@ def run_ar(
         robot = robot or load_robot(request.robot)
         compiling = stack.enter_context(Precompilation.overlay())
         figure = _figure(request, robot)
-        motion = _motion(request, robot, figure, mover, stack)
+        make = mover or partial(make_motion, request.motion, stack=stack)
+        motion = make(robot, figure)
         opened = _open(request, figure, motion, stack)
         if opened.pose_board_camera is not None and not request.scale:  # all of it stays in the picture
             figure = _in_view(figure, request, robot, motion, opened, opened.pose_board_camera)
             if request.motion == "follow":  # it reaches with the arm as it is drawn
-                motion = _motion(request, robot, figure, mover, stack)
+                motion = make(robot, figure)
         artist, notice = make_artist(request.backend)
         stack.callback(artist.close)
         report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
@@ -182,15 +184,9 @@ def _joined(*notices: str) -> str:
     return "; ".join(filter(None, notices))
 
 
-def _motion(
-    request: ArRequest, robot: Robot, figure: DrawnRobot, mover: Mover | None, stack: contextlib.ExitStack
-) -> DrawnMotion:
-    return mover(robot, figure) if mover else make_motion(request.motion, robot, figure, stack)
-
-
 @dataclass(frozen=True, eq=False)
 class _Opened:
-    """The pictures: ``total`` of them (0: unknown), their optics.
+    """The pictures, with times since the first one: ``total`` of them (0: unknown), their optics.
 
     ``pose_board_camera`` by time, of synthetic ones alone.
     """
@@ -214,14 +210,12 @@ def _draw(
 ) -> None:
     """Tracks, draws and writes all pictures, until they end or Ctrl-C; fills in the report."""
     errors: list[float] = []
-    begin: float | None = None
     try:
         for tracked, shown in _pairs(opened.frames, request.latency_options.sync):
-            begin = tracked.time if begin is None else begin
             start = time.perf_counter()
             seen = registrar.track(tracked)
             compiling.wait()
-            image, drawing = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time - begin, seen)))
+            image, drawing = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time, seen)))
             report.seconds += time.perf_counter() - start
             sink.write(image, shown.time)
             report.pictures += 1
@@ -247,11 +241,10 @@ def marker_positions(request: ArRequest, robot: Robot) -> Iterator[tuple[float, 
     with contextlib.ExitStack() as stack:
         figure = _figure(request, robot)
         opened = _open(request, figure, standing(robot), stack)
-        watcher, begin = _watcher(request, opened.intrinsics), None
+        watcher = _watcher(request, opened.intrinsics)
         for frame in opened.frames:
-            begin = frame.time if begin is None else begin
             seen = watcher.see(frame)
-            yield frame.time - begin, None if seen is None else marker_from_base(seen, figure)
+            yield frame.time, None if seen is None else marker_from_base(seen, figure)
 
 
 def _in_view(
@@ -331,12 +324,12 @@ def _open(
 ) -> _Opened:
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
-        still = None if figure.occluders is None else AT_REST
+        board = BoardMotion() if figure.occluders is None else AT_REST
         source, clock = synthetic_scene(
-            width, height, motion=still, occluders=figure.occluders, follow=request.motion == "follow",
+            width, height, motion=board, occluders=figure.occluders, follow=request.motion == "follow",
             seed=request.seed,
         )  # fmt: skip
-        board, camera = still or BoardMotion(), source.scene.pose_world_camera
+        camera = source.scene.pose_world_camera
         seconds = request.seconds or motion.seconds or _SECONDS
         count = max(1, round(seconds * _RATE_HZ))
 
@@ -353,12 +346,11 @@ def _open(
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
     first: float | None = None
-    while not source.exhausted:
-        frame = source.read()
+    for frame in source:
         first = frame.time if first is None else first
-        if seconds > 0.0 and frame.time - first > seconds:
+        if 0.0 < seconds < frame.time - first:
             return
-        yield frame
+        yield replace(frame, time=frame.time - first)
 
 
 def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]:
@@ -372,15 +364,17 @@ def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]
 def _registrar(
     request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
 ) -> Registrar:
-    if request.extrinsics is not None:
+    watcher = camera = None
+    if request.extrinsics is None:
+        watcher = _watcher(request, intrinsics)
+    else:
         extrinsics = CameraExtrinsics.load(request.extrinsics, intrinsics)
         extrinsics.require_parent("world")
-        return Registrar(
-            None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),
-            pose_board_camera=extrinsics.pose_parent_camera, alpha=request.alpha,
-        )  # fmt: skip
-    watcher = _watcher(request, intrinsics)
-    return Registrar(watcher, artist, figure, intrinsics, request.latency_options, alpha=request.alpha)
+        camera = extrinsics.pose_parent_camera
+    return Registrar(
+        watcher, artist, figure, intrinsics, request.latency_options, pose_board_camera=camera,
+        alpha=request.alpha,
+    )  # fmt: skip
 
 
 def _watcher(request: ArRequest, intrinsics: CameraIntrinsics) -> BoardWatcher:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import mujoco
 import numpy as np
@@ -73,24 +72,19 @@ def synthetic_scene(
     width: int = 1280,
     height: int = 720,
     *,
-    motion: BoardMotion | None = None,
+    motion: BoardMotion = BoardMotion(),
     occluders: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
-    quality: Literal["full", "fast"] = "fast",
-    eye: tuple[float, float, float] = _EYE,
-    target: tuple[float, float, float] = _TARGET,
 ) -> tuple[SyntheticSource, VirtualClock]:
     """The camera and its clock, which stands until somebody lets it go on.
 
     ``occluders`` stand on the table, in the world's frame; to ``follow``, the other marker is there, too.
-    The camera stands at ``eye`` and looks at ``target``; ``quality`` is ``fast`` or ``full``.
     """
-    path = motion or BoardMotion()
     board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
-        return lambda t: path.pose(t).compose(pose)
+        return lambda t: motion.pose(t).compose(pose)
 
     # one sheet of paper below all of them
     sheet = SyntheticMarker(_SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank")
@@ -103,9 +97,9 @@ def synthetic_scene(
     scene = SyntheticScene(
         mujoco.MjSpec().compile() if occluders is None else occluders,
         lens(width, height),
-        look_at(eye, target),
+        look_at(_EYE, _TARGET),
         tuple(markers),
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = VirtualClock()
-    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock, quality=quality), clock
+    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="fast"), clock

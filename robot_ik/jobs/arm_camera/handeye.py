@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -121,43 +122,32 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
             "the synthetic camera looks at a board of its own",
             file="command line", key="--board", allowed="only with a real camera",
         )  # fmt: skip
-    scene = scene_for(setup.robot, setup.frame)
-    made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
-    found = made(request, setup, scene)
-    stack.enter_context(found.source)
-    return found
-
-
-def _standing_camera(request: HandEyeRequest, setup: RobotSetup, scene: Scene) -> HandEyeScene:
-    """The scene's camera looks at the markers on the tool."""
-    truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
-    source = SyntheticSource(
-        scene.synthetic(setup.robot), setup.true_q, seed=request.seed, clock=setup.clock, quality="fast"
-    )
-    board = MarkerBoard(dict(scene.cube), scene.dictionary)
-    task = ViewTask(_roughly(request, truth), scene.cube_frame, board.layout, scene.intrinsics, scene.table)
-    return HandEyeScene(task, board, source, truth)
-
-
-def _carried_camera(request: HandEyeRequest, setup: RobotSetup, scene: Scene) -> HandEyeScene:
-    """A camera beside the tool looks at a board of markers on the table."""
-    camera = _beside_the_tool(setup.robot, setup.frame)
-    truth = Mount(camera, scene.pose_world_marker, "eye_in_hand")
-    size = _MARKER_PART * scene.marker_size
-    layout = grid_body(*_GRID, size, _GAP_PART * scene.marker_size, _FIRST_ID).markers
-    markers = tuple(
-        SyntheticMarker(
-            id, side, truth.pose_other_board.compose(pose), dictionary=scene.dictionary,
-            margin=0.5 * _GAP_PART * scene.marker_size,
-        )
-        for id, (side, pose) in layout.items()
-    )  # fmt: skip
-    synthetic = SyntheticScene(
-        setup.robot, STANDARD_CAMERA, camera, markers, table=scene.table, camera_frame=setup.frame
-    )
+    scene, frame = scene_for(setup.robot, setup.frame), setup.frame
+    if request.mounting == "eye_in_hand":
+        truth, layout, synthetic = _carried_camera(setup, scene)
+    else:  # the scene's camera looks at the markers on the tool
+        truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
+        frame, layout, synthetic = scene.cube_frame, dict(scene.cube), scene.synthetic(setup.robot)
     source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock, quality="fast")
-    task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, scene.table)
+    stack.enter_context(source)
+    camera = request.pose_parent_camera or truth.pose_parent_camera.moved(_WRONG)
+    board = request.pose_other_board or truth.pose_other_board.moved(0.5 * _WRONG)
+    roughly = Mount(camera, board, truth.mounting)
+    task = ViewTask(roughly, frame, layout, synthetic.intrinsics, scene.table)
     return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), source, truth)
+
+
+def _carried_camera(setup: RobotSetup, scene: Scene) -> tuple[Mount, Layout, SyntheticScene]:
+    """A camera beside the tool looks at a board of markers on the table."""
+    truth = Mount(_beside_the_tool(setup.robot, setup.frame), scene.pose_world_marker, "eye_in_hand")
+    gap = _GAP_PART * scene.marker_size
+    layout = grid_body(*_GRID, _MARKER_PART * scene.marker_size, gap, _FIRST_ID).markers
+    marker = partial(SyntheticMarker, dictionary=scene.dictionary, margin=0.5 * gap)
+    markers = (marker(id, side, truth.pose_other_board @ pose) for id, (side, pose) in layout.items())
+    return truth, layout, SyntheticScene(
+        setup.robot, STANDARD_CAMERA, truth.pose_parent_camera, tuple(markers), table=scene.table,
+        camera_frame=setup.frame,
+    )  # fmt: skip
 
 
 def _beside_the_tool(robot: Robot, frame: str) -> Pose:
@@ -167,24 +157,16 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
     beside = Pose((_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])).compose(
         Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
     )
-    if reach <= 0.0:
-        return beside
-    sides = [Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside) for angle in _SIDES]
     clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
     view_points = (
         _VIEW_DEPTH * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
     )
-    for side in sides:
+    for angle in _SIDES if reach > 0.0 else ():
+        side = Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside)
         camera = hand.compose(side)
         if clearance.sees(robot.home, camera.position, camera.apply(view_points)):
             return side
     return beside
-
-
-def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
-    camera = request.pose_parent_camera or truth.pose_parent_camera.moved(_WRONG)
-    board = request.pose_other_board or truth.pose_other_board.moved(0.5 * _WRONG)
-    return Mount(camera, board, truth.mounting)
 
 
 def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
@@ -213,11 +195,8 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
 # The phases, and what came of them.
 
 
-Samples = TypeVar("Samples", bound=SampleSet)
-
-
 @dataclass(eq=False, kw_only=True)
-class ArmCameraReport(Generic[Samples]):
+class ArmCameraReport:
     """What an arm was seen to do.
 
     Attributes:
@@ -225,13 +204,13 @@ class ArmCameraReport(Generic[Samples]):
         unseen: Numbers, from 0, of those where the board was not found or the arm did not come to rest.
     """
 
-    samples: Samples
+    samples: SampleSet
     stations: tuple[Array, ...] = ()
     unseen: tuple[int, ...] = ()
 
 
 @dataclass(eq=False, kw_only=True)
-class HandEyeReport(ArmCameraReport[SampleSet]):
+class HandEyeReport(ArmCameraReport):
     """What came out.
 
     Attributes:
@@ -300,7 +279,7 @@ def run_handeye(
         samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
         report = HandEyeReport(samples=samples, truth=scene.truth)
         stack.enter_context(setup.connected())
-        visit_stations(report, request, setup, scene, task, keep, progress)
+        visit_stations(report, request, setup, scene, keep, progress)
     if request.dry_run:
         return report
     samples.require(len(report.stations), "give better guesses of where camera and board are")
@@ -364,15 +343,14 @@ def samples_path(out: Path) -> Path:
 
 
 def visit_stations(
-    report: ArmCameraReport[Samples],
+    report: ArmCameraReport,
     request: HandEyeRequest,
     setup: RobotSetup,
     scene: HandEyeScene,
-    task: ViewTask,
-    keep: Callable[[Samples], None],
+    keep: Callable[[SampleSet], None],
     progress: Progress,
 ) -> None:
-    """Plans stations for a task; unless that is all, goes to them with torque and looks at the board.
+    """Plans stations; unless that is all, goes to them with torque and looks at the board.
 
     The report has what came of it, and its samples are handed to ``keep`` after each.
 
@@ -380,7 +358,7 @@ def visit_stations(
         HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
     """
     progress("planning", 0.0)
-    planned = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
+    planned = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
     report.stations, count = tuple(planned), len(planned)
     if request.dry_run:
         return

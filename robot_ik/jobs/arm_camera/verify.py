@@ -40,7 +40,7 @@ from robot_ik.jobs.arm_camera.handeye import (
     open_scene,
     visit_stations,
 )
-from robot_ik.jobs.arm_camera.samples import VerifySamples
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
@@ -128,7 +128,7 @@ _LEAST = 1e-12 * np.eye(6)
 
 
 @dataclass(eq=False, kw_only=True)
-class VerifyReport(ArmCameraReport[VerifySamples]):
+class VerifyReport(ArmCameraReport):
     """What came out.
 
     Attributes:
@@ -136,19 +136,20 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
         fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
     """
 
+    samples: VerifySamples
     robot: Robot
     config: ArmConfig | None
     errors: tuple[PoseError, ...] = ()
     fit: ZeroOffsets | None = None
 
-    def compare(self, stations: int, *, fit: bool) -> None:
+    def compare(self, *, fit: bool) -> None:
         """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
 
         Raises:
-            MarkerNotFoundError: The board was seen at too few of the ``stations``.
+            MarkerNotFoundError: The board was seen at too few of the stations.
         """
         samples = self.samples
-        samples.require(stations, "where camera and board are said to be")
+        samples.require(len(self.stations), "where camera and board are said to be")
         views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
         known = samples.camera, samples.board
         model = ArmModel(self.robot, samples.frame, samples.intrinsics, views, *known)
@@ -205,7 +206,7 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
 def run_verify(
     request: VerifyRequest,
     *,
-    keep: Callable[[VerifySamples], None] = lambda samples: None,
+    keep: Callable[[SampleSet], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> VerifyReport:
     """Locates the camera, plans, moves, looks, compares; ``keep`` as in ``run_handeye``.
@@ -231,11 +232,12 @@ def run_verify(
         samples = _locate(request, setup, scene, extrinsics, progress)
         report = VerifyReport(robot=setup.robot, config=setup.config, samples=samples)
         mount = Mount(samples.camera.pose, samples.board.pose, "eye_to_hand")
-        visit_stations(report, request, setup, scene, replace(scene.task, mount=mount), keep, progress)
+        scene = replace(scene, task=replace(scene.task, mount=mount))
+        visit_stations(report, request, setup, scene, keep, progress)
     if request.dry_run:
         return report
     progress("comparing", 0.0)
-    report.compare(len(report.stations), fit=request.fit)
+    report.compare(fit=request.fit)
     return report
 
 
@@ -259,15 +261,14 @@ def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board
             )
         samples = replace(samples, intrinsics=lens)
     extrinsics = _given_extrinsics(request, samples.intrinsics)
-    if extrinsics is not None:
-        samples = replace(samples, camera=_known_camera(extrinsics), by_arm=_by_arm(extrinsics))
+    camera = {} if extrinsics is None else _known_camera(extrinsics)
     board = replace(samples.board, pose=request.pose_other_board or samples.board.pose)
     if board_sigma:
         board = KnownPose.within(board.pose, *request.board_sigma)
     config = None if request.arm_file is None else samples.arm(request.arm_file)
-    samples, robot = replace(samples, board=board), samples.load_robot()
+    samples, robot = replace(samples, board=board, **camera), samples.load_robot()
     report = VerifyReport(robot=robot, config=config, samples=samples, stations=tuple(samples.q))
-    report.compare(len(samples), fit=request.fit)
+    report.compare(fit=request.fit)
     return report
 
 
@@ -297,9 +298,8 @@ def _locate(
     offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
     return VerifySamples(
         request.robot, joints, task.frame, "eye_to_hand", task.intrinsics,
-        camera=_known_camera(extrinsics),
+        **_known_camera(extrinsics),
         board=KnownPose.within(pose, *request.board_sigma),
-        by_arm=_by_arm(extrinsics),
         true_offsets=None if truth is None else np.deg2rad(offsets_deg),
         servos=() if config is None else tuple(map(plain, config.joints)),
     )  # fmt: skip
@@ -319,14 +319,12 @@ def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
     return locate_camera(seen, around.pose_world_marker, lens)
 
 
-def _by_arm(extrinsics: CameraExtrinsics) -> bool:
-    return extrinsics.method.startswith("handeye")
-
-
-def _known_camera(extrinsics: CameraExtrinsics) -> KnownPose:
-    if _by_arm(extrinsics):
-        return KnownPose.within(extrinsics.pose_parent_camera, *_BY_THE_ARM)
-    return KnownPose(extrinsics.pose_parent_camera, extrinsics.covariance + _LEAST)
+def _known_camera(extrinsics: CameraExtrinsics) -> dict[str, Any]:
+    """What samples know of the camera: ``camera`` and ``by_arm``."""
+    pose = extrinsics.pose_parent_camera
+    if extrinsics.method.startswith("handeye"):
+        return {"camera": KnownPose.within(pose, *_BY_THE_ARM), "by_arm": True}
+    return {"camera": KnownPose(pose, extrinsics.covariance + _LEAST), "by_arm": False}
 
 
 # ------------------------------------------------------------------------------------------

@@ -409,6 +409,7 @@ class FollowStep(Framed, Action):
 
 def _marked_place(now: RunState) -> Array:
     """(3,) m where the tool should be above the marker that is followed; only the scene knows."""
-    assert now.vision is not None and now.vision.path is not None
-    marker = now.vision.path(now.setup.clock.now())
+    assert now.vision is not None
+    marker = now.vision.true_target(now.setup.clock.now())
+    assert marker is not None, "a script's camera is synthetic"
     return marker.compose(now.vision.scene.pose_marker_tool).position
