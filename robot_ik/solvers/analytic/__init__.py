@@ -10,7 +10,6 @@ no solution, a proof is tried that nothing within tolerance can be reached (``pr
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,19 +51,18 @@ def solve_axes(tree, goal, work, form, family, mode):
     """Solves from work.start, which is the solution if it is at the goal; fills best, status and branches."""
     if not subproblems.measure_start(tree, goal, work, form, mode):
         return
-    axes, extra, target, start, branches = form.axes, form.extra, form.target, form.start, form.branches
-    lower, upper = form.lower, form.upper
+    subproblems.clear(form.branches)
     if family == _PLANAR:
-        found = planar_two_link(axes, extra, target, start, goal.tolerance[0, 0], branches)
+        planar_two_link(form, goal.tolerance[0, 0])
     elif family == _WRIST:
-        found = spherical_wrist(axes, extra, target, start, lower, upper, branches)
+        spherical_wrist(form, form.target)
     elif family == _SHOULDER:
-        subproblems.invert(target, form.inverse)
-        found = spherical_wrist(axes, extra, form.inverse, start, lower, upper, branches)
+        subproblems.invert(form.target, form.inverse)
+        spherical_wrist(form, form.inverse)
     else:
-        found = three_parallel(axes, extra, target, start, lower, upper, branches)
-    row = subproblems.nearest(branches, start, lower, upper, form.best)
-    subproblems.take_branch(tree, goal, work, form, row, found)
+        three_parallel(form)
+    inside, exists = subproblems.nearest(form)
+    subproblems.take_branch(tree, goal, work, form, inside, exists)
 
 
 @kernel
@@ -93,16 +91,12 @@ def solve_limb(tree, goal, work, form, mode):
     if not subproblems.measure_start(tree, goal, work, form, mode):
         return
     if mode == subproblems.EVERY:
-        branches = form.branches
-        for row in range(branches.shape[0]):
-            for j in range(branches.shape[1]):
-                branches[row, j] = math.nan
+        subproblems.clear(form.branches)
         # First without limits: a branch that is nowhere inside them is still a branch.
         limb(form, form.least, form.most, mode)
-    row, found = limb(form, form.lower, form.upper, mode)
-    if mode == subproblems.EVERY:
-        return
-    subproblems.take_branch(tree, goal, work, form, row, found)
+    inside, exists = limb(form, form.lower, form.upper, mode)
+    if mode != subproblems.EVERY:
+        subproblems.take_branch(tree, goal, work, form, inside, exists)
 
 
 @kernel
