@@ -120,20 +120,29 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
 class Prepared:
-    """A closed form made ready for one problem."""
+    """A closed form made ready for one problem.
 
-    form: Form
-    arrays: dict[str, Any]  # by their names in ``FORM``
-    tables: tuple[Any, ...]  # what the kernels work on: tree, goals, work space, form
-    addresses: tuple[int, int, int, int]  # of these: what the kernels take first
-    family: int  # the form's number
-    run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
-    batch: Callable[..., None]  # what solves many
-    prove: Callable[
-        [], bool
-    ]  # whether no joint angles bring the target within tolerance, as far as is proven
+    Attributes:
+        run: Solves, in a mode, without numba's inspection of its arguments; ``batch`` solves many.
+        prove: Whether no joint angles bring the target within tolerance, as far as is proven.
+    """
+
+    def __init__(self, form: Form, problem: Problem) -> None:
+        self.form, self.arrays = form, _arrays(form, problem.robot.tree, problem.target)
+        # Held beside their addresses, which the kernels take.
+        self.tables = (*problem.tables, subproblems.FORM.pack(self.arrays))
+        addresses = tuple(address_of(table) for table in self.tables)
+        # The kernels of a limb take longer to compile.
+        is_limb = form.family is Family.LIMB
+        kernel, batch = (closed_limb, closed_limb_many) if is_limb else (closed_form, closed_form_many)
+        jit.announce(kernel, "closed forms")
+        first = *addresses, int(form.family)
+        self.run = partial(jit.entry(kernel, *first, subproblems.SOLVE), *first)
+        self.batch: partial[None] = partial(batch, *first)
+        prove, taken = proofs.PROOFS[form.family], (addresses[1], addresses[3])
+        jit.announce(prove, "proofs of unreachable goals")
+        self.prove: Callable[[], bool] = partial(jit.entry(prove, *taken), *taken)
 
 
 @dataclass(frozen=True)
@@ -154,7 +163,15 @@ class Analytic(Solver):
 
     def make(self, problem: Problem) -> Prepared | None:
         """The closed form made ready; None when this robot and goal have none."""
-        return _prepare(problem)
+        goal = problem.given[0]
+        if problem.features or len(problem.given) != 1 or not self.supports(goal):
+            return None
+        asked = (goal.has_position, goal.has_angle)
+        if any(part and not weight > 0.0 for part, weight in zip(asked, goal.weights, strict=True)):
+            return None  # a part that weighs nothing is not asked for, so there is more than the branches
+        node, local = problem.robot.attachment(goal.frame)
+        form = recognise(problem.robot.tree, node, local, whole=goal.has_angle)
+        return None if form is None else Prepared(form, problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         kept = problem.made.get(id(self))
@@ -163,7 +180,7 @@ class Analytic(Solver):
         take_start(problem, start)
         began = time.perf_counter()
         mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
-        prepared.run(*prepared.addresses, prepared.family, mode)
+        prepared.run(mode)
         state = arrays["state"]
         if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and prepared.prove():
             state[ws.STATUS] = ws.UNREACHABLE
@@ -186,11 +203,8 @@ class Analytic(Solver):
         if budget.iterations < 1 or budget.seconds is not None:
             super().attempt_many(problem, targets, starts, results, budget)
             return
-        jit.announce(prepared.batch, f"batches of solver {self.name!r}")
-        prepared.batch(
-            *prepared.addresses, prepared.family, targets, starts,
-            results.q, results.status, results.miss, results.iterations,
-        )  # fmt: skip
+        jit.announce(prepared.batch.func, f"batches of solver {self.name!r}")
+        prepared.batch(targets, starts, results.q, results.status, results.miss, results.iterations)
         missed = np.flatnonzero(results.status != ws.CONVERGED)
         if not len(missed):
             return
@@ -209,7 +223,7 @@ class Analytic(Solver):
         with problem.in_use():
             prepared: Prepared = self.load(problem)
             take_start(problem, start)
-            prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
+            prepared.run(subproblems.EVERY)
             names = BRANCH_NAMES[prepared.form.family]
             signs = itertools.product("+-", repeat=len(names))
             found: list[tuple[str, Array]] = []
@@ -234,24 +248,6 @@ def _trace(arrays: dict[str, Any]) -> Array:
     return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
-def _prepare(problem: Problem) -> Prepared | None:
-    form = None if problem.features else _form_of(problem)
-    if form is None:
-        return None
-    arrays = _arrays(form, problem.robot.tree, problem.target)
-    # A limb has entry points of its own: they take longer to compile.
-    limbs = form.family is Family.LIMB
-    kernel, batch = (closed_limb, closed_limb_many) if limbs else (closed_form, closed_form_many)
-    jit.announce(kernel, "closed forms")
-    tables = (*problem.tables, subproblems.FORM.pack(arrays))
-    tree, goals, space, numbers = (address_of(table) for table in tables)
-    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
-    prove = proofs.PROOFS[form.family]
-    jit.announce(prove, "proofs of unreachable goals")
-    proof = partial(jit.entry(prove, goals, numbers), goals, numbers)
-    return Prepared(form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, proof)
-
-
 def _what_has_a_form(problem: Problem) -> str:
     """What goals of the problem's frame have a closed form, of which its own are none."""
     goal, tree = problem.given[0], problem.robot.tree
@@ -261,19 +257,6 @@ def _what_has_a_form(problem: Problem) -> str:
     if not known:
         return "no closed form is known for this chain of joints"
     return f"its closed form is for {', or '.join(known)}"
-
-
-def _form_of(problem: Problem) -> Form | None:
-    """The closed form of the problem's one goal, or None."""
-    goal = problem.given[0]
-    whole = isinstance(goal, (PoseGoal, PositionGoal)) and goal.rows.whole
-    if len(problem.given) != 1 or not whole:
-        return None
-    asked = (goal.has_position, goal.has_angle)
-    if any(part and not weight > 0.0 for part, weight in zip(asked, goal.weights, strict=True)):
-        return None  # a part that weighs nothing is not asked for, so there is more than the branches
-    node, local = problem.robot.attachment(goal.frame)
-    return recognise(problem.robot.tree, node, local, whole=goal.has_angle)
 
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:

@@ -170,7 +170,7 @@ def wrist_angles(form, target, flip, c, s):
 def spherical_wrist(form, target):
     """All branches of an arm whose axes 2 and 3 are parallel and whose last three meet.
 
-    Fills ``form.branches`` (8, 6), which are cleared, row = 4·shoulder + 2·elbow + flip.
+    Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·elbow + flip.
     """
     noinline()
     axes, extra, start = form.axes, form.extra, form.start
@@ -217,7 +217,7 @@ def spherical_wrist(form, target):
 def three_parallel(form):
     """All branches of an arm whose axes 2, 3 and 4 are parallel and whose last two meet (Universal Robots).
 
-    Fills ``form.branches`` (8, 6), which are cleared, row = 4·shoulder + 2·flip + elbow.
+    Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·flip + elbow.
     """
     noinline()
     axes, extra, target, start = form.axes, form.extra, form.target, form.start
@@ -274,7 +274,7 @@ def three_parallel(form):
 
 @outlined
 def planar_two_link(form, slack):
-    """Both elbows of a two-link arm for a position, into rows 0 and 1 of ``form.branches``, which are cleared.
+    """Both elbows of a two-link arm for a position, into rows 0 and 1 of ``form.branches`` (cleared).
 
     Row 0 of ``form.extra`` is the tool at q = 0.  ``slack`` (m): how far the target may lie off the plane in
     which the tool moves.

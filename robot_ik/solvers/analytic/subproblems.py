@@ -205,8 +205,8 @@ def clear(branches):
 def nearest(form):
     """The branch inside the limits nearest to the start (least squares of the angles), into ``form.best``.
 
-    Each angle is first moved by multiples of 2π, in ``form.branches`` too.  Returns whether a branch is inside
-    the limits, and whether there is any.
+    Each angle is first moved by multiples of 2π, in ``form.branches`` too.  Returns whether a branch is
+    inside the limits, and whether there is any.
     """
     branches, start, lower, upper, best = form.branches, form.start, form.lower, form.upper, form.best
     exists, closest = False, math.inf
