@@ -322,9 +322,8 @@ def limb(form, lower, upper, mode):
         moved = (angle - start[column]) * (angle - start[column])
         if not fits or (not every and (moved >= nearest or (k == 1 and half < SAME))):
             continue
-        v = minus(
-            rotate(u, math.cos(angle), math.sin(angle), e), f
-        )  # shoulder -> wrist, as the elbow makes it
+        # Shoulder -> wrist, as the elbow makes it.
+        v = minus(rotate(u, math.cos(angle), math.sin(angle), e), f)
         size = length(v)
         if r > 1e-12 and size > 1e-12:
             swivel.make_parts(form, angle, over(v, size), over(d, r))
