@@ -181,15 +181,13 @@ class Analytic(Solver):
         began = time.perf_counter()
         mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
         prepared.run(mode)
-        state = arrays["state"]
-        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and prepared.prove():
-            state[ws.STATUS] = ws.UNREACHABLE
-        if mode == subproblems.START_ONLY and state[ws.STATUS] != ws.CONVERGED:
-            state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
-        number, iterations = state[: ws.ITERATIONS + 1].tolist()
+        number, iterations = arrays["state"][: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
-        if status not in (Status.CONVERGED, Status.UNREACHABLE) and _is_too_far(problem, problem.target)[0]:
-            status = Status.UNREACHABLE
+        if number != ws.CONVERGED:
+            if (mode == subproblems.SOLVE and prepared.prove()) or _is_too_far(problem, problem.target)[0]:
+                status = Status.UNREACHABLE
+            elif mode == subproblems.START_ONLY:
+                status = Status.ITERATION_LIMIT if budget.iterations < 1 else Status.TIME_LIMIT
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
             problem.robot, problem.given, problem.target.copy(),
