@@ -169,8 +169,7 @@ class Solver(ABC):
         kept = problem.made.get(id(self))
         if kept is None or kept[1] is None:
             self.require_support(problem)
-            return self.made_for(problem)
-        return kept[1]
+        return self.made_for(problem)
 
     def made_for(self, problem: Problem) -> Any:
         """What ``make`` makes: once for a problem, which keeps it with this solver, by its ``id``."""

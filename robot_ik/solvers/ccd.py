@@ -21,10 +21,10 @@ import numpy as np
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels import bones
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
+from robot_ik.kernels.kinematics import clip, dof_axis, forward, integrate, width_of
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
-from robot_ik.kernels.tree import BALL, FREE, open_tree
+from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.kernels.vectors import dot, length, minus, over, three
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import IterativeSolver, option, options_of
@@ -131,13 +131,9 @@ def move_joint(tree, goal, work, u, one, old):
         q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
     else:
         first = u - (goal.dofs[u] - v)
-        for i in range(6 if tree.kind[k] == FREE else 3):
+        for i in range(width_of(tree.kind[k])):
             dq[v + i] = step[first + i]
-        if tree.kind[k] == FREE:
-            for i in range(3):
-                q[a + i] += dq[v + i]
-            a, v = a + 3, v + 3
-        rotate_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+        integrate(tree, one, q, dq)
         clip(tree, one, q)
     forward(tree, one, q, work.world, work.scratch)
     for g in range(goal.kind.shape[0]):

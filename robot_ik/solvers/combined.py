@@ -61,24 +61,24 @@ class Combined(Solver):
         lacking = [member.unsupported(problem) for member in self._members]
         return lacking[0] if all(lacking) else ""
 
-    def make(self, problem: Problem) -> _SolverSequence:
-        """The methods that can try a problem.
+    def make(self, problem: Problem) -> _Sequences:
+        """The methods that can try a problem; and those where its start may be near its goal.
 
         All are loaded before the first is tried: the first goal that it misses would else stall a loop.
         """
-        sequence = self._sequence(problem)
-        for member in (*sequence.members, *(sequence.near.members if sequence.near else ())):
+        members, near = self._sequences(problem)
+        for member in (*members, *(near.members if near else ())):
             member.load(problem)
-        return sequence
+        return members, near
 
-    def _sequence(self, problem: Problem) -> _SolverSequence:
-        return _SolverSequence(tuple(member for member in self._members if member.applies(problem)))
+    def _sequences(self, problem: Problem) -> _Sequences:
+        return tuple(member for member in self._members if member.applies(problem)), None
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop, as in ``IterativeSolver.attempt``: each line counts.
         kept = problem.made.get(id(self))
-        sequence: _SolverSequence = self.load(problem) if kept is None else kept[1]
-        members, near = sequence.members, sequence.near
+        sequences: _Sequences = self.load(problem) if kept is None else kept[1]
+        members, near = sequences
         if near is not None and budget.iterations:
             begin = near.start
             if type(start) is np.ndarray and start.shape == begin.shape:
@@ -139,8 +139,8 @@ class Combined(Solver):
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
             super().attempt_many(problem, targets, starts, results, budget)
             return
-        sequence: _SolverSequence = self.load(problem)
-        members, near = sequence.members, sequence.near
+        sequences: _Sequences = self.load(problem)
+        members, near = sequences
         if near is not None and budget.iterations:
             marks = np.zeros(len(targets), dtype=np.int64)
             starts_near_many(near.address, targets, starts, marks)
@@ -201,14 +201,6 @@ _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
-class _SolverSequence:
-    """The methods that try a problem, one after the other."""
-
-    members: tuple[Solver, ...]
-    near: _StartNear | None = None  # where its start may be near its goal
-
-
-@dataclass(frozen=True, eq=False)
 class _StartNear:
     """The methods that try a problem whose start is near its goal."""
 
@@ -217,6 +209,9 @@ class _StartNear:
     address: int  # of ``table``, which it takes
     table: NDArray[np.int64]
     start: Array  # (nq,) in the work space
+
+
+_Sequences = tuple[tuple[Solver, ...], _StartNear | None]
 
 
 def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven: bool) -> Budget:
@@ -314,18 +309,17 @@ class Auto(Combined):
         """``lm`` from a start near the goal."""
         return make_solver("lm", restarts=0)
 
-    def _sequence(self, problem: Problem) -> _SolverSequence:
-        plain = super()._sequence(problem)
-        members = plain.members
+    def _sequences(self, problem: Problem) -> _Sequences:
+        members, _ = super()._sequences(problem)
         if [member.name for member in members] != ["analytic", "lm"]:
-            return plain
+            return members, None
         family = members[0].load(problem).form.family.name.lower()
         if FIRST_CHOICE.get((family, "cold")) == "lm":
-            return _SolverSequence((self._quick, *members))
+            return (self._quick, *members), None
         if FIRST_CHOICE.get((family, "warm")) != "lm":
-            return plain
+            return members, None
         table = problem.run_table(np.zeros(0))
         address = address_of(table)
         holds = jit.entry(starts_near, address)
         local = self._local, *members
-        return _SolverSequence(members, _StartNear(local, holds, address, table, problem.arrays["start"]))
+        return members, _StartNear(local, holds, address, table, problem.arrays["start"])

@@ -29,17 +29,7 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
-from robot_ik.kernels.vectors import (
-    apply,
-    apply_back,
-    cross,
-    minus,
-    over,
-    plus,
-    put,
-    scaled,
-    three,
-)
+from robot_ik.kernels.vectors import apply, apply_back, cross, minus, over, plus, put, scaled, three
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.families import BoneSolver
 
@@ -65,13 +55,9 @@ class Fabrik(BoneSolver):
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
     kick: float = option(
-        0.1,
-        "how far a straight chain is bent before it reaches inwards",
-        low=0.0,
-        high=1.0,
-        unit="bones",
+        0.1, "how far a straight chain is bent before it reaches inwards", low=0.0, high=1.0, unit="bones",
         usual=(0.0, 0.5),
-    )
+    )  # fmt: skip
 
     name: ClassVar[str] = "fabrik"
     title: ClassVar[str] = "forward and backward reaching, on trees of real joints"

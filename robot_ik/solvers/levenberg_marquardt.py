@@ -348,13 +348,10 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
         while proceed(tree, goal, work):
             lm_step(tree, goal, work, options)
             advance(tree, goal, work)
-        if state[ws.STATUS] != ws.CONVERGED:  # else it has just been measured
+        status[row], restarts[row] = state[ws.STATUS], state[ws.RESTARTS]
+        if status[row] != ws.CONVERGED:  # else it has just been measured
             copy(work.best, work.q)
             measure(tree, goal, work)
+            if state[ws.ANY_UNREACHABLE] == 1:
+                status[row] = ws.UNREACHABLE
         give_row(work, q, miss, iterations, row)
-        status[row] = (
-            ws.UNREACHABLE
-            if state[ws.ANY_UNREACHABLE] == 1 and state[ws.STATUS] != ws.CONVERGED
-            else state[ws.STATUS]
-        )
-        restarts[row] = state[ws.RESTARTS]

@@ -1,9 +1,10 @@
 """Pseudoinverse: d = J⁺ e + (I − J⁺J) φ, with a stated cut-off of small singular values.
 
 Whitney (Resolved motion rate control of manipulators, IEEE T-MMS 10(2), 1969); null space after Liégeois
-(IEEE T-SMC 7(12), 1977).  Goal halving is Aho's (Implementation of articulated mechanisms in computer
-animation, 2000, section 4.6): a step that does not land near enough to its (sub)goal is undone and half
-the way tried.
+(Automatic supervisory control of the configuration and behavior of multibody mechanisms, IEEE T-SMC 7(12),
+1977): φ is the slope of what is wanted besides the goals.  Goal halving is Aho's (Implementation of
+articulated mechanisms in computer animation, 2000, section 4.6): a step that does not land near enough to
+its (sub)goal is undone and half the way tried.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -24,10 +25,6 @@ from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.families import JacobianSolver
-
-# Secondary aims φ of the null space, and the part of them that leaves the goals alone.
-# Liégeois (Automatic supervisory control of the configuration and behavior of multibody mechanisms, IEEE
-# T-SMC 7(12), 1977): d = J⁺ e + (I − J⁺J) φ, φ the slope of what is wanted besides the goals.
 
 # What the null space is used for; ``AIMS[code]`` is the name of the option.
 AIMS = ("none", "rest", "limits", "manipulability")

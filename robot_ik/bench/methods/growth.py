@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import time
+import timeit
 from collections.abc import Callable, Iterator
 from typing import Literal
 
@@ -68,25 +68,15 @@ def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
     world, scratch, out = np.empty((robot.tree.size, 12)), np.empty((2, 12)), np.empty((1, 12))
     common = (robot.tree.handle, nodes, node, local[None, :], qs, np.empty(robot.nq), world, scratch, out)
     jacobian = np.empty((6, robot.nv))
-    forward_us = _best(lambda: loop_forward(*common)) / _LOOP
-    jacobian_us = _best(lambda: loop_jacobian(*common, jacobian)) / _LOOP
-    return LowerBound(
-        robot=robot.name,
-        joints=len(nodes),
-        forward_us=round(forward_us, 4),
-        jacobian_us=round(jacobian_us, 4),
-    )
+    forward_us = round(_best(lambda: loop_forward(*common)) / _LOOP, 4)
+    jacobian_us = round(_best(lambda: loop_jacobian(*common, jacobian)) / _LOOP, 4)
+    return LowerBound(robot=robot.name, joints=len(nodes), forward_us=forward_us, jacobian_us=jacobian_us)
 
 
 def _best(call: Callable[[], None]) -> float:
     """Microseconds of the fastest of some calls; the first, which compiles, does not count."""
     call()
-    times = []
-    for _ in range(_ROUNDS):
-        began = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - began)
-    return 1e6 * min(times)
+    return 1e6 * min(timeit.repeat(call, number=1, repeat=_ROUNDS))
 
 
 def hinge_chain(n: int) -> Robot:

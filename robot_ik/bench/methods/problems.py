@@ -68,13 +68,8 @@ def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
 
 def _reachable(name: str, robot: Robot, witnesses: list[Array], reason: str = "") -> ProblemSet:
     targets = np.array([robot.measure(q).matrix for q in witnesses]).reshape(-1, 4, 4)
-    return ProblemSet(
-        name,
-        targets,
-        np.array(witnesses).reshape(-1, robot.nq),
-        robot.home,
-        reason="" if witnesses else reason,
-    )
+    angles = np.array(witnesses).reshape(-1, robot.nq)
+    return ProblemSet(name, targets, angles, robot.home, reason="" if witnesses else reason)
 
 
 def cold(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:

@@ -134,12 +134,8 @@ def curve(bench: Bench, settings: Settings) -> Curve | None:
         rows[k, len(steps) :] = miss
     if longest <= 1:  # a formula
         return None
-    return Curve(
-        solver=bench.cell.solver,
-        robot=bench.cell.robot,
-        goal=bench.cell.goal,
-        miss=np.nanmedian(rows, axis=0).tolist(),
-    )
+    cell, middle = bench.cell, np.nanmedian(rows, axis=0).tolist()
+    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, miss=middle)
 
 
 # ------------------------------------------------------------------------------------------

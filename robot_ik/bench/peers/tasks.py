@@ -14,7 +14,7 @@ import numpy as np
 from robot_ik.bench.methods.problems import ProblemSet, make_set
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.files import make_folder, plain, write_atomically
-from robot_ik.geometry import Pose, rotation_z_to
+from robot_ik.geometry import Pose, quat_to_matrix, rotation_z_to
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
@@ -285,9 +285,7 @@ def _joint(
 
 def roll_pitch_yaw(wxyz: Array) -> Array:
     """(3,) of a URDF: rotations about fixed x, then y, then z."""
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, np.asarray(wxyz, dtype=float))
-    r = flat.reshape(3, 3)
+    r = quat_to_matrix(np.asarray(wxyz, dtype=float))
     pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
     if math.hypot(r[0, 0], r[1, 0]) < 1e-9:  # only the sum of roll and yaw counts
         return np.array([0.0, pitch, math.atan2(-r[0, 1], r[1, 1])])

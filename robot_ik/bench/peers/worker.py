@@ -17,6 +17,7 @@ import os
 import runpy
 import sys
 import time
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -362,13 +363,8 @@ def _try(
 
 def calibration() -> float:
     """Median µs of a fixed loop of plain Python: how fast, and how busy, the machine is."""
-    took = []
-    for _ in range(9):
-        began, total = time.perf_counter_ns(), 0.0
-        for i in range(20_000):
-            total += (i * 0.5) ** 0.5
-        took.append((time.perf_counter_ns() - began) / 1e3)
-    return float(np.median(took))
+    loop = "for i in range(20_000): total += (i * 0.5) ** 0.5"
+    return 1e6 * float(np.median(timeit.repeat(loop, "total = 0.0", number=1, repeat=9)))
 
 
 def versions_of(kind: type[Library]) -> dict[str, str]:

@@ -205,10 +205,8 @@ class A00Report:
 
     @property
     def failures(self) -> list[tuple[str, int]]:
-        """(solver, test) that had to pass and did not."""
-        return [
-            key for key, track in self.tracks.items() if key[0] in MUST_PASS and not track.passed
-        ]  # a refusal is no pass either
+        """(solver, test) that had to pass and did not; a refusal is no pass either."""
+        return [key for key, track in self.tracks.items() if key[0] in MUST_PASS and not track.passed]
 
     @property
     def passed(self) -> bool:

@@ -129,11 +129,8 @@ def make_method(variant: str, name: str, problem: Problem) -> Solver:
     """A method with the parameters of a variant (``VARIANTS``)."""
     if variant == "best":
         return make_solver(name)
-    options: dict[str, Any] = {
-        "restarts": 0,
-        "patience": 1000,
-        "progress": 0.0,
-    }  # 100 steps, whatever they do
+    # 100 steps, whatever they do.
+    options: dict[str, Any] = {"restarts": 0, "patience": 1000, "progress": 0.0}
     if name != "ccd":
         free = 1e6  # no clamping, no longest step: he states none
         gain = ALPHA if variant == "same" else IN_DEGREES

@@ -10,7 +10,6 @@ no solution, a proof is tried that nothing within tolerance can be reached (``pr
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -52,19 +51,18 @@ def solve_axes(tree, goal, work, form, family, mode):
     """Solves from work.start, which is the solution if it is at the goal; fills best, status and branches."""
     if not subproblems.measure_start(tree, goal, work, form, mode):
         return
-    axes, extra, target, start, branches = form.axes, form.extra, form.target, form.start, form.branches
-    lower, upper = form.lower, form.upper
+    subproblems.clear(form.branches)
     if family == _PLANAR:
-        found = planar_two_link(axes, extra, target, start, goal.tolerance[0, 0], branches)
+        planar_two_link(form, goal.tolerance[0, 0])
     elif family == _WRIST:
-        found = spherical_wrist(axes, extra, target, start, lower, upper, branches)
+        spherical_wrist(form, form.target)
     elif family == _SHOULDER:
-        subproblems.invert(target, form.inverse)
-        found = spherical_wrist(axes, extra, form.inverse, start, lower, upper, branches)
+        subproblems.invert(form.target, form.inverse)
+        spherical_wrist(form, form.inverse)
     else:
-        found = three_parallel(axes, extra, target, start, lower, upper, branches)
-    row = subproblems.nearest(branches, start, lower, upper, form.best)
-    subproblems.take_branch(tree, goal, work, form, row, found)
+        three_parallel(form)
+    inside, exists = subproblems.nearest(form)
+    subproblems.take_branch(tree, goal, work, form, inside, exists)
 
 
 @kernel
@@ -93,16 +91,12 @@ def solve_limb(tree, goal, work, form, mode):
     if not subproblems.measure_start(tree, goal, work, form, mode):
         return
     if mode == subproblems.EVERY:
-        branches = form.branches
-        for row in range(branches.shape[0]):
-            for j in range(branches.shape[1]):
-                branches[row, j] = math.nan
+        subproblems.clear(form.branches)
         # First without limits: a branch that is nowhere inside them is still a branch.
         limb(form, form.least, form.most, mode)
-    row, found = limb(form, form.lower, form.upper, mode)
-    if mode == subproblems.EVERY:
-        return
-    subproblems.take_branch(tree, goal, work, form, row, found)
+    inside, exists = limb(form, form.lower, form.upper, mode)
+    if mode != subproblems.EVERY:
+        subproblems.take_branch(tree, goal, work, form, inside, exists)
 
 
 @kernel
@@ -126,20 +120,29 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
 class Prepared:
-    """A closed form made ready for one problem."""
+    """A closed form made ready for one problem.
 
-    form: Form
-    arrays: dict[str, Any]  # by their names in ``FORM``
-    tables: tuple[Any, ...]  # what the kernels work on: tree, goals, work space, form
-    addresses: tuple[int, int, int, int]  # of these: what the kernels take first
-    family: int  # the form's number
-    run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
-    batch: Callable[..., None]  # what solves many
-    prove: Callable[
-        [], bool
-    ]  # whether no joint angles bring the target within tolerance, as far as is proven
+    Attributes:
+        run: Solves, in a mode, without numba's inspection of its arguments; ``batch`` solves many.
+        prove: Whether no joint angles bring the target within tolerance, as far as is proven.
+    """
+
+    def __init__(self, form: Form, problem: Problem) -> None:
+        self.form, self.arrays = form, _arrays(form, problem.robot.tree, problem.target)
+        # Held beside their addresses, which the kernels take.
+        self.tables = (*problem.tables, subproblems.FORM.pack(self.arrays))
+        addresses = tuple(address_of(table) for table in self.tables)
+        # The kernels of a limb take longer to compile.
+        is_limb = form.family is Family.LIMB
+        kernel, batch = (closed_limb, closed_limb_many) if is_limb else (closed_form, closed_form_many)
+        jit.announce(kernel, "closed forms")
+        first = *addresses, int(form.family)
+        self.run = partial(jit.entry(kernel, *first, subproblems.SOLVE), *first)
+        self.batch: partial[None] = partial(batch, *first)
+        prove, taken = proofs.PROOFS[form.family], (addresses[1], addresses[3])
+        jit.announce(prove, "proofs of unreachable goals")
+        self.prove: Callable[[], bool] = partial(jit.entry(prove, *taken), *taken)
 
 
 @dataclass(frozen=True)
@@ -160,7 +163,15 @@ class Analytic(Solver):
 
     def make(self, problem: Problem) -> Prepared | None:
         """The closed form made ready; None when this robot and goal have none."""
-        return _prepare(problem)
+        goal = problem.given[0]
+        if problem.features or len(problem.given) != 1 or not self.supports(goal):
+            return None
+        asked = (goal.has_position, goal.has_angle)
+        if any(part and not weight > 0.0 for part, weight in zip(asked, goal.weights, strict=True)):
+            return None  # a part that weighs nothing is not asked for, so there is more than the branches
+        node, local = problem.robot.attachment(goal.frame)
+        form = recognise(problem.robot.tree, node, local, whole=goal.has_angle)
+        return None if form is None else Prepared(form, problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         kept = problem.made.get(id(self))
@@ -169,16 +180,14 @@ class Analytic(Solver):
         take_start(problem, start)
         began = time.perf_counter()
         mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
-        prepared.run(*prepared.addresses, prepared.family, mode)
-        state = arrays["state"]
-        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and prepared.prove():
-            state[ws.STATUS] = ws.UNREACHABLE
-        if mode == subproblems.START_ONLY and state[ws.STATUS] != ws.CONVERGED:
-            state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
-        number, iterations = state[: ws.ITERATIONS + 1].tolist()
+        prepared.run(mode)
+        number, iterations = arrays["state"][: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
-        if status not in (Status.CONVERGED, Status.UNREACHABLE) and _is_too_far(problem, problem.target)[0]:
-            status = Status.UNREACHABLE
+        if number != ws.CONVERGED:
+            if (mode == subproblems.SOLVE and prepared.prove()) or _is_too_far(problem, problem.target)[0]:
+                status = Status.UNREACHABLE
+            elif mode == subproblems.START_ONLY:
+                status = Status.ITERATION_LIMIT if budget.iterations < 1 else Status.TIME_LIMIT
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
             problem.robot, problem.given, problem.target.copy(),
@@ -192,11 +201,8 @@ class Analytic(Solver):
         if budget.iterations < 1 or budget.seconds is not None:
             super().attempt_many(problem, targets, starts, results, budget)
             return
-        jit.announce(prepared.batch, f"batches of solver {self.name!r}")
-        prepared.batch(
-            *prepared.addresses, prepared.family, targets, starts,
-            results.q, results.status, results.miss, results.iterations,
-        )  # fmt: skip
+        jit.announce(prepared.batch.func, f"batches of solver {self.name!r}")
+        prepared.batch(targets, starts, results.q, results.status, results.miss, results.iterations)
         missed = np.flatnonzero(results.status != ws.CONVERGED)
         if not len(missed):
             return
@@ -215,7 +221,7 @@ class Analytic(Solver):
         with problem.in_use():
             prepared: Prepared = self.load(problem)
             take_start(problem, start)
-            prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
+            prepared.run(subproblems.EVERY)
             names = BRANCH_NAMES[prepared.form.family]
             signs = itertools.product("+-", repeat=len(names))
             found: list[tuple[str, Array]] = []
@@ -240,24 +246,6 @@ def _trace(arrays: dict[str, Any]) -> Array:
     return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
-def _prepare(problem: Problem) -> Prepared | None:
-    form = None if problem.features else _form_of(problem)
-    if form is None:
-        return None
-    arrays = _arrays(form, problem.robot.tree, problem.target)
-    # A limb has entry points of its own: they take longer to compile.
-    limbs = form.family is Family.LIMB
-    kernel, batch = (closed_limb, closed_limb_many) if limbs else (closed_form, closed_form_many)
-    jit.announce(kernel, "closed forms")
-    tables = (*problem.tables, subproblems.FORM.pack(arrays))
-    tree, goals, space, numbers = (address_of(table) for table in tables)
-    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
-    prove = proofs.PROOFS[form.family]
-    jit.announce(prove, "proofs of unreachable goals")
-    proof = partial(jit.entry(prove, goals, numbers), goals, numbers)
-    return Prepared(form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, proof)
-
-
 def _what_has_a_form(problem: Problem) -> str:
     """What goals of the problem's frame have a closed form, of which its own are none."""
     goal, tree = problem.given[0], problem.robot.tree
@@ -267,19 +255,6 @@ def _what_has_a_form(problem: Problem) -> str:
     if not known:
         return "no closed form is known for this chain of joints"
     return f"its closed form is for {', or '.join(known)}"
-
-
-def _form_of(problem: Problem) -> Form | None:
-    """The closed form of the problem's one goal, or None."""
-    goal = problem.given[0]
-    whole = isinstance(goal, (PoseGoal, PositionGoal)) and goal.rows.whole
-    if len(problem.given) != 1 or not whole:
-        return None
-    asked = (goal.has_position, goal.has_angle)
-    if any(part and not weight > 0.0 for part, weight in zip(asked, goal.weights, strict=True)):
-        return None  # a part that weighs nothing is not asked for, so there is more than the branches
-    node, local = problem.robot.attachment(goal.frame)
-    return recognise(problem.robot.tree, node, local, whole=goal.has_angle)
 
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:

@@ -296,7 +296,7 @@ def limb(form, lower, upper, mode):
     """The nearest solution inside the limits into ``form.best``, or the nearest of each branch.
 
     Branches are rows 4·elbow + 2·shoulder + wrist of ``form.branches``; those there already are replaced.
-    Returns (1 if one is inside the limits else -1, how many elbows reach).
+    Returns whether one is inside the limits, and whether the elbow reaches.
     """
     noinline()
     axes, extra, target, start = form.axes, form.extra, form.target, form.start
@@ -307,7 +307,7 @@ def limb(form, lower, upper, mode):
     f, e = minus(shoulder, elbow), minus(three(extra, 0, 0), elbow)
     middle, half, _, possible = angles_to_height(f, u, e, 0.5 * (dot(e, e) + dot(f, f) - r * r))
     if not possible:
-        return -1, 0
+        return False, False
     swivel.start_rotation(form)
     if form.groups[1, 0] != NO_JOINTS:
         for j in range(3):
@@ -322,9 +322,8 @@ def limb(form, lower, upper, mode):
         moved = (angle - start[column]) * (angle - start[column])
         if not fits or (not every and (moved >= nearest or (k == 1 and half < SAME))):
             continue
-        v = minus(
-            rotate(u, math.cos(angle), math.sin(angle), e), f
-        )  # shoulder -> wrist, as the elbow makes it
+        # Shoulder -> wrist, as the elbow makes it.
+        v = minus(rotate(u, math.cos(angle), math.sin(angle), e), f)
         size = length(v)
         if r > 1e-12 and size > 1e-12:
             swivel.make_parts(form, angle, over(v, size), over(d, r))
@@ -334,4 +333,4 @@ def limb(form, lower, upper, mode):
         scan(form, lower, upper, every, nearest - moved)
         row = types.int64(1 if other else 0)
         nearest = take_best(form, lower, upper, row, angle, moved, every, nearest)
-    return (1 if nearest < math.inf else -1), 2
+    return nearest < math.inf, True

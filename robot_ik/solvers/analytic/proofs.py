@@ -154,8 +154,7 @@ def prove_planar(goals, form):
     middle, half, radius, some = elbows(u, f, e, off_axis(u, g), error)
     if not some:
         return True
-    for elbow in range(2):
-        a = middle + half if elbow == 0 else middle - half
+    for a in (middle + half, middle - half):
         if may_fit(along * a, radius, lower[1], upper[1]):
             first, wide = first_link_range(u, f, e, a, radius, g, error)
             if may_fit(first, wide, lower[0], upper[0]):
@@ -181,11 +180,12 @@ def prove_limb(goals, form):
 
 
 @outlined
-def wrist_may_fit(axes, extra, target, lower, upper, c, s, error):
+def wrist_may_fit(form, target, c, s, error):
     """Whether joints 4 to 6 may make what rotation is left after joints 1 to 3, known to ``error`` rad."""
     noinline()
     if error >= math.pi:
         return True
+    axes, extra, lower, upper = form.axes, form.extra, form.lower, form.upper
     h4, h5, h6 = three(axes, 3, 0), three(axes, 4, 0), three(axes, 5, 0)
     wanted = before_arm(axes, c, s, relative_rotation(target, extra, h6))  # Q h6
     held = relative_back(target, extra, after_arm(axes, c, s, h4))  # Q^T h4
@@ -193,8 +193,7 @@ def wrist_may_fit(axes, extra, target, lower, upper, c, s, error):
     middle, half, radius, some = tilts(h4, h5, h6, polar, error)
     if not some:
         return False
-    for flip in range(2):
-        q5 = middle + half if flip == 0 else middle - half
+    for q5 in (middle + half, middle - half):
         if not may_fit(q5, radius, lower[4], upper[4]):
             continue
         c5, s5 = math.cos(q5), math.sin(q5)
@@ -225,8 +224,7 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
     middle, half, radius, some = heights(u, scaled(-1.0, h), d, height - error, height + error)
     if not some:
         return True
-    for shoulder in range(2):
-        q1 = middle + half if shoulder == 0 else middle - half
+    for q1 in (middle + half, middle - half):
         if not may_fit(q1, radius, lower[0], upper[0]):
             continue
         c1, s1 = math.cos(q1), math.sin(q1)
@@ -235,8 +233,7 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
         middle3, half3, radius3, some = elbows(u, f, e, off_axis(u, g), off)
         if not some:
             continue
-        for elbow in range(2):
-            a3 = middle3 + half3 if elbow == 0 else middle3 - half3
+        for a3 in (middle3 + half3, middle3 - half3):
             if not may_fit(along * a3, radius3, lower[2], upper[2]):
                 continue
             q2, wide = first_link_range(u, f, e, a3, radius3, g, off)
@@ -244,7 +241,7 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
                 continue
             tilt = tolerance[0, 1] + radius + radius3 + wide + PAD
             c, s = (c1, math.cos(q2), math.cos(a3)), (s1, math.sin(q2), along * math.sin(a3))
-            if wrist_may_fit(axes, extra, target, lower, upper, c, s, tilt):
+            if wrist_may_fit(form, target, c, s, tilt):
                 return False
     return True
 
@@ -281,8 +278,7 @@ def prove_parallel(goals, form):
         return True
     relative = relative_rotation(target, extra, h6)
     tilt = min(math.pi, tolerance[0, 1] + radius + PAD)
-    for shoulder in range(2):
-        q1 = middle + half if shoulder == 0 else middle - half
+    for q1 in (middle + half, middle - half):
         if not may_fit(q1, radius, lower[0], upper[0]):
             continue
         c1, s1 = math.cos(q1), math.sin(q1)
@@ -293,19 +289,19 @@ def prove_parallel(goals, form):
         middle5, half5, radius5, some = tilts(u, h5, h6, polar_angle(u, wanted), tilt)
         if not some:
             continue
-        for flip in range(2):
-            q5 = middle5 + half5 if flip == 0 else middle5 - half5
+        for q5 in (middle5 + half5, middle5 - half5):
             if may_fit(q5, radius5, lower[4], upper[4]) and three_may_fit(
-                axes, extra, lower, upper, q5, radius5, wanted, held, g, off, tilt
+                form, q5, radius5, wanted, held, g, off, tilt
             ):
                 return False
     return True
 
 
 @outlined
-def three_may_fit(axes, extra, lower, upper, q5, radius5, wanted, held, g, off, tilt):
+def three_may_fit(form, q5, radius5, wanted, held, g, off, tilt):
     """Whether joints 6 and 2 to 4 of three parallel axes may follow joints 1 and 5."""
     noinline()
+    axes, lower, upper = form.axes, form.lower, form.upper
     u, h5, h6 = three(axes, 1, 0), three(axes, 4, 0), three(axes, 5, 0)
     p2, p3, p4 = three(axes, 1, 3), three(axes, 2, 3), three(axes, 3, 3)
     along3, along4 = same_way(u, axes, 2), same_way(u, axes, 3)
@@ -318,15 +314,14 @@ def three_may_fit(axes, extra, lower, upper, q5, radius5, wanted, held, g, off, 
     a = rotate(h5, c5, s5, h6)  # R5 h6
     theta, _ = angle_between(u, a, wanted)
     around = azimuth_spread(tilt, polar) + azimuth_spread(radius5, polar_angle(u, a))
-    hand = minus(three(extra, 0, 0), p4)
+    hand = minus(three(form.extra, 0, 0), p4)
     off += chord(around, off_axis(u, hand))
     v = minus(g, rotate(u, math.cos(theta), math.sin(theta), hand))
     e, f = minus(p4, p3), minus(p2, p3)
     middle3, half, radius, some = elbows(u, f, e, off_axis(u, v), off)
     if not some:
         return False
-    for elbow in range(2):
-        a3 = middle3 + half if elbow == 0 else middle3 - half
+    for a3 in (middle3 + half, middle3 - half):
         if not may_fit(along3 * a3, radius, lower[2], upper[2]):
             continue
         q2, wide = first_link_range(u, f, e, a3, radius, v, off)

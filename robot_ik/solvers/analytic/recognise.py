@@ -54,14 +54,14 @@ class Form:
             (three, elbow, three), those of a ball joint the axes of its frame.
         extra: (5, 3) wrist centre in the world at q = 0, the same seen from the tool, rows of the tool's
             rotation at q = 0.
-        groups: (2, 2) of a limb: how shoulder and wrist are joined, and the column of their first number.
+        groups: (2, 2) how a limb's shoulder and wrist are joined, and the column of their first number.
     """
 
     family: Family
     nodes: tuple[int, ...]
     axes: Array
     extra: Array
-    groups: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 2), dtype=np.int64))
+    groups: NDArray[np.int64] = field(default_factory=lambda: np.full((2, 2), NO_JOINTS, dtype=np.int64))
 
 
 def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
@@ -85,13 +85,13 @@ def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
 
 
 def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form | None:
-    if _is_spherical(axes, scale):
-        return _form(Family.SPHERICAL_WRIST, chain, axes, tool, _meeting(axes[4], axes[5], scale))
-    seen = _from_the_tool(axes, tool)
-    if _is_spherical(seen, scale):
-        back = tool.inverse()
-        centre = _meeting(seen[4], seen[5], scale)
-        return _form(Family.SPHERICAL_SHOULDER, chain[::-1], seen, back, centre)
+    if (wrist := _wrist_centre(axes, scale)) is not None:
+        return _form(Family.SPHERICAL_WRIST, chain, axes, tool, wrist)
+    # The same arm held by its tool: the inverse pose is e₆(-q₆) … e₁(-q₁) seen from there.
+    back = tool.inverse()
+    seen = np.hstack([-(axes[::-1, :3] @ back.rotation.T), back.apply(axes[::-1, 3:])])
+    if (shoulder := _wrist_centre(seen, scale)) is not None:
+        return _form(Family.SPHERICAL_SHOULDER, chain[::-1], seen, back, shoulder)
     centre = _meeting(axes[4], axes[5], scale)
     parallel = _parallel(axes, 1, 2) and _parallel(axes, 2, 3)
     if centre is not None and parallel and not _parallel(axes, 0, 1) and not _parallel(axes, 3, 4):
@@ -99,17 +99,11 @@ def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form |
     return None
 
 
-def _is_spherical(axes: Array, scale: float) -> bool:
-    """Whether axes 2 and 3 are parallel and the last three meet."""
+def _wrist_centre(axes: Array, scale: float) -> Array | None:
+    """Where the last three axes meet, if axes 2 and 3 are parallel and 1 is not; else None."""
     if not _parallel(axes, 1, 2) or _parallel(axes, 0, 1):
-        return False
-    return _centre(axes[3:], scale) is not None
-
-
-def _from_the_tool(axes: Array, tool: Pose) -> Array:
-    """The axes of the same arm held by its tool: the inverse pose is e₆(-q₆) … e₁(-q₁) seen from there."""
-    back = tool.inverse()
-    return np.hstack([-(axes[::-1, :3] @ back.rotation.T), back.apply(axes[::-1, 3:])])
+        return None
+    return _centre(axes[3:], scale)
 
 
 def _limb(
@@ -179,8 +173,7 @@ def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, lis
     return np.array(axes), frames, pose.compose(Pose.from_row(local))
 
 
-def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array | None) -> Form:
-    assert centre is not None
+def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array) -> Form:
     extra = np.vstack([centre, tool.inverse().apply(centre), tool.rotation])
     return Form(family, tuple(chain), np.ascontiguousarray(axes), np.ascontiguousarray(extra))
 
@@ -215,15 +208,10 @@ def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> b
 #     q₁ = L:  (R₁(L) h₂)ᵀ S h₃ = h₂ᵀ h₃        q₃ = L:  h₁ᵀ S (R₃(-L) h₂) = h₁ᵀ h₂
 #     q₂ = L:  h₁ᵀ S h₃ = h₁ᵀ R₂(L) h₃          ball:    tr S = 1 + 2 cos L
 
-# Columns of an edge: which rotation (shoulder, wrist, then their traces), y (3), x (3), d.
-COLUMNS = 8
-
 
 def middle_rotations(form: Form) -> Array:
     """(2, 3) for shoulder and wrist of hinges: h₁ᵀ R₂(q) h₃ = constant + amplitude · cos(q - middle)."""
     rows = np.zeros((2, 3))
-    if form.family < Family.LIMB:
-        return rows
     for g in range(2):
         if form.groups[g, 0] == HINGES:
             a, b, c = form.axes[4 * g : 4 * g + 3, :3]
@@ -234,10 +222,13 @@ def middle_rotations(form: Form) -> Array:
 
 
 def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
-    """(m, 8) all limits ``lower``, ``upper`` (by column of the form) as equations of the swivel angle."""
+    """(m, 8) all limits ``lower``, ``upper`` (by column of the form) as equations of the swivel angle.
+
+    Columns: which rotation (shoulder, wrist, then their traces), y (3), x (3), d.
+    """
     rows: list[Array] = []
     rotations = middle_rotations(form)
-    for g in range(2 if form.family >= Family.LIMB else 0):
+    for g in range(2):
         first = int(form.groups[g, 1])
         if form.groups[g, 0] == BALL_JOINT and upper[first] < np.pi:
             rows.append(np.array([2 + g, *np.zeros(6), 1.0 + 2.0 * np.cos(upper[first])]))
@@ -251,7 +242,7 @@ def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
                 continue
             for limit in (lower[first + j], upper[first + j]):
                 rows.append(_edge(g, j, a, b, c, float(limit)))
-    return np.array(rows).reshape(-1, COLUMNS)
+    return np.array(rows).reshape(-1, 8)
 
 
 def _edge(g: int, joint: int, a: Array, b: Array, c: Array, limit: float) -> Array:

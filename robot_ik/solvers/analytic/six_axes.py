@@ -122,36 +122,28 @@ def free_place(k, start, lower, upper):
 
 
 @pure
-def fit(angles, start, lower, upper):
-    """Whether all of six angles have an image inside their limits."""
-    inside = True
+def keep_branch(form, row, angles, free):
+    """Six angles as a branch, where a free one has no better place yet; whether no other is to be tried.
+
+    The first place counts from which all angles have an image inside their limits, else the first of all.
+    """
+    branches, fits = form.branches, True
     for j in range(6):
-        inside = inside and image(angles[j], start[j], lower[j], upper[j])[1]
-    return inside
+        fits = fits and (not free or image(angles[j], form.start[j], form.lower[j], form.upper[j])[1])
+    if fits or math.isnan(branches[row, 0]):
+        for j in range(6):
+            branches[row, j] = angles[j]
+    return fits
 
 
 @pure
-def put_row(branches, row, angles):
-    """Six angles as a branch."""
-    for j in range(6):
-        branches[row, j] = angles[j]
-
-
-@pure
-def clear(branches):
-    """No branch yet: NaN."""
-    for row in range(branches.shape[0]):
-        for j in range(branches.shape[1]):
-            branches[row, j] = math.nan
-
-
-@pure
-def wrist_angles(axes, target, extra, start, lower, upper, flip, c, s):
+def wrist_angles(form, target, flip, c, s):
     """q4, q5, q6 of the rotation that is left after joints 1 to 3; and whether there are any.
 
     R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  What Q makes of h₆, and its inverse of h₄, is all
     that is needed.
     """
+    axes, extra, start, lower, upper = form.axes, form.extra, form.start, form.lower, form.upper
     h4, h5, h6 = three(axes, 3, 0), three(axes, 4, 0), three(axes, 5, 0)
     wanted = before_arm(axes, c, s, relative_rotation(target, extra, h6))  # Q h6
     middle, half, amplitude, possible = angles_to_height(h4, h5, h6, dot(h4, wanted))
@@ -175,15 +167,13 @@ def wrist_angles(axes, target, extra, start, lower, upper, flip, c, s):
 
 
 @outlined
-def spherical_wrist(axes, extra, target, start, lower, upper, branches):
+def spherical_wrist(form, target):
     """All branches of an arm whose axes 2 and 3 are parallel and whose last three meet.
 
-    Fills ``branches`` (8, 6), row = 4·shoulder + 2·elbow + flip; a row that does not exist gets NaN.
-    Returns how many exist.
+    Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·elbow + flip.
     """
     noinline()
-    found = 0
-    clear(branches)
+    axes, extra, start = form.axes, form.extra, form.start
     h1, u, end = three(axes, 0, 0), three(axes, 1, 0), three(extra, 0, 0)
     p1, p2, p3 = three(axes, 0, 3), three(axes, 1, 3), three(axes, 2, 3)
     along3 = same_way(u, axes, 2)
@@ -193,7 +183,7 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
     # h · R(h1, -q1) d = height: the sign of the axis makes it subproblem 4.
     middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, height)
     if not possible:
-        return 0
+        return
     # With the wrist's centre on axis 1 every q1 does: the place nearest to the start is taken from which all
     # angles are inside their limits, for each branch by itself.
     free, settled = amplitude1 < 1e-12, 0
@@ -201,7 +191,7 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
         shoulder = 0 if free else k
         q1 = middle1 + half1 if shoulder == 0 else middle1 - half1
         if free:
-            q1 = free_place(k, start[0], lower[0], upper[0])
+            q1 = free_place(k, start[0], form.lower[0], form.upper[0])
         c1, s1 = math.cos(q1), math.sin(q1)
         g = minus(plus(rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
         middle3, half3, amplitude3, possible = elbow_angles(u, f, e, g)
@@ -216,31 +206,21 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
                 row = 4 * shoulder + 2 * elbow + flip
                 if settled >> row & 1:
                     continue
-                q4, q5, q6, possible = wrist_angles(axes, target, extra, start, lower, upper, flip, c, s)
-                if not possible:
-                    continue
-                angles = q1, q2, along3 * a3, q4, q5, q6
-                if not free or fit(angles, start, lower, upper):
+                q4, q5, q6, possible = wrist_angles(form, target, flip, c, s)
+                if possible and keep_branch(form, row, (q1, q2, along3 * a3, q4, q5, q6), free):
                     settled |= 1 << row
-                elif not math.isnan(branches[row, 0]):
-                    continue  # the first one is nearer to the start
-                found += 1 if math.isnan(branches[row, 0]) else 0
-                put_row(branches, row, angles)
         if free and settled == 15:
             break
-    return found
 
 
 @outlined
-def three_parallel(axes, extra, target, start, lower, upper, branches):
+def three_parallel(form):
     """All branches of an arm whose axes 2, 3 and 4 are parallel and whose last two meet (Universal Robots).
 
-    Fills ``branches`` (8, 6), row = 4·shoulder + 2·flip + elbow; a row that does not exist gets NaN.
-    Returns how many exist.
+    Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·flip + elbow.
     """
     noinline()
-    found = 0
-    clear(branches)
+    axes, extra, target, start = form.axes, form.extra, form.target, form.start
     h1, u, h5, h6 = three(axes, 0, 0), three(axes, 1, 0), three(axes, 4, 0), three(axes, 5, 0)
     p1, p2, p3, p4 = three(axes, 0, 3), three(axes, 1, 3), three(axes, 2, 3), three(axes, 3, 3)
     along3, along4 = same_way(u, axes, 2), same_way(u, axes, 3)
@@ -248,7 +228,7 @@ def three_parallel(axes, extra, target, start, lower, upper, branches):
     d = minus(centre(target, extra), p1)
     middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, dot(u, minus(end, p1)))
     if not possible:
-        return 0
+        return
     e, f = minus(p4, p3), minus(p2, p3)
     wanted = relative_rotation(target, extra, h6)
     for shoulder in range(2):
@@ -271,7 +251,7 @@ def three_parallel(axes, extra, target, start, lower, upper, branches):
             free, settled = weight <= ALIGNED * ALIGNED, 0
             for k in range(_FREE_TRIES if free else 1):
                 if free:
-                    q6 = free_place(k, start[5], lower[5], upper[5])
+                    q6 = free_place(k, start[5], form.lower[5], form.upper[5])
                     # Across u lies h5; what the joints before 6 make of it gives θ.
                     m = relative_rotation(target, extra, rotate(h6, math.cos(q6), -math.sin(q6), h5))
                     theta, _ = angle_between(u, h5, back(axes, 0, c1, s1, m))
@@ -280,42 +260,36 @@ def three_parallel(axes, extra, target, start, lower, upper, branches):
                 if not possible:
                     continue
                 for elbow in range(2):
-                    row = 4 * shoulder + 2 * flip + elbow
                     if settled >> elbow & 1:
                         continue
+                    row = 4 * shoulder + 2 * flip + elbow
                     a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
                     q2 = first_link(u, f, e, math.cos(a3), math.sin(a3), v, start[1])
                     angles = q1, q2, along3 * a3, along4 * (theta - q2 - a3), q5, q6
-                    if not free or fit(angles, start, lower, upper):
+                    if keep_branch(form, row, angles, free):
                         settled |= 1 << elbow
-                    elif not math.isnan(branches[row, 0]):
-                        continue  # the first one is nearer to the start
-                    found += 1 if math.isnan(branches[row, 0]) else 0
-                    put_row(branches, row, angles)
                 if settled == 3:
                     break
-    return found
 
 
 @outlined
-def planar_two_link(axes, extra, target, start, slack, branches):
-    """Both elbows of a two-link arm for a position; ``extra`` row 0 is the tool at q = 0.
+def planar_two_link(form, slack):
+    """Both elbows of a two-link arm for a position, into rows 0 and 1 of ``form.branches`` (cleared).
 
-    Fills ``branches`` (8, n), rows 0 and 1; returns how many exist.  ``slack`` (m): how far the target may
-    lie off the plane in which the tool moves.
+    Row 0 of ``form.extra`` is the tool at q = 0.  ``slack`` (m): how far the target may lie off the plane in
+    which the tool moves.
     """
     noinline()
-    clear(branches)
+    axes, extra, target, start = form.axes, form.extra, form.target, form.start
     u, p1, p2 = three(axes, 0, 0), three(axes, 0, 3), three(axes, 1, 3)
     along = same_way(u, axes, 1)
     g, e, f = minus(three(target, 0, 0), p1), minus(three(extra, 0, 0), p2), minus(p1, p2)
     if abs(dot(g, u) - (dot(e, u) - dot(f, u))) > slack:
-        return 0
+        return
     middle, half, amplitude, possible = elbow_angles(u, f, e, g)
     if not possible:
-        return 0
+        return
     for elbow in range(2):
         a2 = one_of(elbow == 0, middle, half, amplitude, along * start[1])
         q1 = first_link(u, f, e, math.cos(a2), math.sin(a2), g, start[0])
-        branches[elbow, 0], branches[elbow, 1] = q1, along * a2
-    return 2
+        form.branches[elbow, 0], form.branches[elbow, 1] = q1, along * a2

@@ -166,11 +166,11 @@ def measure_start(tree, goal, work, form, mode):
 
 
 @outlined
-def take_branch(tree, goal, work, form, row, found):
-    """Takes ``form.best`` as the solution, where some branch ``row`` is inside the limits."""
+def take_branch(tree, goal, work, form, inside, exists):
+    """Takes ``form.best`` as the solution, where some branch that exists is ``inside`` the limits."""
     state, q, qadr, best = work.state, work.q, form.qadr, form.best
-    if row < 0:
-        state[ws.STATUS] = ws.BLOCKED if found > 0 else ws.STALLED
+    if not inside:
+        state[ws.STATUS] = ws.BLOCKED if exists else ws.STALLED
         return
     for j in range(qadr.shape[0]):
         q[qadr[j]] = best[j]
@@ -193,29 +193,34 @@ def invert(target, inverse):
             inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]
 
 
-@outlined
-def nearest(branches, start, lower, upper, best):
-    """The branch inside the limits nearest to ``start`` (least squares of the angles), into ``best``.
+@pure
+def clear(branches):
+    """No branch yet: NaN."""
+    for row in range(branches.shape[0]):
+        for j in range(branches.shape[1]):
+            branches[row, j] = math.nan
 
-    Each angle is first moved by multiples of 2π.  Rewrites ``branches`` so; returns the row, or -1.
+
+@outlined
+def nearest(form):
+    """The branch inside the limits nearest to the start (least squares of the angles), into ``form.best``.
+
+    Each angle is first moved by multiples of 2π, in ``form.branches`` too.  Returns whether a branch is
+    inside the limits, and whether there is any.
     """
-    chosen = -1
-    closest = math.inf
-    n = branches.shape[1]
+    branches, start, lower, upper, best = form.branches, form.start, form.lower, form.upper, form.best
+    exists, closest = False, math.inf
     for row in range(branches.shape[0]):
         if math.isnan(branches[row, 0]):
             continue
-        distance = 0.0
-        fits = True
-        for j in range(n):
+        exists, fits, distance = True, True, 0.0
+        for j in range(best.shape[0]):
             angle, inside = image(branches[row, j], start[j], lower[j], upper[j])
             branches[row, j] = angle if inside else branches[row, j]
             fits = fits and inside
             distance += (angle - start[j]) * (angle - start[j])
         if fits and distance < closest:
             closest = distance
-            chosen = row
-    if chosen >= 0:
-        for j in range(n):
-            best[j] = branches[chosen, j]
-    return chosen
+            for j in range(best.shape[0]):
+                best[j] = branches[row, j]
+    return closest < math.inf, exists
