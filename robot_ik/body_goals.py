@@ -11,17 +11,8 @@ from numpy.typing import ArrayLike
 
 from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import InvalidGoalError, ModelError, require_joints
-from robot_ik.geometry import Pose, numbers, vector
-from robot_ik.goals import (
-    Array,
-    Goal,
-    OrientationGoal,
-    PointGoal,
-    PoseGoal,
-    PositionGoal,
-    Rows,
-    nonnegative_number,
-)
+from robot_ik.geometry import Array, Pose, numbers, vector
+from robot_ik.goals import Goal, OrientationGoal, PointGoal, PoseGoal, PositionGoal, Rows, nonnegative_number
 from robot_ik.kernels import residuals as codes
 from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
 from robot_ik.pose_prior import PosePrior

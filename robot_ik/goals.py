@@ -13,17 +13,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import INTEGER, Pose, rotation_z_to, unit_quaternion, vector
+from robot_ik.geometry import INTEGER, Array, Pose, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

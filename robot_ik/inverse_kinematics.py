@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.goals import Goal, PoseGoal, Tolerance
 from robot_ik.problem import Budget, Problem, checked_goals, goal_kind, require_options
@@ -16,8 +15,6 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
-
-Array = NDArray[np.float64]
 
 # Kinds of problems that are kept for a robot, and problems of a kind: one for each thread that asks at once.
 _KINDS_KEPT, _EACH_KEPT = 16, 8

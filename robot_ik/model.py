@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, require_joints
-from robot_ik.geometry import Pose, rotation_exp, rotation_z_to
+from robot_ik.geometry import Array, Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.reading import LARGEST_NUMBER, read_text, shown
 from robot_ik.robot_file import RobotFile
@@ -26,7 +26,6 @@ from robot_ik.robot_file import RobotFile
 if TYPE_CHECKING:
     from robot_ik.urdf import Urdf
 
-Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 # What Python does with warnings is one setting of the whole process.
