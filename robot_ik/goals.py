@@ -276,20 +276,29 @@ def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PointGoal(Goal):
+class WeightedGoal(Goal):
+    """A goal with one ``weight``, on all that it asks for."""
+
+    weight: float = field(default=1.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        weight = nonnegative_number(self.weight, "weight")
+        self._set(weight=weight, weights=(weight * self.has_position, weight * self.has_angle))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PointGoal(WeightedGoal):
     """A point at ``position`` (3,), world, metres, or at some of its coordinates."""
 
     position: ArrayLike = ()
-    weight: float = field(default=1.0, kw_only=True)
     axes: str = field(default="xyz", kw_only=True)
 
     has_position: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(position=vector(self.position, 3, "position"), weight=weight, weights=(weight, 0.0))
-        self._set(rows=self._rows_of(axes_mask(self.axes)))
+        self._set(position=vector(self.position, 3, "position"), rows=self._rows_of(axes_mask(self.axes)))
 
     def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
         return _WHOLE_POSITION if all(mask) else Rows(position=codes.SOME_AXES, mask=mask)
@@ -313,7 +322,7 @@ class PositionGoal(PointGoal):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OrientationGoal(Goal):
+class OrientationGoal(WeightedGoal):
     """The frame oriented as the unit quaternion ``wxyz`` (4,), world; its position is free.
 
     Attributes:
@@ -322,7 +331,6 @@ class OrientationGoal(Goal):
     """
 
     wxyz: ArrayLike = ()
-    weight: float = field(default=1.0, kw_only=True)
     free_axis: str | ArrayLike | None = field(default=None, kw_only=True)
 
     name: ClassVar[str] = "orientation goal"
@@ -330,9 +338,8 @@ class OrientationGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(wxyz=unit_quaternion(self.wxyz), weight=weight, weights=(0.0, weight))
-        self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
+        rows = _orientation_rows(codes.NO_POSITION, self.free_axis)
+        self._set(wxyz=unit_quaternion(self.wxyz), rows=rows)
 
     @property
     def target(self) -> Pose:
