@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,17 +20,6 @@ from robot_ik.solvers.base import Solver
 _KINDS_KEPT, _EACH_KEPT = 16, 8
 _BUDGET = Budget()
 ORIGIN = (0.0, 0.0, 0.0)
-
-
-_Pool = list[tuple[Solver, Problem]]
-
-
-def _problem_pools() -> Callable[..., _Pool]:
-    """For a kind of problems of one robot, those that are idle, each with its method.
-
-    A problem is idle in its pool or in use by one call: calls of several threads never share one.
-    """
-    return functools.lru_cache(_KINDS_KEPT)(lambda *kind: [])
 
 
 @contextmanager
@@ -50,11 +39,12 @@ def borrowed_problem(
     require_options(robot, tolerance, budget, seed)
     goals = checked_goals(goal)
     method = make_solver(solver, **options) if options else solver
-    pools: Callable[..., _Pool] | None = robot.memory.get("problems")
+    # For each kind of problems those that are idle, with their methods: calls of several threads share none.
+    pools = robot.memory.get("problems")
     if pools is None:
-        pools = robot.memory.setdefault("problems", _problem_pools())
+        pools = robot.memory.setdefault("problems", functools.lru_cache(_KINDS_KEPT)(lambda *kind: []))
     try:
-        pool = pools(method, tolerance, *map(goal_kind, goals))
+        pool: list[tuple[Solver, Problem]] = pools(method, tolerance, *map(goal_kind, goals))
     except TypeError:  # a method or goal of somebody's own that cannot be a key
         pool = []
     try:
