@@ -7,6 +7,7 @@ Targets are in the world, metres and unit quaternions (w, x, y, z).
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import INTEGER, Array, Pose, rotation_z_to, unit_quaternion, vector
+from robot_ik.geometry import INTEGER, Array, Pose, is_real, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
@@ -31,23 +32,16 @@ class Tolerance:
     angle: float = 1e-3
 
     def __post_init__(self) -> None:
-        try:
-            positive = self.position > 0 and self.angle > 0
-        except (TypeError, ValueError):
-            positive = False
-        if not positive:
+        both = self.position, self.angle
+        if not all(is_real(value, 0.0, math.inf) and value > 0.0 for value in both):
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
 
 
 def nonnegative_number(value: float, what: str) -> float:
     """A finite number, zero or more; raises ``InvalidGoalError`` for anything else."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = -1.0
-    if not 0.0 <= number < math.inf:
+    if not is_real(value, 0.0, sys.float_info.max):
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
-    return number
+    return float(value)
 
 
 def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
@@ -386,7 +380,9 @@ class PoseGoal(Goal):
         given: object = pose
         if not isinstance(given, Pose):
             raise InvalidGoalError(f"not a pose: {given!r}", hint="Pose(position, wxyz)")
-        return cls(frame, pose.position, pose.wxyz)
+        goal = cls(frame, pose.position, pose.wxyz)
+        goal._set(wxyz=pose.wxyz)  # which is normalised: once more would change its last bits
+        return goal
 
     @property
     def target(self) -> Pose:
