@@ -131,13 +131,11 @@ def move_with_node(world, k, old, frames, g):
 
     What lies between stays as it is: a joint's rotation costs the same however many joints come after it.
     """
-    for c in range(4):  # the origin, then the three axes
-        if c == 0:
-            before = apply_back(old, 0, 3, minus(three(frames, g, 0), three(old, 0, 0)))
-            frames[g, 0], frames[g, 1], frames[g, 2] = plus(three(world, k, 0), apply(world, k, 3, before))
-        else:
-            before = apply_back(old, 0, 3, (frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c]))
-            frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c] = apply(world, k, 3, before)
+    before = apply_back(old, 0, 3, minus(three(frames, g, 0), three(old, 0, 0)))
+    frames[g, 0], frames[g, 1], frames[g, 2] = plus(three(world, k, 0), apply(world, k, 3, before))
+    for c in range(3, 6):  # the three axes
+        before = apply_back(old, 0, 3, (frames[g, c], frames[g, 3 + c], frames[g, 6 + c]))
+        frames[g, c], frames[g, 3 + c], frames[g, 6 + c] = apply(world, k, 3, before)
 
 
 @outlined

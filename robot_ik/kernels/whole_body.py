@@ -19,6 +19,7 @@ from numba import types
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.loop import copy
 from robot_ik.kernels.residuals import rotation_error
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
@@ -309,8 +310,8 @@ def solve_held(body, count, slack):
         for j in range(i + 1):
             factor[i, j] = matrix[i, j]
         row[first, i] = body.gradient[i]
+    copy(body.wanted, multiplier)
     for r in range(count):
-        multiplier[r] = body.wanted[r]
         for v in range(n):
             hard_solved[r, v] = body.hard[r, v]
     for p in range(n):
@@ -426,17 +427,13 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
     """
     tree = open_tree(tree)
     body = _open(body)
-    nq = start.shape[0]
     here = q[0]
-    for i in range(nq):
-        body.previous[i] = second[i]
+    copy(second, body.previous)
     measure_displacement(tree, body, start)
-    for i in range(nq):
-        body.previous[i] = start[i]
+    copy(start, body.previous)
     for t in range(q.shape[0]):
         here = q[t]
-        for i in range(nq):
-            here[i] = body.previous[i]
+        copy(body.previous, here)
         for k in range(tree.kind.shape[0]):  # what moved goes on moving
             if tree.kind[k] in (HINGE, SLIDE):
                 a, v = tree.qadr[k], tree.vadr[k]
@@ -450,5 +447,4 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
             if step == steps or (longest < rest and miss[t] < close):
                 break
             longest = bounded_step(tree, body, here, count)
-        for i in range(nq):
-            body.previous[i] = here[i]
+        copy(here, body.previous)
