@@ -364,14 +364,9 @@ def judge(tree, goal, work, within):
             copy(work.candidate, work.q)
             state[ws.AWAITED] = ws.TRY
             return
-    same_try = state[ws.RESTARTS] == 0 or state[ws.POLISHING] > 0
-    first = awaited != ws.STEP and same_try and state[ws.POLISHING] == 0
-    bar = (
-        value[ws.BEST_COST]
-        if awaited == ws.STEP and same_try
-        else value[ws.BEST_COST] * (1.0 - _CLEARLY_BETTER)
-    )
-    better = first or cost < bar
+    first = awaited != ws.STEP and state[ws.RESTARTS] == 0 and state[ws.POLISHING] == 0
+    same_try = awaited == ws.STEP and (state[ws.RESTARTS] == 0 or state[ws.POLISHING] > 0)
+    better = first or cost < value[ws.BEST_COST] * (1.0 if same_try else 1.0 - _CLEARLY_BETTER)
     if better:
         keep_best(work)
     if awaited != ws.STEP:

@@ -19,6 +19,7 @@ from numba import types
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.linalg import row_dot
 from robot_ik.kernels.loop import copy
 from robot_ik.kernels.residuals import rotation_error
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
@@ -335,15 +336,10 @@ def solve_held(body, count, slack):
     for r in range(count):
         substitute(factor, hard_solved, r, n)
     for r in range(count):
-        s = multiplier[r]
         for v in range(n):
-            s -= hard_solved[r, v] * row[first, v]
-        multiplier[r] = s
+            multiplier[r] -= hard_solved[r, v] * row[first, v]
         for c in range(r + 1):
-            s = 0.0
-            for v in range(n):
-                s += hard_solved[r, v] * hard_solved[c, v]
-            schur[r, c] = s
+            schur[r, c] = row_dot(hard_solved, r, hard_solved, c)
     for r in range(count):
         schur[r, r] += slack
     cholesky(schur, count)
