@@ -211,15 +211,9 @@ def third_side_angle(a, c, b):
 def add_aim(sums, weight, d, p):
     """One more vector p whose target is along d."""
     x, y, z = scaled(weight, d)
-    sums[0, 0] += x * p[0]
-    sums[0, 1] += x * p[1]
-    sums[0, 2] += x * p[2]
-    sums[0, 3] += y * p[0]
-    sums[0, 4] += y * p[1]
-    sums[0, 5] += y * p[2]
-    sums[0, 6] += z * p[0]
-    sums[0, 7] += z * p[1]
-    sums[0, 8] += z * p[2]
+    sums[0, 0], sums[0, 1], sums[0, 2] = plus(three(sums, 0, 0), scaled(x, p))
+    sums[0, 3], sums[0, 4], sums[0, 5] = plus(three(sums, 0, 3), scaled(y, p))
+    sums[0, 6], sums[0, 7], sums[0, 8] = plus(three(sums, 0, 6), scaled(z, p))
     sums[0, _AIMS] += 1.0
 
 
