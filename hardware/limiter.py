@@ -21,7 +21,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,16 +66,20 @@ class LimiterState:
         return cls(q=here, velocity=still, command=here, command_velocity=still)
 
 
-class LimiterReport(NamedTuple):
-    """What was changed in one tick, by joint name.
+@dataclass(frozen=True)
+class LimiterReport:
+    """What was changed in one tick, by joint name; false when nothing was.
 
     Attributes:
-        clipped: Joints whose command lay outside the limits.
+        clipped: Joints whose target was outside their limits.
         capped: Joints whose move was shortened or delayed by the velocity or acceleration cap.
     """
 
     clipped: tuple[str, ...]
     capped: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.clipped or self.capped)
 
 
 class SafetyLimiter:

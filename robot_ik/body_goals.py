@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike
 
 from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import InvalidGoalError, ModelError, require_joints
-from robot_ik.geometry import Pose, numbers, vector
+from robot_ik.geometry import Array, Pose, numbers, vector
 from robot_ik.goals import (
-    Array,
     Goal,
     OrientationGoal,
     PointGoal,
     PoseGoal,
     PositionGoal,
     Rows,
+    WeightedGoal,
     nonnegative_number,
 )
 from robot_ik.kernels import residuals as codes
@@ -81,7 +81,7 @@ class CenterOfMassGoal(PointGoal):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PostureGoal(Goal):
+class PostureGoal(WeightedGoal):
     """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
 
     Its miss is the largest distance of any joint that counts: radians for hinges, metres for slides.
@@ -94,7 +94,6 @@ class PostureGoal(Goal):
 
     frame: str | None = field(default=None, init=False)
     q: ArrayLike = ()
-    weight: float = field(default=1.0, kw_only=True)
     joints: Mapping[str, float] = field(default_factory=dict, kw_only=True)
     only: bool = field(default=False, kw_only=True)
 
@@ -112,9 +111,7 @@ class PostureGoal(Goal):
                 f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
             )
         checked = {joint: nonnegative_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
-        self._set(weights=(weight, weight), rows=Rows(of=codes.OF_JOINTS))
+        self._set(q=vector(self.q, count, "q"), joints=checked, rows=Rows(of=codes.OF_JOINTS))
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -155,7 +152,7 @@ class PostureGoal(Goal):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PosePriorGoal(Goal):
+class PosePriorGoal(WeightedGoal):
     """A pose as likely as can be under a ``PosePrior``: that looks natural.  Always soft; one a problem.
 
     It is wanted, never needed: among the poses that meet all needed goals, the likeliest nearby.
@@ -167,7 +164,6 @@ class PosePriorGoal(Goal):
 
     frame: str | None = field(default=None, init=False)
     prior: PosePrior = None  # type: ignore[assignment]  # refused below
-    weight: float = field(default=1.0, kw_only=True)
     soft: bool = field(default=True, kw_only=True)
 
     name: ClassVar[str] = "pose prior goal"
@@ -181,8 +177,7 @@ class PosePriorGoal(Goal):
             raise InvalidGoalError(wrong, hint="PosePrior.of(robot)")
         if not self.soft:
             raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=codes.OF_PRIOR))
+        self._set(rows=Rows(of=codes.OF_PRIOR))
 
     @property
     def signature(self) -> tuple[object, ...]:

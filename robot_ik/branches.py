@@ -86,6 +86,5 @@ def solve_all(
     if off.max() > _SLACK:
         qs = np.where(off <= _ROUNDING, ends, qs)
     inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
-    found = [(far[k], Branch(branches[k][0], qs[k], inside=inside[k])) for k in first]
-    ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
-    return tuple(branch for _, branch in ordered if branch.inside or not limits)
+    first.sort(key=lambda k: (not inside[k], far[k]))
+    return tuple(Branch(branches[k][0], qs[k], inside=inside[k]) for k in first if inside[k] or not limits)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
+import sys
 
 import mujoco
 import numpy as np
 
 from robot_ik.errors import InvalidModelError
+from robot_ik.geometry import is_real
 from robot_ik.robot import Robot, load_robot
 
 # A link is drawn this thick, as a share of its length.
@@ -34,11 +35,7 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
     if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
         hint = "what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400"
         raise InvalidModelError(f"a chain has 1 to {LONGEST} links, not {n!r}", hint=hint)
-    try:
-        metres = float(length)
-    except (TypeError, ValueError, OverflowError):
-        metres = math.nan
-    if not (math.isfinite(metres) and metres > 0.0):
+    if not (is_real(length, 0.0, sys.float_info.max) and length > 0.0):
         raise InvalidModelError(f"a link's length is positive and finite, not {length!r}")
     spec = mujoco.MjSpec()
     spec.modelname = f"chain{n}"

@@ -8,12 +8,12 @@ from typing import ClassVar
 from numpy.typing import ArrayLike
 
 from robot_ik.geometry import Pose, rotation_z_to, vector
-from robot_ik.goals import Goal, Rows, axis_vector, nonnegative_number
+from robot_ik.goals import Goal, Rows, WeightedGoal, axis_vector
 from robot_ik.kernels import residuals as codes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AimGoal(Goal):
+class AimGoal(WeightedGoal):
     """An axis of the frame, through its origin, points at ``point`` (3,), world: a gaze, a camera, a torch.
 
     Attributes:
@@ -22,7 +22,6 @@ class AimGoal(Goal):
 
     point: ArrayLike = ()
     axis: str | ArrayLike = field(default="z", kw_only=True)
-    weight: float = field(default=1.0, kw_only=True)
 
     name: ClassVar[str] = "aim goal"
     has_angle: ClassVar[bool] = True
@@ -30,9 +29,8 @@ class AimGoal(Goal):
     def __post_init__(self) -> None:
         super().__post_init__()
         x, y, z = axis_vector(self.axis).tolist()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(point=vector(self.point, 3, "point"), weight=weight, weights=(0.0, weight))
-        self._set(rows=Rows(orientation=codes.AIMED, axis=(x, y, z)))
+        rows = Rows(orientation=codes.AIMED, axis=(x, y, z))
+        self._set(point=vector(self.point, 3, "point"), rows=rows)
 
     @property
     def target(self) -> Pose:
@@ -43,26 +41,19 @@ class AimGoal(Goal):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _DirectionGoal(Goal):
+class _DirectionGoal(WeightedGoal):
     """The frame's origin, measured along and across a direction through ``point`` (3,), world."""
 
     point: ArrayLike = ()
     direction: ArrayLike | str = "z"
-    weight: float = field(default=1.0, kw_only=True)
 
     has_position: ClassVar[bool] = True
     asked: ClassVar[Rows]
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(
-            point=vector(self.point, 3, "point"),
-            direction=axis_vector(self.direction, "direction"),
-            weight=weight,
-            weights=(weight, 0.0),
-            rows=self.asked,
-        )
+        direction = axis_vector(self.direction, "direction")
+        self._set(point=vector(self.point, 3, "point"), direction=direction, rows=self.asked)
 
     @property
     def target(self) -> Pose:

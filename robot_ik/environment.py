@@ -185,18 +185,12 @@ class CheckRow:
     do: str = ""
 
 
-def _group_of(path: str) -> str:
-    try:
-        import grp
-
-        return grp.getgrgid(os.stat(path).st_gid).gr_name
-    except (ImportError, KeyError, OSError):
-        return ""
-
-
 def permission_hint(path: str) -> str:
     """What gives this user the right to use the device file."""
-    group = _group_of(path)
+    try:
+        group = Path(path).group()
+    except (KeyError, OSError, NotImplementedError):  # a number without a name; Windows has no groups
+        group = ""
     if group in ("", "root", "wheel"):
         return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"
     return f"sudo usermod -aG {group} {getpass.getuser()}, then log out and in again"

@@ -7,23 +7,21 @@ Targets are in the world, metres and unit quaternions (w, x, y, z).
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import INTEGER, Pose, rotation_z_to, unit_quaternion, vector
+from robot_ik.geometry import INTEGER, Array, Pose, is_real, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -34,23 +32,16 @@ class Tolerance:
     angle: float = 1e-3
 
     def __post_init__(self) -> None:
-        try:
-            positive = self.position > 0 and self.angle > 0
-        except (TypeError, ValueError):
-            positive = False
-        if not positive:
+        both = self.position, self.angle
+        if not all(is_real(value, 0.0, math.inf) and value > 0.0 for value in both):
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
 
 
 def nonnegative_number(value: float, what: str) -> float:
     """A finite number, zero or more; raises ``InvalidGoalError`` for anything else."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = -1.0
-    if not 0.0 <= number < math.inf:
+    if not is_real(value, 0.0, sys.float_info.max):
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
-    return number
+    return float(value)
 
 
 def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
@@ -279,20 +270,29 @@ def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PointGoal(Goal):
+class WeightedGoal(Goal):
+    """A goal with one ``weight``, on all that it asks for."""
+
+    weight: float = field(default=1.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        weight = nonnegative_number(self.weight, "weight")
+        self._set(weight=weight, weights=(weight * self.has_position, weight * self.has_angle))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PointGoal(WeightedGoal):
     """A point at ``position`` (3,), world, metres, or at some of its coordinates."""
 
     position: ArrayLike = ()
-    weight: float = field(default=1.0, kw_only=True)
     axes: str = field(default="xyz", kw_only=True)
 
     has_position: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(position=vector(self.position, 3, "position"), weight=weight, weights=(weight, 0.0))
-        self._set(rows=self._rows_of(axes_mask(self.axes)))
+        self._set(position=vector(self.position, 3, "position"), rows=self._rows_of(axes_mask(self.axes)))
 
     def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
         return _WHOLE_POSITION if all(mask) else Rows(position=codes.SOME_AXES, mask=mask)
@@ -316,7 +316,7 @@ class PositionGoal(PointGoal):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OrientationGoal(Goal):
+class OrientationGoal(WeightedGoal):
     """The frame oriented as the unit quaternion ``wxyz`` (4,), world; its position is free.
 
     Attributes:
@@ -325,7 +325,6 @@ class OrientationGoal(Goal):
     """
 
     wxyz: ArrayLike = ()
-    weight: float = field(default=1.0, kw_only=True)
     free_axis: str | ArrayLike | None = field(default=None, kw_only=True)
 
     name: ClassVar[str] = "orientation goal"
@@ -333,9 +332,8 @@ class OrientationGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(wxyz=unit_quaternion(self.wxyz), weight=weight, weights=(0.0, weight))
-        self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
+        rows = _orientation_rows(codes.NO_POSITION, self.free_axis)
+        self._set(wxyz=unit_quaternion(self.wxyz), rows=rows)
 
     @property
     def target(self) -> Pose:
@@ -382,7 +380,9 @@ class PoseGoal(Goal):
         given: object = pose
         if not isinstance(given, Pose):
             raise InvalidGoalError(f"not a pose: {given!r}", hint="Pose(position, wxyz)")
-        return cls(frame, pose.position, pose.wxyz)
+        goal = cls(frame, pose.position, pose.wxyz)
+        goal._set(wxyz=pose.wxyz)  # which is normalised: once more would change its last bits
+        return goal
 
     @property
     def target(self) -> Pose:

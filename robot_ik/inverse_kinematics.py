@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.goals import Goal, PoseGoal, Tolerance
 from robot_ik.problem import Budget, Problem, checked_goals, goal_kind, require_options
@@ -17,23 +16,10 @@ from robot_ik.solution import Solution
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
 
-Array = NDArray[np.float64]
-
 # Kinds of problems that are kept for a robot, and problems of a kind: one for each thread that asks at once.
 _KINDS_KEPT, _EACH_KEPT = 16, 8
 _BUDGET = Budget()
 ORIGIN = (0.0, 0.0, 0.0)
-
-
-_Pool = list[tuple[Solver, Problem]]
-
-
-def _problem_pools() -> Callable[..., _Pool]:
-    """For a kind of problems of one robot, those that are idle, each with its method.
-
-    A problem is idle in its pool or in use by one call: calls of several threads never share one.
-    """
-    return functools.lru_cache(_KINDS_KEPT)(lambda *kind: [])
 
 
 @contextmanager
@@ -53,11 +39,12 @@ def borrowed_problem(
     require_options(robot, tolerance, budget, seed)
     goals = checked_goals(goal)
     method = make_solver(solver, **options) if options else solver
-    pools: Callable[..., _Pool] | None = robot.memory.get("problems")
+    # For each kind of problems those that are idle, with their methods: calls of several threads share none.
+    pools = robot.memory.get("problems")
     if pools is None:
-        pools = robot.memory.setdefault("problems", _problem_pools())
+        pools = robot.memory.setdefault("problems", functools.lru_cache(_KINDS_KEPT)(lambda *kind: []))
     try:
-        pool = pools(method, tolerance, *map(goal_kind, goals))
+        pool: list[tuple[Solver, Problem]] = pools(method, tolerance, *map(goal_kind, goals))
     except TypeError:  # a method or goal of somebody's own that cannot be a key
         pool = []
     try:

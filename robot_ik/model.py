@@ -17,8 +17,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, require_joints
-from robot_ik.geometry import Pose, rotation_exp, rotation_z_to
+from robot_ik.errors import (
+    ConfigError,
+    ModelError,
+    UnknownFrameError,
+    UnknownJointError,
+    apart,
+    require_joints,
+)
+from robot_ik.geometry import Array, Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.reading import LARGEST_NUMBER, read_text, shown
 from robot_ik.robot_file import RobotFile
@@ -26,7 +33,6 @@ from robot_ik.robot_file import RobotFile
 if TYPE_CHECKING:
     from robot_ik.urdf import Urdf
 
-Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 # What Python does with warnings is one setting of the whole process.
@@ -57,6 +63,9 @@ class ModelFrame:
 
 # kg, kg m²: a model in millimetres is a billion times as heavy as it should be, and moves all the same.
 _LARGEST_MASS = 1e100
+
+# rad, m: a limit that was written with few digits is meant by a home beyond it, which is moved inside.
+_ROUNDED = 1e-3
 
 # Arrays of MuJoCo's model, one row a body, joint, …
 _NUMBERS = (
@@ -225,12 +234,11 @@ def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
 
 
 def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
-    """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
+    """Whole qpos (model.nq,) of home: numbers or keyframe of robot.toml, "home", the first, else qpos0."""
     home = file.home
     if isinstance(home, tuple):
-        from robot_ik.home import checked_home  # most name a keyframe
-
-        return checked_home(model, joint_names(model), file, home)
+        _refuse_home(model, file, home)
+        return np.array(home, dtype=float)
     keys = {model.key(k).name: k for k in range(model.nkey)}
     if home is None:
         home = "home" if "home" in keys else next(iter(keys), None)
@@ -238,6 +246,24 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
         known = ", ".join(keys) or "none"
         raise ModelError(f"{file.path}: home: {path} has no keyframe {home!r}; it has: {known}", path=path)
     return np.array(model.qpos0 if home is None else model.key_qpos[keys[home]], dtype=float)
+
+
+def _refuse_home(model: mujoco.MjModel, file: RobotFile, home: tuple[float, ...]) -> None:
+    """Raises ``ConfigError`` unless it is model.nq numbers, of hinges and slides inside their limits."""
+    names, where = joint_names(model), file.path or file.name
+    if len(home) != model.nq:
+        allowed = f"{model.nq}, rad and m, for the joints {', '.join(names)}"
+        raise ConfigError(f"it has {len(home)} numbers", file=where, key="home", allowed=allowed)
+    for joint, name in enumerate(names):
+        unit = {HINGE: "rad", SLIDE: "m"}.get(_KIND_OF[int(model.jnt_type[joint])])
+        value, (low, high) = home[model.jnt_qposadr[joint]], model.jnt_range[joint].tolist()
+        if unit and model.jnt_limited[joint] and not low - _ROUNDED <= value <= high + _ROUNDED:
+            asked, lower, upper = apart(value, low, high, digits=4, form="g")
+            raise ConfigError(
+                f"joint {name!r} at {asked} {unit} is outside its limits", file=where, key="home",
+                allowed=f"{lower} to {upper} {unit}",
+                hint=f"{asked} degrees are {math.radians(value):.4g} rad" if unit == "rad" else "",
+            )  # fmt: skip
 
 
 def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame]:
@@ -296,8 +322,8 @@ def motion_limits(
         UnknownJointError, ConfigError: robot.toml names another joint; a slide in degrees, a hinge in mm.
     """
     require_joints(file.slides, names, f"motion of {file.path}")
-    kinds = tree.kind.tolist()
-    for joint, kind in zip(joints, kinds, strict=True):
+    kinds = dict(zip(joints, tree.kind.tolist(), strict=True))
+    for joint, kind in kinds.items():
         if joint in (file.hinges if kind == SLIDE else file.slides):
             moves, unit, other = ("slides", "mm", "deg") if kind == SLIDE else ("does not slide", "deg", "mm")
             raise ConfigError(
@@ -305,14 +331,9 @@ def motion_limits(
                 allowed=f"its limits in velocity_{unit} and acceleration_{unit}",
                 hint=f"such as velocity_mm = {{ {joint} = 100.0 }}" if unit == "mm" else "",
             )  # fmt: skip
-    speed = [
-        file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in zip(joints, kinds, strict=True)
-    ]
-    acceleration = [
-        file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
-        for joint, fastest in zip(joints, speed, strict=True)
-    ]
-    return np.array(speed)[tree.dof_node], np.array(acceleration)[tree.dof_node]
+    speed = {joint: file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds.items()}
+    acceleration = [file.acceleration.get(joint, speed[joint] * _SPEED_TO_ACCELERATION) for joint in joints]
+    return np.array(list(speed.values()))[tree.dof_node], np.array(acceleration)[tree.dof_node]
 
 
 def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
@@ -340,16 +361,6 @@ class Attachment:
     local: Pose
 
 
-def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: float) -> Pose:
-    """Motion that a joint at ``q`` gives its body, in the body's frame before the joint."""
-    if kind == FREE:
-        return Pose(q[:3], q[3:])
-    if kind == SLIDE:
-        return Pose(axis * (q[0] - reference))
-    rotation = Pose((0, 0, 0), q if kind == BALL else rotation_exp(axis * (q[0] - reference)))
-    return Pose(anchor).compose(rotation).compose(Pose(-anchor))
-
-
 class _Builder:
     """Walks the bodies of a model once, root first."""
 
@@ -371,32 +382,28 @@ class _Builder:
         self.bodies.append(at)
 
     def joint(self, joint: int, at: Attachment) -> Attachment:
-        model = self.model
-        kind = _KIND_OF[int(model.jnt_type[joint])]
-        axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
-        start = int(model.jnt_qposadr[joint])
-        reference = float(model.qpos0[start])
-        if joint not in self.active:
-            q = self.qpos[start : start + Q_WIDTH[kind]]
-            motion = _joint_motion(kind, axis, anchor, q, reference)
-            return Attachment(-1, motion) if kind == FREE else Attachment(at.node, at.local.compose(motion))
-        constant, after, align = at.local, Pose(), Pose()
+        model, moves = self.model, joint in self.active
+        kind, start = _KIND_OF[int(model.jnt_type[joint])], int(model.jnt_qposadr[joint])
+        # The joint's own frame in its body: origin at the anchor, z of a hinge or slide along the axis.
+        frame = Pose() if kind == FREE else Pose(model.jnt_pos[joint])
         if kind in (HINGE, SLIDE):
-            align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
-            after = align.inverse()
-        if kind in (HINGE, BALL):
-            constant, after = constant.compose(Pose(anchor)), after.compose(Pose(-anchor))
-        if kind == HINGE:
-            constant = constant.compose(align).compose(Pose(wxyz=rotation_exp([0.0, 0.0, -reference])))
-        elif kind == SLIDE:
-            constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
-        node = len(self.nodes)
+            axis = np.array(model.jnt_axis[joint])
+            frame = frame.compose(Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis))))
+        node, place = (-1, Pose()) if kind == FREE else (at.node, at.local.compose(frame))
+        if kind in (HINGE, SLIDE):
+            z = np.array([0.0, 0.0, (0.0 if moves else self.qpos[start]) - model.qpos0[start]])
+            place = place.compose(Pose(z) if kind == SLIDE else Pose(wxyz=rotation_exp(z)))
+        elif not moves:
+            q = self.qpos[start : start + Q_WIDTH[kind]]
+            place = place.compose(Pose(q[:3], q[3:]) if kind == FREE else Pose(wxyz=q))
+        if not moves:
+            return Attachment(node, place.compose(frame.inverse()))
         self.joint_ids.append(joint)
-        self.nodes.append((kind, -1 if kind == FREE else at.node, self.nq, self.nv))
-        self.constant.append((Pose() if kind == FREE else constant).row)
+        self.nodes.append((kind, node, self.nq, self.nv))
+        self.constant.append(place.row)
         self.nq += Q_WIDTH[kind]
         self.nv += V_WIDTH[kind]
-        return Attachment(node, after)
+        return Attachment(len(self.nodes) - 1, frame.inverse())
 
 
 def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Array, Array]:

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import GoalError, InvalidGoalError, ProblemInUseError
-from robot_ik.geometry import INTEGER, REAL, Pose
-from robot_ik.goals import Array, Goal, Tolerance
+from robot_ik.geometry import INTEGER, REAL, Array, Pose
+from robot_ik.goals import Goal, Tolerance
 from robot_ik.kernels import residuals, workspace
 from robot_ik.kernels.residuals import (
     NO_ORIENTATION,

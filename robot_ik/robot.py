@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik import model as mjcf
 from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
-from robot_ik.geometry import Pose, vector
+from robot_ik.geometry import Array, Pose, vector
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Tree
 from robot_ik.robot_file import RobotFile, find_robot
@@ -31,7 +31,6 @@ from robot_ik.robot_file import RobotFile, find_robot
 if TYPE_CHECKING:
     from robot_ik.couplings import Coupling
 
-Array = NDArray[np.float64]
 _ARRAYS = ("velocity", "acceleration", "stiffness", "home", "frozen_qpos")
 
 

@@ -8,17 +8,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.errors import NotConvergedError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Array, Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels import workspace
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class Status(enum.IntEnum):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose, numbers, vector
+from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import entry, kernel
@@ -95,12 +95,15 @@ class Mover:
 
 
 def _move(problem: Problem, target: Any, index: int) -> None:
+    goal: Any = problem.given[index]
     if isinstance(target, Goal):
         problem.replace_goal(index, _require_same(problem, target, index))
+    elif goal.rows.of == OF_JOINTS:
+        problem.replace_goal(index, replace(goal, q=target))
     elif problem.whole[index]:
-        _move_whole(problem, target, index)
-    else:
-        _move_partial(problem, target, index)
+        _move_whole(goal, problem.target[index], target)
+    else:  # a goal for a part of a pose is replaced
+        problem.replace_goal(index, goal.moved_to(_pose_for(goal, target)))
 
 
 def _move_several(problem: Problem, targets: Mapping[str | int, Any]) -> None:
@@ -135,12 +138,7 @@ def _index_of(problem: Problem, key: object) -> int:
     return found[0]
 
 
-def _move_whole(problem: Problem, target: Any, index: int) -> None:
-    """Moves a whole position, orientation or pose."""
-    row, goal = problem.target[index], problem.given[index]
-    if isinstance(target, Pose):
-        row[:] = target.row
-        return
+def _matrix_or_position(target: Any) -> NDArray[np.float64]:
     try:
         given = np.asarray(target, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -149,6 +147,15 @@ def _move_whole(problem: Problem, target: Any, index: int) -> None:
         raise InvalidGoalError(
             f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"
         )
+    return given
+
+
+def _move_whole(goal: Goal, row: NDArray[np.float64], target: Any) -> None:
+    """Moves the target row (12,) of a whole position, orientation or pose."""
+    if isinstance(target, Pose):
+        row[:] = target.row
+        return
+    given = _matrix_or_position(target)
     if given.shape == (4, 4):
         row[:3], row[3:] = given[:3, 3], given[:3, :3].ravel()
     elif goal.has_position:
@@ -157,22 +164,15 @@ def _move_whole(problem: Problem, target: Any, index: int) -> None:
         raise InvalidGoalError(f"{goal.with_article} has no position to move")
 
 
-def _move_partial(problem: Problem, target: Any, index: int) -> None:
-    """Moves a goal that is no whole position, orientation or pose: it is replaced."""
-    mine: Any = problem.given[index]
-    if mine.rows.of == OF_JOINTS:
-        moved = replace(mine, q=target)
-    elif isinstance(target, Pose):
-        moved = mine.moved_to(target)
-    else:
-        given = numbers(target, "a target")
-        matrix = given.shape == (4, 4)
-        position = vector(given.ravel(), 16 if matrix else 3, "a target")
-        rotation = given[:3, :3] if matrix else mine.target.rotation
-        if not (np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-5 and np.linalg.det(rotation) > 0.0):
-            raise InvalidGoalError("a target has a matrix that is not a rotation: it scales or mirrors")
-        moved = mine.moved_to(Pose.from_rotation(rotation, given[:3, 3] if matrix else position))
-    problem.replace_goal(index, moved)
+def _pose_for(goal: Goal, target: Any) -> Pose:
+    """A target as a pose; one that is a position leaves the orientation as it is."""
+    if isinstance(target, Pose):
+        return target
+    given = _matrix_or_position(target)
+    rotation, position = (given[:3, :3], given[:3, 3]) if given.ndim == 2 else (goal.target.rotation, given)
+    if not (np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-5 and np.linalg.det(rotation) > 0.0):
+        raise InvalidGoalError("a target has a matrix that is not a rotation: it scales or mirrors")
+    return Pose.from_rotation(rotation, position)
 
 
 def _require_same(problem: Problem, target: Goal, index: int) -> Goal:

@@ -131,13 +131,11 @@ def move_with_node(world, k, old, frames, g):
 
     What lies between stays as it is: a joint's rotation costs the same however many joints come after it.
     """
-    for c in range(4):  # the origin, then the three axes
-        if c == 0:
-            before = apply_back(old, 0, 3, minus(three(frames, g, 0), three(old, 0, 0)))
-            frames[g, 0], frames[g, 1], frames[g, 2] = plus(three(world, k, 0), apply(world, k, 3, before))
-        else:
-            before = apply_back(old, 0, 3, (frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c]))
-            frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c] = apply(world, k, 3, before)
+    before = apply_back(old, 0, 3, minus(three(frames, g, 0), three(old, 0, 0)))
+    frames[g, 0], frames[g, 1], frames[g, 2] = plus(three(world, k, 0), apply(world, k, 3, before))
+    for c in range(3, 6):  # the three axes
+        before = apply_back(old, 0, 3, (frames[g, c], frames[g, 3 + c], frames[g, 6 + c]))
+        frames[g, c], frames[g, 3 + c], frames[g, 6 + c] = apply(world, k, 3, before)
 
 
 @outlined
@@ -213,15 +211,9 @@ def third_side_angle(a, c, b):
 def add_aim(sums, weight, d, p):
     """One more vector p whose target is along d."""
     x, y, z = scaled(weight, d)
-    sums[0, 0] += x * p[0]
-    sums[0, 1] += x * p[1]
-    sums[0, 2] += x * p[2]
-    sums[0, 3] += y * p[0]
-    sums[0, 4] += y * p[1]
-    sums[0, 5] += y * p[2]
-    sums[0, 6] += z * p[0]
-    sums[0, 7] += z * p[1]
-    sums[0, 8] += z * p[2]
+    sums[0, 0], sums[0, 1], sums[0, 2] = plus(three(sums, 0, 0), scaled(x, p))
+    sums[0, 3], sums[0, 4], sums[0, 5] = plus(three(sums, 0, 3), scaled(y, p))
+    sums[0, 6], sums[0, 7], sums[0, 8] = plus(three(sums, 0, 6), scaled(z, p))
     sums[0, _AIMS] += 1.0
 
 

@@ -20,7 +20,7 @@ import math
 
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.linalg import AT_BOUND, pushed_out
+from robot_ik.kernels.linalg import AT_BOUND, pushed_out, row_dot
 from robot_ik.kernels.loop import step_bounds
 from robot_ik.kernels.residuals import clamp_residual, goal_jacobian
 
@@ -216,10 +216,7 @@ def orthogonalise(vectors, rotations, count):
         rotated = False
         largest = 0.0
         for a in range(count):
-            square = 0.0
-            for i in range(width):
-                square += vectors[a, i] * vectors[a, i]
-            largest = max(largest, square)
+            largest = max(largest, row_dot(vectors, a, vectors, a))
         for a in range(count - 1):
             for b in range(a + 1, count):
                 aa, bb, ab = 0.0, 0.0, 0.0
@@ -250,10 +247,7 @@ def lengths_of(vectors, rotations, sigma):
     """Lengths of the rows into ``sigma``, longest first; rows become unit vectors, or zero where noise."""
     count, width, other = sigma.shape[0], vectors.shape[1], rotations.shape[1]
     for a in range(count):
-        square = 0.0
-        for i in range(width):
-            square += vectors[a, i] * vectors[a, i]
-        sigma[a] = math.sqrt(square)
+        sigma[a] = math.sqrt(row_dot(vectors, a, vectors, a))
     for a in range(count):
         best = a
         for b in range(a + 1, count):

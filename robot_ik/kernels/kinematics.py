@@ -294,20 +294,14 @@ def difference(tree, q, wanted, dq):
 
 @outlined
 def clip(tree, nodes, q):
-    """Puts q of the listed nodes inside the limits, in place; returns how many joints were outside."""
+    """Puts q of the listed nodes inside the limits, in place."""
     kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
-    moved = 0
     for index in range(nodes.shape[0]):
         k = nodes[index]
         a, v = qadr[k], vadr[k]
         joint = kind[k]
         if joint in (HINGE, SLIDE):
-            if q[a] < lower[v]:
-                q[a] = lower[v]
-                moved += 1
-            elif q[a] > upper[v]:
-                q[a] = upper[v]
-                moved += 1
+            q[a] = min(max(q[a], lower[v]), upper[v])
         elif joint == BALL and upper[v] < math.pi:
             n = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
             angle = 2.0 * math.atan2(n, abs(q[a]))
@@ -317,8 +311,6 @@ def clip(tree, nodes, q):
                 q[a] = math.cos(0.5 * upper[v])
                 for i in range(1, 4):
                     q[a + i] *= s
-                moved += 1
-    return moved
 
 
 @kernel
@@ -336,7 +328,7 @@ def tree_follow(tree, q):
 @kernel
 def tree_clip(tree, nodes, q):
     """``clip`` for the table of a tree."""
-    return clip(open_tree(tree), nodes, q)
+    clip(open_tree(tree), nodes, q)
 
 
 @kernel

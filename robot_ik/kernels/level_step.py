@@ -14,7 +14,7 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.linalg import eliminate
+from robot_ik.kernels.linalg import eliminate, row_dot
 from robot_ik.kernels.loop import apply_step, measure, step_bounds
 from robot_ik.kernels.pose_prior import prior_jacobian, prior_rows
 from robot_ik.kernels.residuals import PRIOR, goal_end, goal_jacobian
@@ -92,21 +92,14 @@ def levels_met(goal, work, needed):
 def project_out(own, row, basis, first, rank):
     """Takes out of own[row] what lies along basis[first:rank]; returns its square before and after."""
     n = own.shape[1]
-    before, after = 0.0, 0.0
-    for u in range(n):
-        before += own[row, u] * own[row, u]
-    after = before
+    before = after = row_dot(own, row, own, row)
     for _ in range(2):  # twice is enough (Kahan, in Parlett, The Symmetric Eigenvalue Problem)
         last = after
         for b in range(first, rank):
-            along = 0.0
-            for u in range(n):
-                along += own[row, u] * basis[b, u]
+            along = row_dot(own, row, basis, b)
             for u in range(n):
                 own[row, u] -= along * basis[b, u]
-        after = 0.0
-        for u in range(n):
-            after += own[row, u] * own[row, u]
+        after = row_dot(own, row, own, row)
         if after > 0.25 * last:  # nothing was lost in the difference
             break
     return before, after
@@ -135,10 +128,7 @@ def serve_level(goal, work, level, damping, rank):
             count += 1
     for i in range(count):
         for j in range(i + 1):
-            s = 0.0
-            for u in range(n):
-                s += own[i, u] * own[j, u]
-            gram[i, j] = s
+            gram[i, j] = row_dot(own, i, own, j)
         gram[i, i] += damping + 1e-15
     if eliminate(gram, rhs, count):
         for i in range(count):

@@ -10,6 +10,15 @@ AT_BOUND = 1e-12
 
 
 @pure
+def row_dot(a, i, b, j):
+    """Row ``i`` of ``a`` times row ``j`` of ``b``."""
+    s = 0.0
+    for k in range(a.shape[1]):
+        s += a[i, k] * b[j, k]
+    return s
+
+
+@pure
 def eliminate(matrix, x, n):
     """Solves M x = b by L D Lᵀ in place, M positive definite: b comes in ``x``, M's lower triangle is lost.
 

@@ -17,7 +17,7 @@ from numba import types
 
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, follow, forward, rotate_quat
+from robot_ik.kernels.kinematics import clip, follow, forward, integrate, rotate_quat
 from robot_ik.kernels.residuals import ONE_SIDE, PARTIAL, POSITION_PART, evaluate
 from robot_ik.kernels.tree import BALL, FREE
 
@@ -63,7 +63,7 @@ def draw(tree, nodes, start, state, q):
 def apply_step(tree, goal, nodes, step, dq, q):
     """q = q ⊕ joint scale · step for the goals' joints, inside the limits; ``dq`` is work space."""
     dofs, joint_scale = goal.dofs, goal.joint_scale
-    kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
+    kind, qadr, lower, upper = tree.kind, tree.qadr, tree.lower, tree.upper
     floating = False
     for u in range(dofs.shape[0]):
         v = dofs[u]
@@ -72,23 +72,15 @@ def apply_step(tree, goal, nodes, step, dq, q):
             a = qadr[k]
             q[a] = min(max(q[a] + joint_scale[u] * step[u], lower[v]), upper[v])
         else:
-            floating = True
+            if not floating:
+                floating = True
+                dq[:] = 0.0
             dq[v] = joint_scale[u] * step[u]
+    if floating:
+        integrate(tree, nodes, q, dq)
+        clip(tree, nodes, q)
     if tree.coupled.shape[0] > 0:
         follow(tree, q)
-    if not floating:
-        return
-    for index in range(nodes.shape[0]):
-        k = nodes[index]
-        if kind[k] < BALL:
-            continue
-        a, v = qadr[k], vadr[k]
-        if kind[k] == FREE:
-            for i in range(3):
-                q[a + i] += dq[v + i]
-            a, v = a + 3, v + 3
-        rotate_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
-    clip(tree, nodes, q)
 
 
 @pure
@@ -372,14 +364,9 @@ def judge(tree, goal, work, within):
             copy(work.candidate, work.q)
             state[ws.AWAITED] = ws.TRY
             return
-    same_try = state[ws.RESTARTS] == 0 or state[ws.POLISHING] > 0
-    first = awaited != ws.STEP and same_try and state[ws.POLISHING] == 0
-    bar = (
-        value[ws.BEST_COST]
-        if awaited == ws.STEP and same_try
-        else value[ws.BEST_COST] * (1.0 - _CLEARLY_BETTER)
-    )
-    better = first or cost < bar
+    first = awaited != ws.STEP and state[ws.RESTARTS] == 0 and state[ws.POLISHING] == 0
+    same_try = awaited == ws.STEP and (state[ws.RESTARTS] == 0 or state[ws.POLISHING] > 0)
+    better = first or cost < value[ws.BEST_COST] * (1.0 if same_try else 1.0 - _CLEARLY_BETTER)
     if better:
         keep_best(work)
     if awaited != ws.STEP:

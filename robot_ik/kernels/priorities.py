@@ -235,8 +235,7 @@ def next_level(tree, goal, work, first_damping):
         if met:  # from here all goals count again
             loop.ask_for_all(goal)
             state[ws.SEARCH] = ws.FOUND
-            loop.copy(work.q, work.candidate)
-            begin_at(tree, goal, work, work.candidate)
+            begin_at(tree, goal, work, work.q)
         else:
             end_try(tree, goal, work)
         return

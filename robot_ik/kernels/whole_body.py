@@ -17,7 +17,8 @@ import math
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.linalg import reduced_system
+from robot_ik.kernels.linalg import reduced_system, row_dot
+from robot_ik.kernels.loop import copy
 from robot_ik.kernels.residuals import rotation_error
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
@@ -303,8 +304,8 @@ def solve_held(body, count, slack):
     hard_solved, schur, n = body.hard_solved, body.schur, body.gradient.shape[0]
     reduced_system(body.matrix, body.gradient, body.low, body.high, side, factor, step)
     cholesky(factor, n)
+    copy(body.wanted, multiplier)
     for r in range(count):
-        multiplier[r] = body.wanted[r]
         for v in range(n):
             hard_solved[r, v] = body.hard[r, v]
             if side[v] != 0:
@@ -313,15 +314,10 @@ def solve_held(body, count, slack):
         substitute(factor, hard_solved[r], n)
     substitute(factor, step, n)
     for r in range(count):
-        s = multiplier[r]
         for v in range(n):
-            s -= hard_solved[r, v] * step[v]
-        multiplier[r] = s
+            multiplier[r] -= hard_solved[r, v] * step[v]
         for c in range(r + 1):
-            s = 0.0
-            for v in range(n):
-                s += hard_solved[r, v] * hard_solved[c, v]
-            schur[r, c] = s
+            schur[r, c] = row_dot(hard_solved, r, hard_solved, c)
     for r in range(count):
         schur[r, r] += slack
     cholesky(schur, count)
@@ -395,17 +391,13 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
     """
     tree = open_tree(tree)
     body = _open(body)
-    nq = start.shape[0]
     here = q[0]
-    for i in range(nq):
-        body.previous[i] = second[i]
+    copy(second, body.previous)
     measure_displacement(tree, body, start)
-    for i in range(nq):
-        body.previous[i] = start[i]
+    copy(start, body.previous)
     for t in range(q.shape[0]):
         here = q[t]
-        for i in range(nq):
-            here[i] = body.previous[i]
+        copy(body.previous, here)
         for k in range(tree.kind.shape[0]):  # what moved goes on moving
             if tree.kind[k] in (HINGE, SLIDE):
                 a, v = tree.qadr[k], tree.vadr[k]
@@ -419,5 +411,4 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
             if step == steps or (longest < rest and miss[t] < close):
                 break
             longest = bounded_step(tree, body, here, count)
-        for i in range(nq):
-            body.previous[i] = here[i]
+        copy(here, body.previous)

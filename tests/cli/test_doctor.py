@@ -204,10 +204,10 @@ def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pyte
 
 def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *a, **k: False)
-    monkeypatch.setattr(environment, "_group_of", lambda path: "dialout")
+    monkeypatch.setattr(Path, "group", lambda path: "dialout")
     row = ports.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
     assert row.status == environment.NOTE and "usermod -aG dialout" in row.do
-    monkeypatch.setattr(environment, "_group_of", lambda path: "root")
+    monkeypatch.setattr(Path, "group", lambda path: "root")
     assert "usermod" not in ports.serial_row("x", "y").do  # nobody should join the group root
 
 

@@ -93,7 +93,7 @@ def test_a_constant_command_is_reached_without_overshoot_or_hunting(cap, start, 
         out.append(float(q[0]))
         if len(out) > 2 and out[-1] == out[-2] == out[-3] == end:
             break
-    assert out[-1] == end and not any(report)
+    assert out[-1] == end and not report
     side = np.sign(np.array(out) - end)
     assert np.count_nonzero(np.diff(side[side != 0])) <= 1  # passes the command at most once
     if not before:
@@ -112,7 +112,7 @@ def test_a_trapezoid_exactly_at_the_caps_passes_unchanged(cap, start, end, phase
     for wanted in q:
         state, out, report = limiter.step(state, [wanted], dt)
         assert abs(out[0] - wanted) <= 1e-9
-        assert not any(report)
+        assert not report
 
 
 @settings(max_examples=40)

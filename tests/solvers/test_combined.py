@@ -163,6 +163,12 @@ def test_lists_of_poses_are_batches_too(puma):
         solve_batch(puma, [poses[0], "nothing"])
 
 
+def test_poses_of_a_batch_are_solved_bit_by_bit_as_goals_are(puma):
+    poses = poses_of(puma, 60)
+    alone = [solve(puma, PoseGoal.at(None, pose)).q for pose in poses]
+    assert np.array_equal(solve_batch(puma, poses).q, alone)
+
+
 def test_a_batch_of_one_pose_costs_no_more_than_a_few_solves(puma):
     pose = poses_of(puma, 1)[0]
     goal, matrices = PoseGoal.at(None, pose), pose.matrix[None]
