@@ -71,7 +71,7 @@ class LimiterReport:
     """What was changed in one tick, by joint name; false when nothing was.
 
     Attributes:
-        clipped: Joints whose target was outside their limits.
+        clipped: Joints whose command lay outside the limits.
         capped: Joints whose move was shortened or delayed by the velocity or acceleration cap.
     """
 
