@@ -44,7 +44,7 @@ class ArOptions:
     """Draws a robot into the pictures of a camera, standing on a printed board that is moved about.
 
     With no options everything is made up: a table, a board, a hand.  Neither camera, OpenGL nor display is
-    needed.  Exit code 0: done.  1: the board was in no picture.  2: wrong input.
+    needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
     """
 
     robot: Annotated[str, robot_argument(f"the motion's, else {SHOWN_ROBOT}")] = ""
@@ -91,10 +91,14 @@ class ArOptions:
     seed: int = 0
     """Of the synthetic camera's noise."""
     json: Json = False
+    self_test: bool = False
+    """Measure how well drawings lie on pictures: rows projection, gl, overlay, latency of bench camera."""
 
 
 def run(options: ArOptions) -> int:
     """Runs the job; 0 done, 1 not."""
+    if options.self_test:
+        return run_self_test(json=options.json)
     request = make_request(options)
     from robot_ik.jobs.ar.job import run_ar
 
@@ -165,3 +169,18 @@ def _check(options: ArOptions) -> None:
         options.sync == "latest" or not (options.predict or options.shift), "--sync",
         "the picture that was tracked has no delay to make up for", "--sync latest with --predict or --shift",
     )  # fmt: skip
+
+
+def run_self_test(*, json: bool = False) -> int:
+    """The rows of ``robot-ik bench camera`` about drawing: 0 when all is within its limits, else 1."""
+    from robot_ik.bench.camera import Effort, MeasuredRows
+    from robot_ik.cli.bench import chosen_rows, print_figures
+
+    rows, found = chosen_rows(("projection", "gl", "overlay", "latency")), MeasuredRows()
+    with console.progress() as bar:
+        found.measure(rows, Effort(), console.shares_on(bar, "measuring"))
+    if json:
+        console.print_json({"good": not found.failed, **found.facts()})
+    else:
+        print_figures(found)
+    return console.NOT_ACHIEVED if found.failed else console.DONE

@@ -300,10 +300,7 @@ def run_camera(options: BenchCameraOptions) -> int:
         finally:
             # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
             if found.figures:
-                remarks = [f"not measured: {', '.join(found.unmeasured)}"] if found.unmeasured else []
-                remarks += [] if found.complete else ["not all measured"]
-                figures = ((name, one) for name, some in found.figures.items() for one in some)
-                show_quantities("row", figures, *remarks)
+                print_figures(found)
                 if options.json is not None:
                     facts = {"schema": 2, "machine": this_machine().model_dump(mode="json")}
                     facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
@@ -312,7 +309,7 @@ def run_camera(options: BenchCameraOptions) -> int:
     return console.NOT_ACHIEVED if found.failed or found.unmeasured else console.DONE
 
 
-def chosen_rows(names: Sequence[str], skipped: Sequence[str]) -> list[Row]:
+def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     """The rows of these names, all when none is given, without those that are skipped.
 
     Raises:
@@ -327,3 +324,11 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str]) -> list[Row]:
     if not chosen:
         raise wrong("--skip", "no row is left", "fewer names")
     return chosen
+
+
+def print_figures(found: MeasuredRows) -> None:
+    """What was measured, and what was not."""
+    remarks = [f"not measured: {', '.join(found.unmeasured)}"] if found.unmeasured else []
+    remarks += [] if found.complete else ["not all measured"]
+    rows = ((name, one) for name, figures in found.figures.items() for one in figures)
+    show_quantities("row", rows, *remarks)

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.bench.camera import Effort, Row
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.cli.main import main
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.reading import FORMER
@@ -101,6 +105,25 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
     assert said in errors
     assert "Traceback" not in errors
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("rms", "code"), [(0.04, 0), (0.06, 1)])
+def test_the_self_test_judges(
+    rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def measure(self: Row, effort: Effort) -> Iterator[Quantity]:
+        if self.name == "gl":
+            raise CameraError("no OpenGL here")
+        yield Quantity(f"{self.name}, RMS", rms, "px", 0.05)
+
+    monkeypatch.setattr(Row, "measure", measure)
+    assert main(["ar", "--self-test"]) == code
+    said = capsys.readouterr().out
+    assert f"{rms} px" in said and "no OpenGL here" in said
+    assert main(["ar", "--self-test", "--json"]) == code
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["good"] is (code == 0) and facts["rows"]["gl"]["figures"][0]["missing"] == "no OpenGL here"
+    assert list(facts["rows"]) == ["projection", "gl", "overlay", "latency"]
 
 
 @pytest.mark.parametrize(
