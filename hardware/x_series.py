@@ -46,7 +46,7 @@ class Motor:
     @property
     def no_load_speed(self) -> float:
         """rad/s at ``volts``."""
-        return self.no_load_rpm * 2.0 * math.pi / 60.0
+        return self.no_load_rpm * (2.0 * math.pi / 60.0)
 
 
 # name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.

@@ -37,6 +37,7 @@ from websockets.sync.client import connect
 
 from robot_ik.bench.quantity import Quantity
 from robot_ik.cli import console
+from robot_ik.cli.bench import show_quantities
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
@@ -375,11 +376,7 @@ def main() -> int:
         for row in measure_page(asked.seconds, lambda text: console.say(text, "dim")):
             rows.append(row)  # one by one: an interrupt keeps what is done
     finally:
-        cells = [
-            (one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed))
-            for one in rows
-        ]
-        console.show(console.table("what", "measured", "wanted", "", rows=cells))
+        show_quantities("page", (("", one) for one in rows))
     return 0 if all(row.passed for row in rows) else 1
 
 
