@@ -195,31 +195,50 @@ class FastParser:
     """
 
     def __init__(self, expected: Sequence[tuple[int, int]]) -> None:
-        self._head, self._left, _ = _fast_layout(tuple(expected))
+        self._expected = expected
+        self._total = _fast_layout(tuple(expected))[2]
         self._buffer = b""
-        self._crc: int | None = None  # of what was taken apart; None: the head is not there yet
+        self._next = self._at = self._crc = 0
         self.damaged = 0
 
     def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
         """Replies that are complete now; ``last``: nothing more will come."""
         packets: list[StatusPacket] = []
-        self._buffer += data
-        if self._crc is None:
-            # Stuffing would give another length; clients differ on whether there is any: not to be trusted.
-            at = self._buffer.find(self._head)
-            self._buffer = self._buffer[at if at >= 0 else 1 - len(self._head) :]
-            if at < 0:
-                return packets
-            self._crc = crc(self._head)
-        while self._left and not self.damaged:
-            id, first, end = self._left[0]
-            frame = self._buffer[first - 2 : end + 2]
-            if len(self._buffer) < end + 2:
+        if self.damaged:
+            return packets
+        buffer = self._buffer + data
+        if not self._at:
+            buffer = self._from_head(buffer)
+        self._buffer = buffer = buffer[: self._total]
+        if not self._at:
+            return packets
+        while self._next < len(self._expected) and not self.damaged:
+            id, size = self._expected[self._next]
+            end = self._at + size + FAST_FRAME
+            if len(buffer) < end:
                 break
+            frame = buffer[self._at : end]
             value = crc(frame[:-2], self._crc)
             if value != frame[-2] | frame[-1] << 8 or frame[1] != id:
                 self.damaged = 1
                 break
             packets.append(StatusPacket(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
-            self._crc, self._left = crc(frame[-2:], value), self._left[1:]
+            self._crc = crc(frame[-2:], value)
+            self._at = end
+            self._next += 1
         return packets
+
+    def _from_head(self, buffer: bytes) -> bytes:
+        """The bytes from the head of a fast status on, or what may begin one; sets ``_at`` behind it."""
+        at = buffer.find(HEADER)
+        while 0 <= at <= len(buffer) - FAST_HEAD:
+            if buffer[at + 4] == BROADCAST_ID and buffer[at + 7] == STATUS:
+                # Stuffing would make it longer; clients differ on whether there is any: not to be trusted.
+                if (buffer[at + 5] | buffer[at + 6] << 8) + 7 != self._total:
+                    self.damaged = 1
+                    return b""
+                self._at = FAST_HEAD
+                self._crc = crc(buffer[at : at + FAST_HEAD])
+                return buffer[at:]
+            at = buffer.find(HEADER, at + 1)
+        return buffer[at if at >= 0 else 1 - len(HEADER) :]

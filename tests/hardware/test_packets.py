@@ -157,3 +157,12 @@ def test_in_a_damaged_fast_status_only_what_comes_before_the_damage_is_believed(
 def test_a_silent_servo_ends_a_fast_status_and_those_before_it_count():
     torso = build_fast_status([(0, 1, b"abcd"), (0, 2, b"efgh")], 8 + 8 * 3)
     assert [a.id for a in FastParser([(1, 4), (2, 4), (3, 4)]).feed(torso)] == [1, 2]
+
+
+@pytest.mark.parametrize("more", [-1, 1, 256])
+def test_a_fast_status_of_another_length_is_given_up_at_once(more):
+    packet = bytearray(build_fast_status([(0, 1, b"abcd"), (0, 2, b"efgh")], 8 + 8 * 2))
+    length = (packet[5] | packet[6] << 8) + more  # as a servo that stuffs bytes, or a damaged bit, makes it
+    packet[5:7] = length.to_bytes(2, "little")
+    parser = FastParser([(1, 4), (2, 4)])
+    assert not parser.feed(bytes(packet[:8])) and parser.damaged  # nobody waits for the rest
