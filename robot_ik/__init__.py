@@ -16,10 +16,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from robot_ik.batch import solve_batch
-    from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
+    from robot_ik.goals import CenterOfMassGoal, PostureGoal
     from robot_ik.branches import solve_all
     from robot_ik.chain import make_chain
-    from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
+    from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 _HOME = {
     "robot_ik.batch": ("solve_batch",),
-    "robot_ik.body_goals": ("CenterOfMassGoal", "PostureGoal"),
+    "robot_ik.goals": ("CenterOfMassGoal", "PostureGoal"),
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("make_chain",),
-    "robot_ik.direction_goals": ("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"),
+    "robot_ik.goals": ("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),

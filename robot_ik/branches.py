@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal
-from robot_ik.inverse_kinematics import borrowed_problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import short_numbers
 from robot_ik.solvers.analytic import Analytic
@@ -67,13 +67,13 @@ def solve_all(
     """
     pose = Pose.from_matrix(goal) if isinstance(goal, np.ndarray) else goal
     wanted = PoseGoal.at(None, pose) if isinstance(pose, Pose) else pose
-    with borrowed_problem(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
-        origin = robot.home if start is None else robot.check_q(start, "start")
-        try:
-            branches = cast(Analytic, solver).branches(problem, origin)
-        except UnsupportedGoalError as error:
-            error.able, error.hint = (), "no other method knows every solution; solve(…) finds one"
-            raise
+    origin = robot.home if start is None else robot.check_q(start, "start")
+    try:
+        problem = Problem(robot, wanted, solver="analytic")
+    except UnsupportedGoalError as error:
+        error.able, error.hint = (), "no other method knows every solution; solve(…) finds one"
+        raise
+    branches = problem.branches(origin)
     if not branches:
         return ()
     qs = np.array([q for _, q in branches])

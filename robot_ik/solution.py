@@ -86,7 +86,7 @@ class Solution:
         iterations, restarts: Steps of all tries; random restarts used.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
-        given, targets: The goals as they were given to the problem, and the rows (g, 12) that they were moved
+        given, targets: The goals as they were given to the problem, and the matrices (g, 4, 4) that they were moved
             to since; ``goals`` puts the two together.
     """
 
@@ -108,17 +108,16 @@ class Solution:
 
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
-        """The goals that were solved for, with the targets they had then."""
-        return tuple(goal.at_row(row) for goal, row in zip(self.given, self.targets, strict=True))
+        """The goals with the targets they had in this solve."""
+        from robot_ik.problem import at_matrix
+
+        rows = [goal.rows(self.robot) for goal in self.given]
+        return tuple(at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True))
 
     @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
-        return tuple(
-            # The targets of goals for parts of a pose are in the goals themselves.
-            Miss(*goal.miss(self.robot, self.q, Pose.from_row(row) if goal.rows.whole else goal.target))
-            for goal, row in zip(self.given, self.targets, strict=True)
-        )
+        return tuple(Miss(*goal.miss(self.robot, self.q)) for goal in self.goals)
 
     @property
     def miss(self) -> Miss:

@@ -21,9 +21,10 @@ from robot_ik.errors import (
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem
 from robot_ik.solvers import SOLVERS, able_solvers, make_solver
-from robot_ik.solvers.base import IterativeSolver, Solver
+from robot_ik.solvers.base import Solver
+from robot_ik.solvers.iterative import IterativeSolver
 
-ITERATIVE = [name for name, kind in SOLVERS.items() if issubclass(kind, IterativeSolver)]
+ITERATIVE = [name for name, kind in SOLVERS.items() if (issubclass(kind, IterativeSolver) or hasattr(kind, 'first_steps'))]
 
 
 @pytest.fixture(scope="module")

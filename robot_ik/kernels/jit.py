@@ -24,6 +24,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba import types
+from numba.core.types.functions import BaseFunction
+from numba.core.typing import Context as TypingContext
 from llvmlite import binding as llvm  # type: ignore[import-untyped]
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
@@ -74,15 +77,13 @@ class _TunedCompiler(event.Listener):
     def on_start(self, event: Any) -> None:
         if self.exiting:
             raise SystemExit
-        from robot_ik.kernels import numba_tuning
+        if os.environ.get("S1_TUNE"):
+            from robot_ik.kernels import numba_tuning
 
-        numba_tuning.tune()
-        self._collected.append(gc.isenabled())
-        gc.disable()
+            numba_tuning.tune()
 
     def on_end(self, event: Any) -> None:
-        if not self.exiting and self._collected.pop():
-            gc.enable()
+        """Does nothing."""
 
 
 _compiler = _TunedCompiler()
@@ -208,7 +209,55 @@ class _InnerLibrary(JITCodeLibrary):
         return library
 
 
-class _InnerCompiler(Compiler):
+class _RememberingContext(TypingContext):
+    """numba's typing context, with a memory for the signatures of built-in functions.
+
+    numba tries up to thirty templates for each operation of each function, and formats an error message for
+    every template that does not fit: a third of a first compile. The signature for numbers and arrays depends
+    on nothing else, so one search is enough. Only the functions of this package are compiled with it.
+    """
+
+    __slots__ = ("remembered",)  # not in ``__dict__``, which is numba's
+
+    def __init__(self, context: TypingContext, remembered: dict[Any, Any]) -> None:
+        self.__dict__ = context.__dict__  # a twin of numba's context: it shares all state
+        self.remembered = remembered
+
+    def resolve_function_type(self, function: Any, arguments: Any, keywords: Any) -> Any:
+        """Return the signature of a function for these types of arguments."""
+        # Operators come as Python functions, such as ``operator.getitem``.
+        builtin = not isinstance(function, types.Type) or isinstance(function, BaseFunction)
+        builtin = builtin and not keywords
+        if not (builtin and all(map(_is_plain, arguments))):
+            return super().resolve_function_type(function, arguments, keywords)
+        key = function, tuple(arguments)
+        signature = self.remembered.get(key)
+        if signature is None:
+            signature = super().resolve_function_type(function, arguments, keywords)
+            self.remembered[key] = signature
+        return signature
+
+
+# Signatures by the flags under which they were found.
+_REMEMBERED: dict[str, dict[Any, Any]] = {}
+_PLAIN_TYPES = (types.Number, types.Boolean, types.Array, types.SliceType, types.NoneType)
+
+
+def _is_plain(kind: Any) -> bool:
+    """Return whether a type tells all that a signature depends on; functions and lists do not."""
+    if isinstance(kind, types.UniTuple | types.Tuple):
+        return all(map(_is_plain, kind.types))
+    return isinstance(kind, _PLAIN_TYPES)
+
+
+class _KernelCompiler(Compiler):
+    def compile_extra(self, function: Any) -> Any:
+        remembered = _REMEMBERED.setdefault(str(self.state.flags.fastmath), {})
+        self.state.typingctx = _RememberingContext(self.state.typingctx, remembered)
+        return super().compile_extra(function)
+
+
+class _InnerCompiler(_KernelCompiler):
     def compile_extra(self, function: Any) -> Any:
         self.state.library = _InnerLibrary(self.state.targetctx.codegen(), function.__qualname__)
         return super().compile_extra(function)
@@ -268,7 +317,7 @@ def kernel(function: F) -> F:
     Entry points may allocate; what loops calls ``pure`` functions.
     """
     with _cache_of(function):
-        compiled: F = numba.njit(**_OPTIONS)(function)
+        compiled: F = numba.njit(**_OPTIONS, pipeline_class=_KernelCompiler)(function)
     return compiled
 
 
@@ -279,6 +328,9 @@ def pure(function: F) -> F:
     step then costs 4 µs instead of 0.5.  Such a function may be called from compiled code only.
     """
     return _compile_inner(function, forceinline=True)
+
+
+inlined = pure
 
 
 def literal(function: F) -> F:

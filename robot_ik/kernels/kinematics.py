@@ -210,6 +210,19 @@ def point_velocity(world, node, ax, ay, az, rotational, px, py, pz):
     return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
 
 
+@pure
+def velocity_of(tree, world, v, point):
+    """Return the velocity of a point and the angular velocity, per unit of degree of freedom ``v``."""
+    node = tree.dof_node[v]
+    x, y, z, rotational = dof_axis(tree.kind, world, node, v - tree.vadr[node])
+    if not rotational:
+        return (x, y, z), (0.0, 0.0, 0.0)
+    dx = point[0] - world[node, 0]
+    dy = point[1] - world[node, 1]
+    dz = point[2] - world[node, 2]
+    return (y * dz - z * dy, z * dx - x * dz, x * dy - y * dx), (x, y, z)
+
+
 @outlined
 def rotate_quat(q, a, x, y, z):
     """q[a:a+4] = q · exp((x, y, z)), normalised: a rotation vector in the body's own axes."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.kernels import block as blocks
 from robot_ik.kernels.bundle import Layout
 
 Array = NDArray[np.float64]
@@ -44,6 +45,8 @@ TREE = Layout(
     law="table",  # (c, 7) q₀ of the two, a₀ … a₄
 )
 open_tree = TREE.open
+TREE_BLOCK = blocks.Layout("Tree", **TREE.fields)
+open_tree_block = TREE_BLOCK.open
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,6 +70,7 @@ class Tree:
     dof_node: Ints = field(init=False)
     every: Ints = field(init=False)
     handle: Ints = field(init=False, repr=False)  # the packed table: good while this tree lives
+    block: blocks.Block = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         n = len(self.kind)
@@ -80,6 +84,7 @@ class Tree:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         object.__setattr__(self, "handle", TREE.pack(arrays))
+        object.__setattr__(self, "block", TREE_BLOCK.allocate(given=arrays))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has arrays of its own, and so needs a table of its own.

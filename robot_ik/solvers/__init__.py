@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # name -> module and class; a method is imported when it is first used.
 _ROWS: dict[str, tuple[str, str]] = {
-    "auto": ("combined", "Auto"),
+    "auto": ("auto", "Auto"),
     "analytic": ("analytic", "Analytic"),
     "lm": ("levenberg_marquardt", "LevenbergMarquardt"),
     "dls": ("damped_least_squares", "DampedLeastSquares"),
@@ -31,7 +31,6 @@ _ROWS: dict[str, tuple[str, str]] = {
     "fabrik": ("fabrik", "Fabrik"),
     "triangulation": ("triangulation", "Triangulation"),
     "recursive": ("recursive", "Recursive"),
-    "combined": ("combined", "Combined"),
 }
 
 
@@ -74,7 +73,7 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
             f"{solver.__name__} is a class", file="solver", allowed="a name, or an instance", hint=hint
         )
     if not isinstance(solver, str):
-        if not hasattr(solver, "attempt"):
+        if not hasattr(solver, "prepare"):
             raise UnknownSolverError(solver, _ROWS)  # type: ignore[arg-type]  # whatever it is
         if options:
             problem = f"{', '.join(options)} cannot be set on a solver that is made already"
@@ -105,4 +104,4 @@ def solver_name(asked: str, file: RobotFile) -> str:
 
 def able_solvers(problem: Problem) -> tuple[str, ...]:
     """Names of the methods that can try a problem."""
-    return tuple(name for name in SOLVERS if SOLVERS[name]().applies(problem))
+    return tuple(name for name in SOLVERS if not SOLVERS[name]().unsupported(problem))

@@ -27,7 +27,7 @@ from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
 from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.kernels.vectors import dot, length, minus, over, three
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import IterativeSolver, option, options_of
+from robot_ik.solvers.legacy_base import IterativeSolver, option, options_of
 
 ORDERS = ("tip_to_root", "root_to_tip")
 AXES = ("joint", "free")

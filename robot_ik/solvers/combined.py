@@ -24,10 +24,10 @@ from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward
 from robot_ik.kernels.residuals import evaluate, open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.problem import Budget, Problem
+from robot_ik.legacy_problem import LegacyProblem as Problem, Budget # Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import make_solver
-from robot_ik.solvers.base import BatchResult, Solver, option, take_start
+from robot_ik.solvers.legacy_base import BatchResult, Solver, option, take_start
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -30,7 +30,7 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 from robot_ik.kernels.vectors import apply, apply_back, cross, minus, over, plus, put, scaled, three
-from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.legacy_base import option, options_of
 from robot_ik.solvers.families import BoneSolver
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.

@@ -9,8 +9,8 @@ from robot_ik.errors import UnsupportedJointError
 from robot_ik.goals import Goal, PositionGoal
 from robot_ik.kernels.bones import BONES
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
-from robot_ik.problem import Problem
-from robot_ik.solvers.base import IterativeSolver, option
+from robot_ik.legacy_problem import LegacyProblem as Problem
+from robot_ik.solvers.legacy_base import IterativeSolver, option
 
 _KIND_NAMES = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
 

@@ -21,7 +21,7 @@ from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, pro
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.kernels.vectors import cross, dot, minus, plus, scaled, three
-from robot_ik.solvers.base import IterativeSolver, option, options_of
+from robot_ik.solvers.legacy_base import IterativeSolver, option, options_of
 
 # Cones of balls as constraints of a variable metric.
 # A ball whose rotation is as large as its cone allows would leave it along that rotation's axis n, body axes:

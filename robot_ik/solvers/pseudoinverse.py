@@ -23,7 +23,7 @@ from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, pro
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
-from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.legacy_base import option, options_of
 from robot_ik.solvers.families import JacobianSolver
 
 # What the null space is used for; ``AIMS[code]`` is the name of the option.

@@ -33,7 +33,7 @@ from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.vectors import dot, length, minus, over, plus, put, scaled, three
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.legacy_base import option, options_of
 from robot_ik.solvers.families import BoneSolver
 
 # A bone shorter than this, metres, is none: its ends are one point.

@@ -10,7 +10,7 @@ from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels.tree import BALL
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers.base import IterativeSolver
+from robot_ik.solvers.iterative import IterativeSolver
 
 PLANAR = """<mujoco model="planar"><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 0 1" range="-2.8 2.8"/><geom size="0.02"/>
@@ -102,7 +102,7 @@ def linear_model() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
                 phi = 2 * np.arctan2(sine, quat[0]) * quat[1:] / sine
                 rows.append(goal.weights[1] * _right_jacobian_inverse(phi) @ whole[3:])
                 errors.append(goal.weights[1] * phi)
-        return np.vstack(rows)[:, problem.dofs], np.concatenate(errors)
+        return np.vstack(rows)[:, problem.compiled.block.arrays["dofs"]], np.concatenate(errors)
 
     return model
 
@@ -115,7 +115,7 @@ def one_step() -> Callable[..., np.ndarray]:
         problem.budget = Budget(iterations=1, restarts=0)
         solution = solver.solve(problem, q)
         assert solution.iterations == 1
-        taken: np.ndarray = problem.arrays["step"].copy()
+        taken: np.ndarray = list(problem._made_by_tests.values())[-1][1].search.arrays["step"].copy()
         assert np.isfinite(taken).all()
         return taken
 

@@ -11,7 +11,7 @@ import pytest
 from robot_ik.geometry import Pose
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.solvers import SOLVERS
-from robot_ik.solvers.base import IterativeSolver
+from robot_ik.solvers.iterative import IterativeSolver
 
 FLOORS = tomllib.loads((Path(__file__).parent / "floors.toml").read_text())
 NAMES = list(SOLVERS)
@@ -38,7 +38,7 @@ def cases(*kinds):
 # Methods that serve every robot and every kind of goal.
 GENERAL = [n for n in NAMES if all(serves(n, r, k) for r in ROBOTS for k in KINDS)]
 # Of those, the ones that take steps until a budget ends them.
-STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
+STEPPING = [n for n in GENERAL if (issubclass(SOLVERS[n], IterativeSolver) or hasattr(SOLVERS[n], 'first_steps'))]
 general = pytest.mark.parametrize("name", GENERAL)
 stepping = pytest.mark.parametrize("name", STEPPING)
 all_robots = pytest.mark.parametrize("robot_name", ROBOTS)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.residual_rows import open_goals
 from robot_ik.kernels.vectors import cross, dot, length, minus, plus, rotate, scaled, three
 from robot_ik.solvers.analytic.recognise import Family
 from robot_ik.solvers.analytic.six_axes import (

@@ -13,11 +13,10 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic
 
-from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip
-from robot_ik.kernels.loop import copy, keep_best, measure
+from robot_ik.kernels.search import BLOCKED, CONVERGED, STALLED, copy, count_all_goals, keep_best, measure
 from robot_ik.kernels.vectors import apply_back, cross, dot, minus, scaled, three
 
 # Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
@@ -147,40 +146,43 @@ SOLVE, EVERY, START_ONLY = range(3)
 
 
 @outlined
-def measure_start(tree, goal, work, form, mode):
-    """Measures the start, which is the solution if it is at the goal; returns whether there is more to do."""
-    state, q = work.state, work.q
-    state[ws.ITERATIONS] = 0
-    copy(work.start, q)
-    clip(tree, work.nodes, q)
-    within = measure(tree, goal, work)
-    keep_best(work)
-    state[ws.STATUS] = ws.CONVERGED if within else ws.STALLED
+def measure_start(tree, goals, search, form, mode):
+    """Measure the start, which is the solution if it is at the goal; return whether there is more to do."""
+    count_all_goals(goals, search)
+    search.iterations = 0
+    copy(search.start, search.q)
+    clip(tree, goals.nodes, search.q)
+    within = measure(tree, goals, search)
+    keep_best(search)
+    search.status = CONVERGED if within else STALLED
     if mode == START_ONLY or (within and mode == SOLVE):
         return False
-    qadr, start = form.qadr, form.start
-    for j in range(qadr.shape[0]):
-        start[j] = q[qadr[j]]
-    state[ws.ITERATIONS] = 1
+    for j in range(form.qadr.shape[0]):
+        form.start[j] = search.q[form.qadr[j]]
+    for i in range(3):
+        form.target[0, i] = search.target[i, 3]
+        for j in range(3):
+            form.target[0, 3 + 3 * i + j] = search.target[i, j]
+    search.iterations = 1
     return True
 
 
 @outlined
-def take_branch(tree, goal, work, form, inside, exists):
-    """Takes ``form.best`` as the solution, where some branch that exists is ``inside`` the limits."""
-    state, q, qadr, best = work.state, work.q, form.qadr, form.best
+def take_branch(tree, goals, search, form, inside, exists):
+    """Take ``form.best`` as the solution if a branch that exists is ``inside`` the limits."""
     if not inside:
-        state[ws.STATUS] = ws.BLOCKED if exists else ws.STALLED
+        search.status = BLOCKED if exists else STALLED
         return
-    for j in range(qadr.shape[0]):
-        q[qadr[j]] = best[j]
-    clip(tree, work.nodes, q)
-    state[ws.STATUS] = ws.CONVERGED if measure(tree, goal, work) else ws.STALLED
-    if state[ws.STATUS] == ws.CONVERGED or work.value[ws.COST] < work.value[ws.BEST_COST]:
-        keep_best(work)
+    for j in range(form.qadr.shape[0]):
+        search.q[form.qadr[j]] = form.best[j]
+    clip(tree, goals.nodes, search.q)
+    within = measure(tree, goals, search)
+    search.status = CONVERGED if within else STALLED
+    if within or search.cost < search.best_cost:
+        keep_best(search)
     else:
-        copy(work.best, q)
-        measure(tree, goal, work)  # so that the miss is the solution's
+        copy(search.best, search.q)
+        measure(tree, goals, search)  # so that the miss is that of the solution
 
 
 @outlined
