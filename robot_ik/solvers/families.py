@@ -1,18 +1,11 @@
-"""What methods of one kind share: the options of Jacobian methods; goals and joints of the geometric ones."""
+"""What methods of one kind share: the options of Jacobian methods."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from robot_ik.errors import UnsupportedJointError
-from robot_ik.goals import Goal, PositionGoal
-from robot_ik.kernels.bones import BONES
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
-from robot_ik.legacy_problem import LegacyProblem as Problem
 from robot_ik.solvers.legacy_base import IterativeSolver, option
-
-_KIND_NAMES = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
 
 
 @dataclass(frozen=True)
@@ -34,57 +27,3 @@ class JacobianSolver(IterativeSolver):
     )
     gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0))
     alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
-
-
-@dataclass(frozen=True)
-class BoneSolver(IterativeSolver):
-    """A method that moves joint positions and lets the joints follow (``kernels/bones.py``).
-
-    Class attributes:
-        kinds: Joints that it can turn into bones.
-        several: Whether it takes more than one goal at once.
-    """
-
-    goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal,)
-    kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
-    several: ClassVar[bool] = False
-
-    def tables(self, problem: Problem) -> tuple[Any, ...]:
-        nodes, goals = len(problem.arrays["world"]), len(problem.arrays["frames"])
-        bones = BONES.zeros({"c": nodes + goals, "g": goals})
-        return *super().tables(problem), BONES.pack(bones)
-
-    def require_support(self, problem: Problem) -> None:
-        """As every method.
-
-        Raises:
-            UnsupportedGoalError: A kind of goal, a goal without a position, or several at once.
-            UnsupportedJointError: A joint that this method cannot move.
-        """
-        if (stiff := self._stiff(problem)) and self.unsupported(problem) == stiff:
-            raise UnsupportedJointError(
-                f"solver {self.name!r} cannot use the {stiff}; "
-                f"it takes {' and '.join(_KIND_NAMES[kind] for kind in self.kinds)} joints",
-                path=problem.robot.path,
-                hint="freeze it with load_robot(…, joints=[…]), or use another solver",
-            )
-        super().require_support(problem)
-
-    def unsupported(self, problem: Problem) -> str:
-        if kind := super().unsupported(problem):
-            return kind
-        if len(problem.goals) > 1 and not self.several:
-            return "several goals at once"
-        for goal in problem.goals:
-            if goal.weights[0] <= 0.0 < goal.weights[1]:
-                return f"{goal.with_article} whose position weighs nothing"
-        return self._stiff(problem)
-
-    def _stiff(self, problem: Problem) -> str:
-        """The first joint that this method cannot move; empty when there is none."""
-        robot = problem.robot
-        for k in problem.nodes:
-            kind = int(robot.tree.kind[k])
-            if kind not in self.kinds:
-                return f"{_KIND_NAMES[kind]} joint {robot.joints[int(k)]!r}"
-        return ""
