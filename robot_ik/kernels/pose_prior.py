@@ -30,7 +30,7 @@ KIND, ADDRESS, NODE = range(3)
 # Smaller shares of a part do not count.
 _MIN_SHARE = 1e-12
 
-# With n features and k parts. Read-only, a part of ``residual_rows.GOALS``.
+# With n features and k parts. Read-only, a part of ``residual_rows.GOALS``; empty without a prior.
 PRIOR = Layout(
     "Prior",
     min_energy="float",  # E₀
@@ -42,14 +42,14 @@ PRIOR = Layout(
     precisions="table",  # (k n, n) one matrix P_k below the other
 )
 
-# What the method writes, with p features and c parts.
+# What the method writes.
 PRIOR_WORK = Layout(
     "PriorWork",
-    x="floats p",
-    log_densities="floats c",  # log w_k N(x; …)
-    gradient="floats p",  # g, then L⁻¹ g
-    hessian="table p p",  # H, then its factors
-    first="ints p",  # zeros: no row of H begins later
+    x="floats features",
+    log_densities="floats parts",  # log w_k N(x; …)
+    gradient="floats features",  # g, then L⁻¹ g
+    hessian="table features features",  # H, then its factors
+    first="ints features",  # zeros: no row of H begins later
 )
 
 

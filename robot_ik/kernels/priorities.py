@@ -133,14 +133,14 @@ OPTIONS = Layout(
     floor="float",
 )
 
-# With l levels, m rows of the residual, u columns, f = min(m, u).
+# With m rows of the residual, u columns, f = min(m, u).
 WORK = Layout(
     "LevelWork",
     level="int",  # the level that is served; the number of levels after the last one
     damping="float",  # per unit of cost of a needed level
-    cost="floats l",  # half the squared residual of each level
-    left_cost="floats l",  # the cost when the next level began, or _MET
-    best_cost="floats l",  # the same of the best point
+    cost="floats levels",  # half the squared residual of each level
+    left_cost="floats levels",  # the cost when the next level began, or _MET
+    best_cost="floats levels",  # the same of the best point
     accepted="floats nq",  # the point before the step
     jacobian="table m u",
     low="floats u",  # bounds of the step
