@@ -76,6 +76,66 @@ def eliminate(matrix, x, n):
 
 
 @inlined
+# Factors that are used for several right-hand sides: M = L D Lᵀ.
+
+
+@outlined
+def factorise(matrix, first, n):
+    """Write the factors of a positive definite M over its lower triangle: L, with 1/D on the diagonal.
+
+    ``first`` (n,) is the first column of each row that may differ from zero, which is so in L too
+    (a skyline). A pivot that is not positive gives 1/D = 0: its unknown is zero.
+    """
+    for i in range(n):
+        for j in range(first[i], i):
+            s = matrix[i, j]
+            for k in range(max(first[i], first[j]), j):
+                s -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = s
+        d = matrix[i, i]
+        for j in range(first[i], i):
+            s = matrix[i, j] * matrix[j, j]
+            d -= s * matrix[i, j]
+            matrix[i, j] = s
+        matrix[i, i] = 1.0 / d if d > 0.0 else 0.0
+
+
+@outlined
+def solve_lower(factors, first, x, n):
+    """Overwrite ``x`` with L⁻¹ x."""
+    for i in range(n):
+        s = x[i]
+        for k in range(first[i], i):
+            s -= factors[i, k] * x[k]
+        x[i] = s
+
+
+@outlined
+def solve_upper(factors, first, x, n):
+    """Overwrite ``x`` with L⁻ᵀ x."""
+    for i in range(n - 1, -1, -1):
+        s = x[i]
+        for k in range(first[i], i):
+            x[k] -= factors[i, k] * s
+
+
+@inlined
+def scaled_dot(factors, a, b, n):
+    """Return aᵀ D⁻¹ b."""
+    s = 0.0
+    for i in range(n):
+        s += a[i] * factors[i, i] * b[i]
+    return s
+
+
+@inlined
+def divide_by_pivots(factors, x, n):
+    """Overwrite ``x`` with D⁻¹ x."""
+    for i in range(n):
+        x[i] *= factors[i, i]
+
+
+@inlined
 def solve_definite(matrix, x, n):
     """Call ``eliminate``. For n = 6 the compiler unrolls the loops, which halves the time."""
     if n == 6:
