@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.config import LARGEST_NUMBER, read_text, shown
 from robot_ik.errors import (
     ConfigError,
     ModelError,
@@ -27,7 +28,6 @@ from robot_ik.errors import (
 )
 from robot_ik.geometry import Array, Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
-from robot_ik.reading import LARGEST_NUMBER, read_text, shown
 from robot_ik.robot_file import RobotFile
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from robot_ik.config import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, InvalidModelError, ModelError, UnknownRobotError, close_matches
-from robot_ik.tables import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""

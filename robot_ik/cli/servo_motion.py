@@ -15,8 +15,8 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
+from robot_ik.config import is_number
 from robot_ik.errors import apart
-from robot_ik.reading import is_number
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm

@@ -18,6 +18,7 @@ from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
+from robot_ik.config import is_number, read_csv, shown
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Decision
@@ -32,7 +33,6 @@ from robot_ik.jobs.films import open_sink
 from robot_ik.model import compiled, read_spec
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
-from robot_ik.reading import is_number, read_csv, shown
 from robot_ik.robot import Robot
 
 FRAMES_SCHEMA = 1

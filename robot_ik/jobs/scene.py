@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, look_at
 from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.config import Pair, Position, Several, Table, check_table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
-from robot_ik.tables import Pair, Position, Several, Table, check_table
 
 # The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))

@@ -23,13 +23,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from robot_ik.config import read_text, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_log
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes, sign_continuous
 from robot_ik.ports import Array
-from robot_ik.reading import read_text, shown
 from robot_ik.robot import Robot
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")

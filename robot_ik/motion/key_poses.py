@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from robot_ik.body_goals import PostureGoal
+from robot_ik.config import SchemaVersion, Several, Table, keys_of, read_table, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -22,10 +23,8 @@ from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
-from robot_ik.reading import shown
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import SchemaVersion, Several, Table, keys_of, read_table
 
 
 @dataclass(frozen=True)

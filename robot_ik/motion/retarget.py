@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from robot_ik.body_goals import PostureGoal
+from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
@@ -29,9 +30,7 @@ from robot_ik.motion.bvh import Bvh, data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget
-from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.tables import SchemaVersion, Several, Table, read_table
 
 SIDES = ("left", "right")
 ROLES = (
@@ -66,7 +65,7 @@ class _MapFile(Table):
     def _all(cls, roles: dict[str, _Role]) -> dict[str, _Role]:
         for role in ROLES:
             if role not in roles:
-                raise WrongKey("this key is missing", role, "body, names")
+                raise KeyProblem("this key is missing", role, "body, names")
         return roles
 
 

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.config import LARGEST_NUMBER, read_csv, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
 from robot_ik.files import write_atomically
 from robot_ik.geometry import is_real, numbers
 from robot_ik.motion.timing import PROFILES, Profile, quintic
 from robot_ik.ports import Array
-from robot_ik.reading import LARGEST_NUMBER, read_csv, shown
 from robot_ik.robot import Robot, require_robot
 
 if TYPE_CHECKING:
@@ -280,7 +280,7 @@ def _numbers(row: list[str], columns: Sequence[int], width: int, file: Path, lin
         if numbers and all(abs(number) <= LARGEST_NUMBER for number in numbers):  # NaN is not
             return numbers
     allowed = f"{width} cells, joints as numbers up to {LARGEST_NUMBER:g}"
-    got = f"got {shown(','.join(row), str)}"
+    got = f"got {shown(','.join(row))}"
     raise ConfigError(got, file=file, key=f"line {line}", allowed=allowed)
 
 
