@@ -346,11 +346,12 @@ def _problems(
             field = table.keys.get(str(inner[0])) if table and len(inner) == 1 else None
             allowed = _field_text(field) if field else ""
             if kind == "missing" and not short_list:
-                yield False, KeyProblem("this key is missing", key_text(location), allowed or "a value")
+                text = "this key is missing"
+                allowed = allowed or "a value"
             else:
-                problem_text = f"{shown(detail['input'])} is not right"
+                text = f"{shown(detail['input'])} is not right"
                 allowed = allowed or _allowed_text(detail)
-                yield False, KeyProblem(problem_text, key_text(location), allowed)
+            yield False, KeyProblem(text, key_text(location), allowed)
 
 
 def _is_type(part: int | str) -> bool:

@@ -23,7 +23,7 @@ from robot_ik.errors import (
     ModelError,
     UnknownFrameError,
     UnknownJointError,
-    apart,
+    distinct_texts,
     require_joints,
 )
 from robot_ik.geometry import Array, Pose, rotation_exp, rotation_z_to
@@ -258,7 +258,7 @@ def _refuse_home(model: mujoco.MjModel, file: RobotFile, home: tuple[float, ...]
         unit = {HINGE: "rad", SLIDE: "m"}.get(_KIND_OF[int(model.jnt_type[joint])])
         value, (low, high) = home[model.jnt_qposadr[joint]], model.jnt_range[joint].tolist()
         if unit and model.jnt_limited[joint] and not low - _ROUNDED <= value <= high + _ROUNDED:
-            asked, lower, upper = apart(value, low, high, digits=4, form="g")
+            asked, lower, upper = distinct_texts(value, low, high, digits=4, form="g")
             raise ConfigError(
                 f"joint {name!r} at {asked} {unit} is outside its limits", file=where, key="home",
                 allowed=f"{lower} to {upper} {unit}",

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import TrajectoryError, apart
+from robot_ik.errors import TrajectoryError, distinct_texts
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
@@ -447,7 +447,7 @@ def _outside_text(robot: Robot, q: Array, joint: str) -> str:
         at, low = 2.0 * math.atan2(float(np.linalg.norm(q[a + 1 : a + 4])), abs(at)), 0.0
     unit, one = ("m", 1.0) if kind == SLIDE else ("deg", math.pi / 180.0)
     values = (value / one for value in (at, low, float(robot.upper[v])))
-    asked, lower, upper = apart(*values, digits=6, form="g")
+    asked, lower, upper = distinct_texts(*values, digits=6, form="g")
     return f"joint {joint!r} at {asked} {unit} is outside its limits; allowed: {lower} to {upper} {unit}"
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.config import LARGEST_NUMBER, read_csv, shown
-from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
+from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, distinct_texts
 from robot_ik.files import write_atomically
 from robot_ik.geometry import is_real, numbers
 from robot_ik.motion.timing import PROFILES, Profile, quintic
@@ -320,7 +320,7 @@ def joint_move(
     outside = np.maximum(robot.lower - last, last - robot.upper)
     k = int(np.argmax(outside))
     if outside[k] > _LIMIT_ROUNDING:
-        asked, low, high = apart(last[k], robot.lower[k], robot.upper[k], digits=6, form="g")
+        asked, low, high = distinct_texts(last[k], robot.lower[k], robot.upper[k], digits=6, form="g")
         raise TrajectoryError(
             f"the goal asks {asked} of joint {robot.joints[k]!r}; "
             f"allowed: {low} to {high} (rad, m for slides)",

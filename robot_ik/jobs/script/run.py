@@ -13,7 +13,7 @@ import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.config import KeyProblem
-from robot_ik.errors import RobotIkError, apart
+from robot_ik.errors import RobotIkError, distinct_texts
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.inverse_kinematics import solve
@@ -227,5 +227,5 @@ class ScriptRun(RunState):
         late = limit is not None and result.seconds > limit + 0.5 / self.config.rate_hz
         if late and result.outcome == PASSED:
             result.outcome = FAILED
-            took, permitted = apart(result.seconds, limit or 0.0, digits=2)
+            took, permitted = distinct_texts(result.seconds, limit or 0.0, digits=2)
             result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from robot_ik.config import KeyProblem, Pair, Positive, Table, Word
-from robot_ik.errors import apart
+from robot_ik.errors import distinct_texts
 from robot_ik.hardware import SIMULATED
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult, error_classes
@@ -144,7 +144,7 @@ class Finding:
 
 def near(off: float, allowed: float, unit: str, what: str, key: str) -> Finding:
     """How far something is off, both in ``unit``; ``key``: what the number is called in the report."""
-    here, permitted = apart(off, allowed, digits=2)
+    here, permitted = distinct_texts(off, allowed, digits=2)
     return Finding(
         off <= allowed, f"{what} {here}{unit} off", f"at most {permitted}{unit}", {key: round(off, 4)}
     )
@@ -219,7 +219,7 @@ class JointValues(ScriptStep):
                 k, one = robot.joints.index(joint), per_unit(robot, joint)
                 low, high = float(robot.lower[k]) / one, float(robot.upper[k]) / one
                 if not self.anywhere and not low - 1e-9 <= number <= high + 1e-9:
-                    asked, lowest, highest = apart(number, low, high)
+                    asked, lowest, highest = distinct_texts(number, low, high)
                     raise KeyProblem(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
 
 
@@ -300,5 +300,5 @@ class GripperWidth(ScriptStep):
         if self.width_mm is not None:
             opening = sum(1e3 * joint.limits[1] * fingers_on(now.robot, joint) for joint in joints)
             if self.width_mm > opening + 1e-9:
-                asked, widest = apart(self.width_mm, opening, digits=6, form="g")
+                asked, widest = distinct_texts(self.width_mm, opening, digits=6, form="g")
                 raise KeyProblem(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")

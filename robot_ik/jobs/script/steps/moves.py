@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from robot_ik.config import KeyProblem, Position, Positive, Word, Wxyz
-from robot_ik.errors import apart
+from robot_ik.errors import distinct_texts
 from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
@@ -400,7 +400,7 @@ class FollowStep(Framed, Action):
             result.numbers["picture_age_p95_s"] = round(now.vision.delays[1].p95, 4)
         median, worst = float(np.median(behind)), max(behind)
         result.numbers.update(behind_median_mm=round(median, 4), behind_worst_mm=round(worst, 4))
-        most, allowed = apart(worst, self.tolerance_mm, digits=2)
+        most, allowed = distinct_texts(worst, self.tolerance_mm, digits=2)
         result.found = f"median {median:.2f} mm, worst {most} mm behind; allowed {allowed} mm"
         if worst > self.tolerance_mm:
             raise StepFailed(f"lost the goal: {result.found}")
