@@ -46,10 +46,10 @@ from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.hand_guiding import load_motion
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory
-from robot_ik.motion.bvh import Bvh, export_bvh
+from robot_ik.figure.motion.bvh import Bvh, export_bvh
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
-from robot_ik.motion.retarget import SkeletonMap
+from robot_ik.figure.motion.retarget import SkeletonMap
 from robot_ik.testbed.commands import CommandLog, Reset, Start
 
 ROOT = Path(robot_ik.__file__).parent

@@ -14,7 +14,8 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, require, single
-from robot_ik.environment import NOTE, OK, PROBLEM, import_mujoco
+from robot_ik.hardware.checks import NOTE, OK, PROBLEM
+from robot_ik.jobs.environment import import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:

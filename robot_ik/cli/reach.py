@@ -33,7 +33,7 @@ from robot_ik.cli.arguments import (
 from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
 from robot_ik.errors import distinct_texts
-from robot_ik.files import claimed
+from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:

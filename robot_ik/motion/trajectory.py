@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,12 +18,9 @@ from robot_ik.config import LARGEST_NUMBER, read_csv, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, distinct_texts
 from robot_ik.files import write_atomically
 from robot_ik.geometry import is_real, numbers
-from robot_ik.motion.timing import PROFILES, Profile, quintic
+from robot_ik.motion.timing import PROFILES
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, require_robot
-
-if TYPE_CHECKING:
-    from robot_ik.hardware.config import ArmConfig
 
 # ------------------------------------------------------------------------------------------
 # What a move may ask of a robot: the checks that every planner shares.
@@ -398,49 +394,3 @@ class RecorderSink:
             raise TrajectoryError("nothing was recorded", hint="pass the recorder to execute() or follow()")
         times = np.array(self._times)
         return Trajectory(times - times[0], np.stack(self._q), self.joints)
-
-
-# ------------------------------------------------------------------------------------------
-# A motion that a hand has shown, made such that an arm can repeat it: whole ticks read at uneven times have
-# steps in them that no hand has made, and a hand keeps no velocity caps.
-
-
-APPROACH = 0.25
-"""Share of the caps on the approach to where a recording begins."""
-
-SMOOTHING = 0.1
-"""s over which a recording is averaged before it is played."""
-
-
-def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Trajectory, float]:
-    """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
-    smooth = smoothed(motion, caps.rate_hz)
-    q = np.clip(smooth.q, caps.lower, caps.upper)
-    needed = float((Trajectory(smooth.times, q, motion.joints).peak_velocity / caps.velocity).max())
-    stretch = max(1.0 / speed, needed)
-    return Trajectory(stretch * smooth.times, q, motion.joints).resampled(caps.rate_hz), stretch
-
-
-def smoothed(motion: Trajectory, rate: float) -> Trajectory:
-    """The running mean over ``SMOOTHING``, at ``rate`` Hz; it begins and ends where the motion does."""
-    width = max(round(SMOOTHING * rate), 1)
-    padded = np.pad(motion.resampled(rate).q, ((width - 1, width - 1), (0, 0)), "edge")
-    mean = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
-    return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
-
-
-def approach_profile(distance: Array, caps: ArmConfig) -> Profile:
-    """A quintic over (n,) distances at ``APPROACH`` of the caps; of no duration where all are zero."""
-    with np.errstate(divide="ignore"):  # a joint that stands still needs no time
-        fast, soft = np.min(
-            APPROACH * np.array([caps.velocity, caps.acceleration]) / np.abs(distance), axis=1
-        )
-    return quintic(float(fast), float(soft))
-
-
-def approach(here: Array, there: Array, caps: ArmConfig) -> Trajectory:
-    """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
-    shape = approach_profile(there - here, caps)
-    seconds = max(shape.duration, 2.0 / caps.rate_hz)
-    t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
-    return Trajectory(t, here + np.outer(shape.progress(t / seconds), there - here), caps.names)

@@ -54,7 +54,7 @@ def outcome(solution):
 
 
 def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
-    # A pose prior is of one robot, always soft and never missed: tests/motion/test_pose_prior.py.
+    # A pose prior is of one robot, always soft and never missed: tests/figure/motion/test_pose_prior.py.
     tried = {type(goal) for goal in goals_near(robots["puma560"], 0).values()}
     assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_judge.py) has one of each"
     general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}

@@ -8,10 +8,10 @@ import pytest
 
 from robot_ik.bench.camera.accuracy import BENT, STRAIGHT, projection_identity
 from robot_ik.camera.drawing import gl
+from robot_ik.camera.drawing.probe import Probe
 from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.drawing.renderers import BoxTable, DrawnRobot, PainterArtist, occluder_boxes
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.environment import Probe
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
-from robot_ik.motion.drag import Drag
+from robot_ik.figure.motion.drag import Drag
 
 Array = NDArray[np.float64]
 RATE = 30.0

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError, UnsupportedJointError
+from robot_ik.figure.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, own_motion
+from robot_ik.figure.motion.retarget import SkeletonMap, retarget
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, own_motion
-from robot_ik.motion.retarget import SkeletonMap, retarget
 
 Array = NDArray[np.float64]
 
