@@ -127,7 +127,7 @@ def test_why_nothing_can_be_written_is_said(tmp_path: Path) -> None:
         (
             lambda path: write_atomically(path, ""),
             missing / "a",
-            f"there is no folder {missing}(.|\n)*make it",
+            f"there is no folder {missing}(.|\n)*make the folder",
         ),
         (lambda path: claimed(path).__enter__(), tmp_path, "it is a folder(.|\n)*name of a file"),
     ):
