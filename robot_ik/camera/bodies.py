@@ -135,7 +135,7 @@ def cube_body(ids: Sequence[int], size: float, edge: float) -> MarkerBody:
         )
     quarter = np.pi / 2
     rotations = [(0.0, k * quarter, 0.0) for k in range(4)] + [(-quarter, 0.0, 0.0), (quarter, 0.0, 0.0)]
-    sides = [Pose().moved((0.0, 0.0, 0.0, *rotation)) for rotation in rotations]
+    sides = [Pose().plus((0.0, 0.0, 0.0, *rotation)) for rotation in rotations]
     out = Pose((0.0, 0.0, 0.5 * edge))
     return MarkerBody("cube", {i: (size, side.compose(out)) for i, side in zip(ids, sides, strict=False)})
 

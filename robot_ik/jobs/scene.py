@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, look_at
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.config import Pair, Position, Several, Table, check_table
 from robot_ik.errors import CameraError
@@ -182,7 +182,7 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
     }
     return Scene(
         intrinsics=intrinsics,
-        pose_world_camera=look_at(camera.position, camera.look_at),
+        pose_world_camera=Pose.look_at(camera.position, camera.look_at),
         marker_id=marker.id,
         dictionary=marker.dictionary,
         marker_size=marker.size,
@@ -284,7 +284,7 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
             direction = np.array(
                 [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
             )
-            found.append(look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
+            found.append(Pose.look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
     return found
 
 

@@ -269,7 +269,7 @@ class Jog(Operator):
 
     def move_hand(self, along: Array, about: Array) -> None:
         """The hand ``along`` (3,), metres, and ``about`` (3,), radians, the axes of the world."""
-        rotation = Pose().moved(np.concatenate([np.zeros(3), about])).rotation
+        rotation = Pose().plus(np.concatenate([np.zeros(3), about])).rotation
         pose = self._hand.pose
         pose = Pose.from_rotation(rotation @ pose.rotation, pose.position + along)
         self.angles |= self._hand.go(pose, exactly=True)

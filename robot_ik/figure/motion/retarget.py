@@ -310,7 +310,7 @@ def _foot_path(
             share = share * share * (3.0 - 2.0 * share)
             for k in (first - step, end - 1 + step):
                 if 0 <= k < len(path) and not rests[k]:
-                    path[k] = path[k] @ Pose().moved(share * (path[k].inverse() @ pin).change_from(Pose()))
+                    path[k] = path[k] @ Pose().plus(share * (path[k].inverse() @ pin).minus(Pose()))
     return path
 
 
