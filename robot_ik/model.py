@@ -98,7 +98,7 @@ def read_model(
     _refuse_numbers(model, path)
     _refuse_ranges(model, path)
     _hint_at_radians(model, spec, path)
-    return model, {} if urdf is None else urdf.velocity
+    return model, {} if urdf is None else urdf.velocity_limits
 
 
 def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjSpec, Urdf | None]:
@@ -331,8 +331,8 @@ def motion_limits(
                 allowed=f"its limits in velocity_{unit} and acceleration_{unit}",
                 hint=f"such as velocity_mm = {{ {joint} = 100.0 }}" if unit == "mm" else "",
             )  # fmt: skip
-    speed = {joint: file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds.items()}
-    acceleration = [file.acceleration.get(joint, speed[joint] * _SPEED_TO_ACCELERATION) for joint in joints]
+    speed = {joint: file.velocity_limits.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds.items()}
+    acceleration = [file.acceleration_limits.get(joint, speed[joint] * _SPEED_TO_ACCELERATION) for joint in joints]
     return np.array(list(speed.values()))[tree.dof_node], np.array(acceleration)[tree.dof_node]
 
 

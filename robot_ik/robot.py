@@ -338,7 +338,7 @@ def load_robot(
         path, file = find_robot(name)
         model, velocity = mjcf.read_model(path, path)
     if velocity:
-        file = file.model_copy(update={"velocity": velocity | file.velocity})
+        file = file.model_copy(update={"velocity": velocity | file.velocity_limits})
     names = mjcf.joint_names(model)
     rest = mjcf.home_qpos(model, path, file)
     tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)

@@ -133,8 +133,8 @@ def robot_facts(robot: Robot) -> dict[str, Any]:
         "lower": robot.lower,
         "upper": robot.upper,
         "home": robot.home,
-        "velocity": robot.velocity,
-        "acceleration": robot.acceleration,
+        "velocity_limits": robot.velocity_limits,
+        "acceleration_limits": robot.acceleration_limits,
         "sources": robot.file.sources,
     }
 
@@ -166,7 +166,7 @@ def _print_robot(robot: Robot) -> None:
     for name, kind, at_q, at_v in zip(robot.joints, joint_kinds(robot), tree.qadr, tree.vadr, strict=True):
         rotary = kind in ("hinge", "ball")
         limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
-        speeds = [_number(values[at_v], rotary) for values in (robot.velocity, robot.acceleration)]
+        speeds = [_number(values[at_v], rotary) for values in (robot.velocity_limits, robot.acceleration_limits)]
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
         rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))

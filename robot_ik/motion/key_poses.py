@@ -116,13 +116,13 @@ class KeyPoses:
             wanted = self.motions[name]
         except KeyError:
             raise _unknown("motion", name, [*self.motions, *self.poses]) from None
-        velocity = _stated_limits(self.robot) if wanted.durations else None
+        velocity_limits = _stated_limits(self.robot) if wanted.durations else None
         keys = [self[pose] for pose in wanted.poses]
         if wanted.loop:
             keys.append(keys[0])
         durations, loop = wanted.durations or 0.0, wanted.loop
         return Keyframes.through(
-            self.robot, keys, durations=durations, speed=speed, velocity=velocity, loop=loop
+            self.robot, keys, durations=durations, speed=speed, velocity_limits=velocity_limits, loop=loop
         )
 
     def save(self, path: Path | str) -> None:
@@ -194,8 +194,8 @@ class _KeyPosesFile(Table):
 
 def _stated_limits(robot: Robot) -> Array:
     """(nv,) the robot's speed limits, none for joints of which its file says nothing."""
-    stated = np.array([robot.joints[int(node)] in robot.file.velocity for node in robot.tree.dof_node])
-    return np.where(stated, robot.velocity, np.inf)
+    stated = np.array([robot.joints[int(node)] in robot.file.velocity_limits for node in robot.tree.dof_node])
+    return np.where(stated, robot.velocity_limits, np.inf)
 
 
 @contextmanager

@@ -204,7 +204,7 @@ def test_following_goals_of_every_kind(robots, name, kind):
         start=robot.home, duration=1.6, rate=50.0, tolerance=TOLERANCE,
     )  # fmt: skip
     path = recorder.trajectory()
-    assert (report.largest_step <= robot.velocity / 50.0 * (1 + 1e-9)).all() and report.held == 0
+    assert (report.largest_step <= robot.velocity_limits / 50.0 * (1 + 1e-9)).all() and report.held == 0
     for goal, tick in zip(goals, (39, 79), strict=True):
         metres, radians = measured(robot, path.q[tick], goal)
         assert metres <= TOLERANCE.position and radians <= TOLERANCE.angle

@@ -26,7 +26,7 @@ CASES: dict[str, tuple[dict[str, tuple[float, float, float]], tuple[str, ...]]] 
 
 
 def speeds(robot: rik.Robot, one: Array, two: Array) -> float:
-    return float((np.abs(robot.difference(one, two)) * RATE / robot.velocity).max())
+    return float((np.abs(robot.difference(one, two)) * RATE / robot.velocity_limits).max())
 
 
 @pytest.mark.parametrize("name", CASES)
