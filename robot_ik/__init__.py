@@ -16,18 +16,30 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from robot_ik.batch import solve_batch
-    from robot_ik.goals import CenterOfMassGoal, PostureGoal
     from robot_ik.branches import solve_all
     from robot_ik.chain import make_chain
-    from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
-    from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
+    from robot_ik.goals import (
+        AimGoal,
+        CenterOfMassGoal,
+        Goal,
+        HalfSpaceGoal,
+        LineGoal,
+        OrientationGoal,
+        PlaneGoal,
+        PoseGoal,
+        PosePriorGoal,
+        PositionGoal,
+        PostureGoal,
+        Tolerance,
+    )
     from robot_ik.inverse_kinematics import solve, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
+    from robot_ik.pose_prior import PosePrior
     from robot_ik.problem import Budget, Problem
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_file import catalogue
@@ -36,14 +48,16 @@ if TYPE_CHECKING:
 
 _HOME = {
     "robot_ik.batch": ("solve_batch",),
-    "robot_ik.goals": ("CenterOfMassGoal", "PostureGoal"),
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("make_chain",),
-    "robot_ik.goals": ("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
-    "robot_ik.goals": ("Goal", "OrientationGoal", "PoseGoal", "PositionGoal", "Tolerance"),
+    "robot_ik.goals": (
+        "AimGoal", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "OrientationGoal", "PlaneGoal",
+        "PoseGoal", "PosePriorGoal", "PositionGoal", "PostureGoal", "Tolerance",
+    ),
+    "robot_ik.pose_prior": ("PosePrior",),
     "robot_ik.motion.line": ("line_move",),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
@@ -58,7 +72,7 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "Miss",
-    "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal", "PositionGoal", "PostureGoal",
+    "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal", "PosePrior", "PosePriorGoal", "PositionGoal", "PostureGoal",
     "Problem", "RealClock", "Robot", "RobotIkError", "Solution", "Status", "Tolerance", "Trajectory",
     "VirtualClock", "__version__", "catalogue", "execute", "follow", "joint_move", "line_move", "load_robot",
     "make_chain", "make_solver", "solve", "solve_all", "solve_batch", "warm_up",

@@ -14,7 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import rotation_log
-from robot_ik.kernels.pose_prior import LEAN_X, LEAN_Y, NUMBER, VECTOR_X, VECTOR_Y, VECTOR_Z
+from robot_ik.kernels.block import Block
+from robot_ik.kernels.pose_prior import (
+    LEAN_X,
+    LEAN_Y,
+    NUMBER,
+    PRIOR,
+    VECTOR_X,
+    VECTOR_Y,
+    VECTOR_Z,
+)
 from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.ports import Array
 
@@ -134,14 +143,23 @@ class PosePrior:
             rows.append((_PARTS[colon + part], int(robot.tree.qadr[k]) + (3 if kind == FREE else 0), k))
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
 
-    def table(self) -> Array:
-        """Rows for the kernel, see ``kernels/pose_prior.py``."""
-        n = len(self.names)
-        head, blank = np.zeros((5, max(n, 2))), np.zeros((n, max(n, 2)))
-        head[0, :n], head[1, :n], head[4, 0] = self.middle, self.spread, self.least
-        parts = np.zeros((len(self.logs), 2 + n, max(n, 2)))
-        parts[:, 0, :n], parts[:, 1, 0], parts[:, 2:, :n] = self.means, self.logs, self.precisions
-        return np.concatenate([head, blank, *parts])
+    def block(self, robot: Robot) -> Block:
+        """Return the prior as the kernels read it.
+
+        Raises:
+            UnknownJointError: The robot lacks a joint of the prior.
+        """
+        given = {
+            "features": self.indices(robot),
+            "center": self.middle,
+            "spread": self.spread,
+            "log_weights": self.logs,
+            "means": self.means,
+            "precisions": self.precisions.reshape(-1, len(self.names)),
+        }
+        block = PRIOR.allocate(given=given)
+        block["min_energy"] = self.least
+        return block
 
     def save(self, path: Path | str) -> None:
         """Writes an .npz file.
@@ -216,3 +234,16 @@ class PosePrior:
             if still < _MODE_STILL:
                 break
         return float(self.energy_of(x).min()) - _LEAST_MARGIN
+
+
+NO_PRIOR = PRIOR.allocate(
+    given={
+        "features": np.zeros((0, 3), dtype=np.int64),
+        "center": np.zeros(0),
+        "spread": np.zeros(0),
+        "log_weights": np.zeros(0),
+        "means": np.zeros((0, 0)),
+        "precisions": np.zeros((0, 0)),
+    }
+)
+"""The prior of goals without one, as the kernels read it."""

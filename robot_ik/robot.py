@@ -213,7 +213,7 @@ class Robot:
         moved = self.check_q(q).copy()
         # Contiguous: for every other layout the kernel would be compiled anew.
         step = vector(dq, self.nv, "dq", ModelError, largest=sys.float_info.max).copy()
-        kinematics.tree_integrate(self.tree.handle, np.arange(self.tree.size), moved, step)
+        kinematics.tree_integrate(self.tree.block.address, np.arange(self.tree.size), moved, step)
         return moved
 
     def clip(self, q: ArrayLike) -> Array:
@@ -221,14 +221,14 @@ class Robot:
         inside = self.check_q(q).copy()
         if self.nq == self.nv:  # hinges and slides only: a new machine need not compile anything to load it
             return np.asarray(np.clip(inside, self.tree.lower, self.tree.upper))
-        kinematics.tree_clip(self.tree.handle, np.arange(self.tree.size), inside)
+        kinematics.tree_clip(self.tree.block.address, np.arange(self.tree.size), inside)
         return inside
 
     def follow(self, q: ArrayLike) -> Array:
         """``q`` (nq,) with each coupled joint where its leader puts it."""
         moved = self.check_q(q).copy()
         if len(self.tree.coupled):
-            kinematics.tree_follow(self.tree.handle, moved)
+            kinematics.tree_follow(self.tree.block.address, moved)
         return moved
 
     def outside(self, q: ArrayLike, slack: float = 1e-9) -> list[str]:
@@ -293,7 +293,7 @@ class Robot:
         node, local = self.attachment(frame)
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
         world, scratch = np.empty((self.tree.size, 12)), np.empty((2, 12))
-        return self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, *results
+        return self.tree.block.address, nodes, node, local[None, :], self.check_q(q), world, scratch, *results
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:

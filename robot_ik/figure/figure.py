@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.body_goals import mass_table
+from robot_ik.goals import mass_table
 from robot_ik.errors import ModelError
 from robot_ik.geometry import axis_rotations, quat_to_matrix
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
@@ -155,6 +155,7 @@ class Figure:
     bent: Array  # (nq,) deeply bent
     speeds: Mapping[str, Array]  # (nv,) joint speed limits, rad/s, by name of the set
     apart: float  # half the distance of the feet at home
+    masses: Array = field(repr=False)  # (n + 1, 4) of ``goals.mass_table``
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
     # Of ``once_each``; tables that solves fill in, too: one thread uses a figure at a time.
@@ -168,7 +169,7 @@ class Figure:
     @property
     def mass(self) -> float:
         """Of the whole body, kg."""
-        return float(self.inertia[:, 0].sum())
+        return float(self.masses[:, 0].sum())
 
     def addresses(self, name: str) -> tuple[int, int]:
         """Addresses of a hinge or slide in q and in dq."""
@@ -285,6 +286,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         speeds={"daily": np.full(robot.nv, np.inf)}
         | {key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()},
         apart=abs(left - right) / 2,
+        masses=mass_table(robot),
         inertia=_inertia_table(robot),
         data=mujoco.MjData(robot.model),
     )  # fmt: skip
@@ -307,7 +309,7 @@ def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
 
 
 def _inertia_table(robot: Robot) -> Array:
-    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in its axes, of each node."""
+    """Return the inertia (n, 6) xx yy zz xy xz yz of each node about its centre of mass, in its axes."""
     model, mass = robot.model, mass_table(robot)[: robot.tree.size]
     whole = np.zeros((robot.tree.size, 3, 3))
     for body in range(1, model.nbody):
@@ -320,7 +322,7 @@ def _inertia_table(robot: Robot) -> Array:
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         whole[node] += inertia + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
     xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
-    return np.column_stack([mass, xx, yy, zz, xy, xz, yz])
+    return np.column_stack([xx, yy, zz, xy, xz, yz])
 
 
 def _foot(robot: Robot, frame: str, pelvis: str) -> Foot:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.figure.figure import DT, Figure
 from robot_ik.kernels import whole_body
+from robot_ik.kernels.block import Block
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.ports import Array
 
@@ -114,7 +115,7 @@ class FrameRows:
         some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
         cuts = sorted({*range(0, n, some), *changes.tolist(), n})
         for a, b in itertools.pairwise(cuts):
-            ready.arrays["stiffness"][:] = each[a]
+            ready.body.arrays["stiffness"][:] = each[a]
             ready.solve(found, a, b, here, before, steps, _REST, _CLOSE)
             before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
             if b < n and b % some == 0:
@@ -132,7 +133,10 @@ class FrameRows:
         kind, node, local, axes, share, targets, weights = zip(*self._rows, strict=True)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
-        arrays = whole_body.WHOLE_BODY.zeros(sizes | {"n": n, "m": n + 1}) | {
+        sizes |= {"n": n, "b": n + 1, "k": max(3 * groups, robot.nv)}
+        given = {
+            "tree": robot.tree.block,
+            "masses": self.figure.masses,
             "kind": np.array(kind, dtype=np.int64),
             "node": np.array(node, dtype=np.int64),
             "local": np.array(local).reshape(groups, 12),
@@ -145,8 +149,7 @@ class FrameRows:
             "stride": self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * DT,
         }
         return PreparedRows(
-            robot.tree.handle,
-            arrays,
+            whole_body.WHOLE_BODY.allocate(sizes, given),
             np.ascontiguousarray(np.stack(targets, axis=1)),
             np.ascontiguousarray(np.stack(weights, axis=1)),
             np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
@@ -155,24 +158,23 @@ class FrameRows:
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with their tables.  All but ``tree`` may change between solves, in place."""
+    """Rows with the memory of their solves.  All of it may change between solves, in place."""
 
-    tree: NDArray[np.int64]  # table of the kernel
-    arrays: dict[str, NDArray[Any]]  # of ``WHOLE_BODY``: work space is as the last gathering of rows left it
+    body: Block  # of ``WHOLE_BODY``: what the kernel writes is as the last step left it
     target: Array  # (frames, groups, 12), in the order in which the rows were added
     weight: Array  # (frames, groups)
     posture: Array  # (frames, nq)
-
-    def __post_init__(self) -> None:
-        self._body = whole_body.WHOLE_BODY.pack(self.arrays)
 
     def solve(
         self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
     ) -> None:
         """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
+        self.body["max_steps"] = steps
+        self.body["rest"] = rest
+        self.body["close"] = close
         whole_body.solve_frames(
-            self.tree, self._body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
-            found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
+            self.body.address, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
+            found.q[a:b], here, before, found.miss[a:b], found.steps[a:b],
         )  # fmt: skip
 
 

@@ -208,8 +208,8 @@ class _Polish:
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
         # Where the solver stood last: position and rotation of each row's frame, and the centre of mass.
-        self.pose, self.center = self.ready.arrays["pose"], self.ready.arrays["center"]
-        self.node, self.local = self.ready.arrays["node"], self.ready.arrays["local"]
+        self.pose, self.center = self.ready.body.arrays["pose"], self.ready.body.arrays["center"]
+        self.node, self.local = self.ready.body.arrays["node"], self.ready.body.arrays["local"]
         at_home = list(figure.feet_at_home.values())
         self.feet = np.array([np.concatenate([position, matrix.ravel()]) for position, matrix in at_home])
 
@@ -232,7 +232,7 @@ class _Polish:
             ready.weight[0, -1] = 0.0 if low is None else _PULL
             if low is not None:
                 self.node[-1], self.local[-1] = low
-            ready.arrays["stiffness"][:] = damping * self.even + self.toes
+            ready.body.arrays["stiffness"][:] = damping * self.even + self.toes
             ready.posture[0] = q
             ready.solve(self.found, 0, 1, q, q, 1, 0.0, 0.0)
             new = self.found.q[0].copy()

@@ -17,7 +17,7 @@ from robot_ik.kernels.kinematics import difference, rotation_back, slope_of, uni
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 
 # What the residual of a goal is measured on.
-ON_FRAME, ON_CENTER_OF_MASS, ON_JOINTS = range(3)
+ON_FRAME, ON_CENTER_OF_MASS, ON_JOINTS, ON_PRIOR = range(4)
 
 
 # Centre of mass

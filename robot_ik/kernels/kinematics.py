@@ -10,7 +10,7 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import kernel, literal, outlined, pure
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree_block
 
 # Sine and cosine of an angle at once, in a third of the time of a library's two calls: Cody & Waite's
 # reduction to [−π/4, π/4] and the polynomials of fdlibm's ``__kernel_sin`` and ``__kernel_cos`` (Sun
@@ -328,33 +328,33 @@ def clip(tree, nodes, q):
 
 @kernel
 def tree_integrate(tree, nodes, q, dq):
-    """``integrate`` for the table of a tree."""
-    integrate(open_tree(tree), nodes, q, dq)
+    """``integrate`` for the block of a tree."""
+    integrate(open_tree_block(tree), nodes, q, dq)
 
 
 @kernel
 def tree_follow(tree, q):
-    """``follow`` for the table of a tree."""
-    follow(open_tree(tree), q)
+    """``follow`` for the block of a tree."""
+    follow(open_tree_block(tree), q)
 
 
 @kernel
 def tree_clip(tree, nodes, q):
-    """``clip`` for the table of a tree."""
-    clip(open_tree(tree), nodes, q)
+    """``clip`` for the block of a tree."""
+    clip(open_tree_block(tree), nodes, q)
 
 
 @kernel
 def tree_frame(tree, nodes, node, local, q, world, scratch, out):
     """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
-    forward(open_tree(tree), nodes, q, world, scratch)
+    forward(open_tree_block(tree), nodes, q, world, scratch)
     frame_pose(world, node, local, types.int64(0), out)
 
 
 @kernel
 def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
-    """``frame_jacobian`` for the table of a tree."""
-    frame_jacobian(open_tree(tree), nodes, node, local, q, world, scratch, out, jacobian)
+    """``frame_jacobian`` for the block of a tree."""
+    frame_jacobian(open_tree_block(tree), nodes, node, local, q, world, scratch, out, jacobian)
 
 
 @pure

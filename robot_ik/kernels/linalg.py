@@ -1,28 +1,60 @@
-"""Small dense algebra, written out: at 6 x 6 it beats a LAPACK call several times, and needs no SciPy."""
+"""Small dense algebra, written out: at 6 x 6 it is several times faster than LAPACK, without SciPy.
+
+``solve_box`` minimises a damped quadratic inside bounds. Damped least squares and
+Levenberg-Marquardt take their steps with it.
+"""
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
 
 from numba import types
 
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.jit import inlined, outlined
 
-# A joint nearer to its bound than this, rad or m, stands at its bound.
+# A joint nearer to its bound than this, rad or m, is at its bound.
 AT_BOUND = 1e-12
+# A slope that pulls a held joint off its bound counts beyond this share of the steepest slope.
+_SLOPE_ROUNDING = 1e-14
+# Exchanges of all wrong sides that may fail to lower their number before single exchanges follow.
+_FAILED_EXCHANGES = 3
+
+# The step d that minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside low ≤ d ≤ high.
+# With m rows, u columns, k = max(m, u).
+BOX_PROBLEM = Layout(
+    "BoxProblem",
+    jacobian="table m u",
+    residual="floats m",
+    gradient="floats u",  # Jᵀr
+    matrix="table k k",  # JᵀJ or J Jᵀ, whichever is smaller; lower triangle
+    low="floats u",  # ≤ 0
+    high="floats u",  # ≥ 0
+    side="ints u",  # -1, 1 for a joint that stops at its lower or upper bound, else 0
+    next_side="ints u",
+    slope="floats u",  # where the cost of a held joint falls; 0 for free joints
+    factor="table k k",
+    multipliers="floats k",
+)
 
 
-@pure
+# Factorisation
+
+
+@inlined
 def row_dot(a, i, b, j):
-    """Row ``i`` of ``a`` times row ``j`` of ``b``."""
+    """Return row ``i`` of ``a`` times row ``j`` of ``b``."""
     s = 0.0
     for k in range(a.shape[1]):
         s += a[i, k] * b[j, k]
     return s
 
 
-@pure
+@inlined
 def eliminate(matrix, x, n):
-    """Solves M x = b by L D Lᵀ in place, M positive definite: b comes in ``x``, M's lower triangle is lost.
+    """Solve M x = b in place by L D Lᵀ, M positive definite; return whether it is.
 
-    Returns False when M is not positive definite to working precision (``x`` is then garbage).
+    ``x`` holds b before and x after. Overwrites the lower triangle of ``matrix``.
+    If M is not positive definite to working precision, ``x`` has no meaning.
     """
     for k in range(n):
         pivot = matrix[k, k]
@@ -43,20 +75,84 @@ def eliminate(matrix, x, n):
     return True
 
 
-@pure
+@inlined
 def solve_definite(matrix, x, n):
-    """``eliminate`` for any size; for six the compiler writes the loops out: half the time."""
+    """Call ``eliminate``. For n = 6 the compiler unrolls the loops, which halves the time."""
     if n == 6:
         return eliminate(matrix, x, types.int64(6))
     return eliminate(matrix, x, n)
 
 
+# Factors that are used for several right-hand sides: M = L D Lᵀ.
+
+
+@outlined
+def factorise(matrix, first, n):
+    """Write the factors of a positive definite M over its lower triangle: L, with 1/D on the diagonal.
+
+    ``first`` (n,) is the first column of each row that may differ from zero, which is so in L too
+    (a skyline). A pivot that is not positive gives 1/D = 0: its unknown is zero.
+    """
+    for i in range(n):
+        for j in range(first[i], i):
+            s = matrix[i, j]
+            for k in range(max(first[i], first[j]), j):
+                s -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = s
+        d = matrix[i, i]
+        for j in range(first[i], i):
+            s = matrix[i, j] * matrix[j, j]
+            d -= s * matrix[i, j]
+            matrix[i, j] = s
+        matrix[i, i] = 1.0 / d if d > 0.0 else 0.0
+
+
+@outlined
+def solve_lower(factors, first, x, n):
+    """Overwrite ``x`` with L⁻¹ x."""
+    for i in range(n):
+        s = x[i]
+        for k in range(first[i], i):
+            s -= factors[i, k] * x[k]
+        x[i] = s
+
+
+@outlined
+def solve_upper(factors, first, x, n):
+    """Overwrite ``x`` with L⁻ᵀ x."""
+    for i in range(n - 1, -1, -1):
+        s = x[i]
+        for k in range(first[i], i):
+            x[k] -= factors[i, k] * s
+
+
+@inlined
+def scaled_dot(factors, a, b, n):
+    """Return aᵀ D⁻¹ b."""
+    s = 0.0
+    for i in range(n):
+        s += a[i] * factors[i, i] * b[i]
+    return s
+
+
+@inlined
+def divide_by_pivots(factors, x, n):
+    """Overwrite ``x`` with D⁻¹ x."""
+    for i in range(n):
+        x[i] *= factors[i, i]
+
+
+# Products
+
+
 @outlined
 def normal_equations(jacobian, residual, normal, gradient):
-    """normal = JᵀJ (lower triangle), gradient = Jᵀr."""
+    """Write JᵀJ to the lower triangle of ``normal`` and Jᵀr to ``gradient``."""
     rows, n = jacobian.shape
     if rows == 6:  # one pose: no loop over the rows
-        r0, r1, r2, r3, r4, r5 = residual[0], residual[1], residual[2], residual[3], residual[4], residual[5]
+        r0, r1, r2, r3, r4, r5 = (
+            residual[0], residual[1], residual[2], residual[3], residual[4], residual[5],
+        )  # fmt: skip
         for i in range(n):
             a0, a1, a2 = jacobian[0, i], jacobian[1, i], jacobian[2, i]
             a3, a4, a5 = jacobian[3, i], jacobian[4, i], jacobian[5, i]
@@ -80,13 +176,165 @@ def normal_equations(jacobian, residual, normal, gradient):
                     normal[i, j] += a * jacobian[r, j]
 
 
-@pure
-def reduced_system(matrix, gradient, low, high, side, factor, step):
-    """The system of the free joints, in ``factor`` and ``step``: one at its bound has a row of its own."""
+@outlined
+def row_products(jacobian, residual, hits, hit_count, gram, gradient):
+    """Write J Jᵀ to the lower triangle of ``gram`` (m, m) and Jᵀr to ``gradient``.
+
+    ``hits`` (n, m) lists the rows in which each column may differ from zero, first, and
+    ``hit_count`` (n,) their number. In a tree most joints move few of the goals.
+    """
+    m, n = jacobian.shape
+    for i in range(m):
+        for j in range(i + 1):
+            gram[i, j] = 0.0
+    for u in range(n):
+        s = 0.0
+        if m == 6:  # one pose: the compiler unrolls the loops
+            for i in range(6):
+                s += jacobian[i, u] * residual[i]
+                for j in range(i + 1):
+                    gram[i, j] += jacobian[i, u] * jacobian[j, u]
+        else:
+            for a in range(hit_count[u]):
+                i = hits[u, a]
+                x = jacobian[i, u]
+                s += x * residual[i]
+                for b in range(a + 1):
+                    gram[i, hits[u, b]] += x * jacobian[hits[u, b], u]
+        gradient[u] = s
+
+
+# The step inside bounds
+
+
+@inlined
+def pushed_out(low, high, direction):
+    """Return -1 or 1 if a joint is at that bound and ``direction`` leads out there, else 0."""
+    if direction < 0.0 and low > -AT_BOUND:
+        return -1
+    return 1 if direction > 0.0 and high < AT_BOUND else 0
+
+
+@outlined
+def square_up(box, hits, hit_count):
+    """Write matrix and gradient of the smaller system; return whether it is the system of rows."""
+    rows, columns = box.jacobian.shape
+    if rows < columns:
+        row_products(box.jacobian, box.residual, hits, hit_count, box.matrix, box.gradient)
+        return True
+    normal_equations(box.jacobian, box.residual, box.matrix, box.gradient)
+    return False
+
+
+@outlined
+def solve_box_by_columns(box, matrix, damping, step):
+    """Write the step that minimises ½ dᵀ (M + λ) d − gᵀ d inside the bounds to ``step``, exactly.
+
+    Block principal pivoting (Júdice & Pires, Computers & Operations Research 21(5), 1994): guess
+    which joints stop at a bound, solve for the others, then exchange all joints that are on the
+    wrong side of the guess. If that does not lower their number, exchange one at a time, which
+    always ends. Most steps need one solve.
+
+    Args:
+        box: Memory of ``BOX_PROBLEM``; reads gradient g, low and high.
+        matrix: (u, u) symmetric M; the lower triangle is read.
+        damping: λ. M + λ must be positive definite.
+        step: (u,) result.
+
+    Returns:
+        Joints pressed against a bound at which they already were; -1 if M + λ is not positive
+        definite.
+    """
+    columns = step.shape[0]
+    steepest = guess_sides(box)
+    fewest = columns + 1
+    patience = _FAILED_EXCHANGES
+    for _ in range(10 + 4 * columns):
+        reduced_system(matrix, damping, box.gradient, box.low, box.high, box.side, box.factor, step)
+        if not solve_definite(box.factor, step, columns):
+            return -1
+        for i in range(columns):
+            box.slope[i] = 0.0
+            if box.side[i] != 0:
+                slope = box.gradient[i] - damping * step[i]
+                for j in range(i + 1):
+                    slope -= matrix[i, j] * step[j]
+                for j in range(i + 1, columns):
+                    slope -= matrix[j, i] * step[j]
+                box.slope[i] = slope
+        wrong, last = revise_sides(box, step, steepest)
+        if wrong == 0:
+            break
+        patience = _FAILED_EXCHANGES if wrong < fewest else patience - 1
+        fewest = min(fewest, wrong)
+        exchange_sides(box, patience, last)
+    return keep_to_box(box, step)
+
+
+@outlined
+def solve_box_by_rows(box, hits, hit_count, damping, step):
+    """Write the step that ``solve_box_by_columns`` finds for M = JᵀJ, with fewer rows than columns.
+
+    (JᵀJ + λ) d = Jᵀr is also d = Jᵀy with (J Jᵀ + λ) y = r, which is smaller and better
+    conditioned. A joint that stops at a bound takes its column out of J Jᵀ and its motion out of
+    r. For the other joints Jᵀy is the step.
+    """
+    rows, columns = box.jacobian.shape
+    steepest = guess_sides(box)
+    fewest = columns + 1
+    patience = _FAILED_EXCHANGES
+    for _ in range(10 + 4 * columns):
+        for i in range(rows):
+            for j in range(i):
+                box.factor[i, j] = box.matrix[i, j]
+            box.factor[i, i] = box.matrix[i, i] + damping
+            box.multipliers[i] = box.residual[i]
+        for u in range(columns):
+            if box.side[u] != 0:
+                remove_joint(
+                    box, hits, hit_count, u, box.low[u] if box.side[u] < 0 else box.high[u]
+                )
+        if not solve_definite(box.factor, box.multipliers, rows):
+            return -1
+        for u in range(columns):
+            free_step = 0.0
+            for a in range(hit_count[u]):
+                free_step += box.jacobian[hits[u, a], u] * box.multipliers[hits[u, a]]
+            step[u] = free_step
+            box.slope[u] = 0.0
+            if box.side[u] != 0:
+                step[u] = box.low[u] if box.side[u] < 0 else box.high[u]
+                box.slope[u] = damping * (free_step - step[u])
+        wrong, last = revise_sides(box, step, steepest)
+        if wrong == 0:
+            break
+        patience = _FAILED_EXCHANGES if wrong < fewest else patience - 1
+        fewest = min(fewest, wrong)
+        exchange_sides(box, patience, last)
+    return keep_to_box(box, step)
+
+
+@inlined
+def guess_sides(box):
+    """Write to box.side that joints stop where they are pushed out; return the steepest slope."""
+    steepest = 0.0
+    for i in range(box.gradient.shape[0]):
+        steepest = max(steepest, abs(box.gradient[i]))
+        box.side[i] = pushed_out(box.low[i], box.high[i], box.gradient[i])
+    return steepest
+
+
+@inlined
+def reduced_system(matrix, damping, gradient, low, high, side, factor, step):
+    """Write the system of the free joints to ``factor`` and ``step``.
+
+    A joint at its bound has a row of its own, which says that it stays there.
+    """
     n = gradient.shape[0]
     for i in range(n):
-        for j in range(i + 1):
+        for j in range(i):
             factor[i, j] = matrix[i, j]
+        factor[i, i] = matrix[i, i] + damping
         step[i] = gradient[i]
     for p in range(n):
         if side[p] == 0:
@@ -104,174 +352,177 @@ def reduced_system(matrix, gradient, low, high, side, factor, step):
             step[p] = low[p] if side[p] < 0 else high[p]
 
 
-@pure
-def pushed_out(low, high, way):
-    """Where a joint stands at a bound of its step and ``way`` leads out there: -1 or 1; else 0."""
-    if way < 0.0 and low > -AT_BOUND:
-        return -1
-    return 1 if way > 0.0 and high < AT_BOUND else 0
+@inlined
+def remove_joint(box, hits, hit_count, u, bound):
+    """Take joint ``u``, which stops at ``bound``, out of the system of rows."""
+    for a in range(hit_count[u]):
+        i = hits[u, a]
+        x = box.jacobian[i, u]
+        box.multipliers[i] -= x * bound
+        for b in range(a + 1):
+            box.factor[i, hits[u, b]] -= x * box.jacobian[hits[u, b], u]
 
 
-@pure
-def guess_sides(gradient, low, high, side):
-    """Guesses that a joint stops where it stands when it is pushed out there; returns the steepest slope."""
-    steepest = 0.0
-    for i in range(gradient.shape[0]):
-        steepest = max(steepest, abs(gradient[i]))
-        side[i] = pushed_out(low[i], high[i], gradient[i])
-    return steepest
+@inlined
+def revise_sides(box, step, steepest):
+    """Write better guesses to box.next_side; return how many differ, and the last that does."""
+    wrong = 0
+    last = -1
+    for i in range(step.shape[0]):
+        side = box.side[i]
+        box.next_side[i] = side
+        if side == 0:
+            if step[i] < box.low[i] or step[i] > box.high[i]:
+                box.next_side[i] = -1 if step[i] < box.low[i] else 1
+        elif box.high[i] > box.low[i] and box.slope[i] * side < -_SLOPE_ROUNDING * steepest:
+            box.next_side[i] = 0
+        if box.next_side[i] != side:
+            wrong += 1
+            last = i
+    return wrong, last
 
 
-@pure
-def keep_to_box(low, high, side, step):
-    """Cuts what rounding leads over a bound; returns how many joints are pressed where they already stood."""
+@inlined
+def exchange_sides(box, patience, last):
+    """Take all new guesses, or without patience only that of joint ``last``."""
+    for i in range(box.side.shape[0]):
+        if patience >= 0 or i == last:
+            box.side[i] = box.next_side[i]
+
+
+@inlined
+def keep_to_box(box, step):
+    """Remove rounding beyond the bounds; return how many joints press where they already were."""
     pressed = 0
     for i in range(step.shape[0]):
-        step[i] = min(max(step[i], low[i]), high[i])
-        if (side[i] < 0 and low[i] > -AT_BOUND) or (side[i] > 0 and high[i] < AT_BOUND):
+        step[i] = min(max(step[i], box.low[i]), box.high[i])
+        at_low = box.side[i] < 0 and box.low[i] > -AT_BOUND
+        at_high = box.side[i] > 0 and box.high[i] < AT_BOUND
+        if at_low or at_high:
             pressed += 1
     return pressed
 
 
-@pure
-def box_step(matrix, gradient, low, high, step, free, side, factor):
-    """The step d that minimises ½ dᵀ M d − gᵀ d inside low <= d <= high, exactly.
+# Singular values
 
-    Block principal pivoting: guess which joints stop at a bound, solve for the others, then exchange all
-    that are on the wrong side of the guess; when that does not lessen their number, one at a time, which
-    always ends (Júdice & Pires, Computers & Operations Research 21(5), 1994).  Most steps need one solve.
+# Sweeps at most; six or seven are enough.
+_SWEEPS = 40
+# Relative size of rounding.
+_ROUNDING = 1e-15
+
+
+@outlined
+def svd(matrix, left, sigma, right):
+    """Write singular values and vectors: matrix = Σ sigma[i] · left[i] right[i]ᵀ, largest first.
+
+    One-sided Jacobi on the shorter side: as accurate as LAPACK at these sizes.
 
     Args:
-        matrix: (n, n) M, symmetric positive definite; lower triangle read.
-        gradient: (n,) g, the direction of descent.
-        low: (n,) lower bounds of the step, low <= 0.
-        high: (n,) upper bounds, high >= 0.
-        step: (n,) result.
-        free: (n,) work space, int.
-        side: (n,) work space, int: -1 at the lower bound, 1 at the upper, 0 free.
-        factor: (n, n) work space.
-
-    Returns:
-        Joints pressed against a bound at which they already stood, or -1 when M is not positive definite.
+        matrix: (m, n), unchanged.
+        left: (p, m) result, p = min(m, n); the rows are the vectors u.
+        sigma: (p,) result; rounding noise beside the largest is zero.
+        right: (p, n) result; the rows are the vectors v. A zero singular value has a unit vector
+            on the shorter side and a zero vector on the longer side.
     """
-    n = gradient.shape[0]
-    steepest = guess_sides(gradient, low, high, side)
-    fewest, patience = n + 1, 3
-    for _ in range(10 + 4 * n):
-        reduced_system(matrix, gradient, low, high, side, factor, step)
-        if not solve_definite(factor, step, n):
-            return -1
-        wrong, last = 0, -1
+    m, n = matrix.shape
+    count = sigma.shape[0]
+    size = 0.0
+    for r in range(m):
         for i in range(n):
-            free[i] = side[i]
-            if side[i] == 0:
-                if step[i] < low[i] or step[i] > high[i]:
-                    free[i] = -1 if step[i] < low[i] else 1
-            elif high[i] > low[i]:
-                slope = gradient[i]
-                for j in range(i + 1):
-                    slope -= matrix[i, j] * step[j]
-                for j in range(i + 1, n):
-                    slope -= matrix[j, i] * step[j]
-                if slope * side[i] < -1e-14 * steepest:
-                    free[i] = 0
-            if free[i] != side[i]:
-                wrong, last = wrong + 1, i
-        if wrong == 0:
-            break
-        patience = 3 if wrong < fewest else patience - 1
-        fewest = min(fewest, wrong)
+            size = max(size, abs(matrix[r, i]))
+    scale = 1.0 / size if size > 0.0 else 0.0  # squares of very small entries would vanish
+    wide = m <= n
+    for a in range(count):
+        for r in range(m):
+            left[a, r] = (1.0 if r == a else 0.0) if wide else matrix[r, a] * scale
         for i in range(n):
-            if patience >= 0 or i == last:
-                side[i] = free[i]
-    return keep_to_box(low, high, side, step)
-
-
-# The damped step inside a box among m rows of n > m joints: (JᵀJ + λ) d = Jᵀr is as well d = Jᵀy with (JJᵀ +
-# λ) y = r, a smaller system and a better conditioned one.  A joint that stops at a bound takes its column out
-# of JJᵀ and its share out of r; of the others Jᵀy says where they go.  ``hits`` (n, m) and ``counts`` (n,)
-# list for every column the rows in which it may not be zero: in a tree most joints move few of the goals.
+            right[a, i] = matrix[a, i] * scale if wide else (1.0 if i == a else 0.0)
+    if wide:
+        orthogonalise(right, left, count)
+        sort_by_length(right, left, sigma)
+    else:
+        orthogonalise(left, right, count)
+        sort_by_length(left, right, sigma)
+    for a in range(count):
+        sigma[a] *= size
 
 
 @outlined
-def row_products(jacobian, residual, hits, counts, gram, gradient):
-    """gram[:m, :m] = J Jᵀ (lower triangle), gradient = Jᵀr."""
-    m, n = jacobian.shape
-    for i in range(m):
-        for j in range(i + 1):
-            gram[i, j] = 0.0
-    for u in range(n):
-        s = 0.0
-        if m == 6:  # one pose: the compiler writes the loops out
-            for i in range(6):
-                s += jacobian[i, u] * residual[i]
-                for j in range(i + 1):
-                    gram[i, j] += jacobian[i, u] * jacobian[j, u]
-        else:
-            for a in range(counts[u]):
-                i = hits[u, a]
-                x = jacobian[i, u]
-                s += x * residual[i]
-                for b in range(a + 1):
-                    gram[i, hits[u, b]] += x * jacobian[hits[u, b], u]
-        gradient[u] = s
+def orthogonalise(vectors, rotations, count):
+    """Rotate the rows of both arrays in place, in pairs, until those of ``vectors`` are orthogonal.
+
+    One-sided Jacobi (Hestenes, J. SIAM 6(1), 1958): each rotation makes one pair orthogonal.
+    """
+    width = vectors.shape[1]
+    for _ in range(_SWEEPS):
+        rotated = False
+        largest = 0.0
+        for a in range(count):
+            largest = max(largest, row_dot(vectors, a, vectors, a))
+        for a in range(count - 1):
+            for b in range(a + 1, count):
+                aa = 0.0
+                bb = 0.0
+                ab = 0.0
+                for i in range(width):
+                    aa += vectors[a, i] * vectors[a, i]
+                    bb += vectors[b, i] * vectors[b, i]
+                    ab += vectors[a, i] * vectors[b, i]
+                # Rows that are rounding noise beside the largest need no angle of their own.
+                noise = min(aa, bb) <= _ROUNDING**2 * largest
+                if noise or abs(ab) <= _ROUNDING * math.sqrt(aa * bb):
+                    continue
+                rotated = True
+                half = 0.5 * (bb - aa)
+                t = ab / (half + math.copysign(math.sqrt(half * half + ab * ab), half))
+                c = 1.0 / math.sqrt(1.0 + t * t)
+                rotate_rows(vectors, a, b, c, c * t)
+                rotate_rows(rotations, a, b, c, c * t)
+        if not rotated:
+            return
 
 
-@pure
-def remove_joint(jacobian, hits, counts, u, bound, factor, push):
-    """Takes joint ``u``, which stops at ``bound``, out of the system."""
-    for a in range(counts[u]):
-        i = hits[u, a]
-        x = jacobian[i, u]
-        push[i] -= x * bound
-        for b in range(a + 1):
-            factor[i, hits[u, b]] -= x * jacobian[hits[u, b], u]
+@inlined
+def rotate_rows(table, a, b, cosine, sine):
+    """Rotate rows ``a`` and ``b`` in place in their plane."""
+    for i in range(table.shape[1]):
+        x = table[a, i]
+        y = table[b, i]
+        table[a, i] = cosine * x - sine * y
+        table[b, i] = sine * x + cosine * y
+
+
+@inlined
+def swap_rows(table, a, b):
+    """Swap two rows in place."""
+    for i in range(table.shape[1]):
+        x = table[a, i]
+        table[a, i] = table[b, i]
+        table[b, i] = x
 
 
 @outlined
-def row_step(
-    jacobian, residual, gram, gradient, damping, low, high, hits, counts, step, free, side, factor, push
-):
-    """The step d that minimises ½ |J d − r|² + ½ λ |d|² inside low <= d <= high, exactly.
+def sort_by_length(vectors, rotations, sigma):
+    """Write the lengths of the rows to ``sigma``, longest first; make the rows unit vectors.
 
-    As ``box_step``, for a ``jacobian`` (m, n) with m <= n, ``residual`` (m,) r and λ > 0; ``gram`` (m, m) and
-    ``gradient`` (n,) are from ``row_products``, ``push`` (m,) is work space: y.
+    A row that is rounding noise becomes zero.
     """
-    m, n = jacobian.shape
-    steepest = guess_sides(gradient, low, high, side)
-    fewest, patience = n + 1, 3
-    for _ in range(10 + 4 * n):
-        for i in range(m):
-            for j in range(i):
-                factor[i, j] = gram[i, j]
-            factor[i, i] = gram[i, i] + damping
-            push[i] = residual[i]
-        for u in range(n):
-            if side[u] != 0:
-                remove_joint(jacobian, hits, counts, u, low[u] if side[u] < 0 else high[u], factor, push)
-        if not solve_definite(factor, push, m):
-            return -1
-        wrong, last = 0, -1
-        for u in range(n):
-            goal_row = 0.0
-            for a in range(counts[u]):
-                goal_row += jacobian[hits[u, a], u] * push[hits[u, a]]
-            free[u] = side[u]
-            if side[u] == 0:
-                step[u] = goal_row
-                if goal_row < low[u] or goal_row > high[u]:
-                    free[u] = -1 if goal_row < low[u] else 1
-            else:
-                step[u] = low[u] if side[u] < 0 else high[u]
-                if high[u] > low[u] and damping * (goal_row - step[u]) * side[u] < -1e-14 * steepest:
-                    free[u] = 0
-            if free[u] != side[u]:
-                wrong, last = wrong + 1, u
-        if wrong == 0:
-            break
-        patience = 3 if wrong < fewest else patience - 1
-        fewest = min(fewest, wrong)
-        for u in range(n):
-            if patience >= 0 or u == last:
-                side[u] = free[u]
-    return keep_to_box(low, high, side, step)
+    count = sigma.shape[0]
+    for a in range(count):
+        sigma[a] = math.sqrt(row_dot(vectors, a, vectors, a))
+    for a in range(count):
+        best = a
+        for b in range(a + 1, count):
+            if sigma[b] > sigma[best]:
+                best = b
+        if best != a:
+            length = sigma[a]
+            sigma[a] = sigma[best]
+            sigma[best] = length
+            swap_rows(vectors, a, best)
+            swap_rows(rotations, a, best)
+        if not sigma[a] > _ROUNDING * sigma[0]:
+            sigma[a] = 0.0
+        inverse = 1.0 / sigma[a] if sigma[a] > 0.0 else 0.0
+        for i in range(vectors.shape[1]):
+            vectors[a, i] *= inverse

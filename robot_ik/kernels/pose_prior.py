@@ -1,185 +1,217 @@
-"""Rows of a pose prior: how unlikely a pose is under a Gaussian mixture, as a least-squares goal.
+"""Residual and Jacobian of a pose prior: how unlikely a pose is under a Gaussian mixture.
 
-Features x of a pose are joint angles, the lean of the free base and rotation vectors of balls, less their
-middle and over their spread.  With E(x) = −log Σ w_k N(x; μ_k, P_k⁻¹), shares γ_k of the parts in that sum,
-g = Σ γ_k P_k (x − μ_k) its gradient and H = Σ γ_k P_k = L Lᵀ, the rows are
+Features x of a pose are joint positions, the lean of the free base and rotation vectors of balls,
+minus their centre and divided by their spread. The energy is E(x) = −log Σ w_k N(x; μ_k, P_k⁻¹).
+With the share γ_k of each part in this sum, the gradient of E is g = Σ γ_k P_k (x − μ_k). With
+H = Σ γ_k P_k = L D Lᵀ and the smallest energy E₀ the residual and its Jacobian are
 
-    r = (−L⁻¹ g, √(2 (E − E₀) − |L⁻¹ g|²)),     J = (Lᵀ ∂x/∂dq, 0)
+    r = (−D^-½ L⁻¹ g, √(2 (E − E₀) − |D^-½ L⁻¹ g|²))        J = (D^½ Lᵀ ∂x/∂dq, 0)
 
-so that ½ |r|² = E − E₀ and Jᵀ r = −∂E/∂dq exactly, and JᵀJ is the Hessian of the bound that
-expectation-maximisation puts on E (Dempster, Laird & Rubin 1977).  The root is real: the bound's least value,
-E − ½ |L⁻¹ g|², is no less than E₀, the least energy of all.
+so that ½ |r|² = E − E₀ and Jᵀ r = −∂E/∂dq exactly. JᵀJ is the Hessian of the bound that
+expectation-maximisation puts on E (Dempster, Laird & Rubin 1977). The root is real because the
+smallest value of the bound, E − ½ |D^-½ L⁻¹ g|², is at least E₀.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels import so3
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.kernels.kinematics import rotation_back, slope_of, unit
-from robot_ik.kernels.residuals import inverse_right_jacobian
+from robot_ik.kernels.linalg import factorise, solve_lower
 from robot_ik.kernels.tree import FREE
 
-# Kinds of features: a number of q, the world's up in the base's x and y, parts of a ball's rotation vector.
+# Kinds of features: a number of q, world up along x and y of the base, parts of the rotation vector
+# of a ball.
 NUMBER, LEAN_X, LEAN_Y, VECTOR_X, VECTOR_Y, VECTOR_Z = range(6)
-# Columns of goal.feature.
-WHAT, AT, NODE = range(3)
-# Rows of goal.prior: middle, spread, x and g; numbers for all (E₀ first); H, then L, in its lower triangle;
-# then for each part its mean, its numbers (log of w_k over the norm, log density) and its precision.
-MIDDLE, SPREAD, X, GRADIENT, NUMBERS, HESSIAN = range(6)
-PART_MEAN, PART_NUMBERS, PART_PRECISION = range(3)
-# Shares of a part below this count nothing.
-_NO_SHARE = 1e-12
+# Columns of ``PRIOR.features``.
+KIND, ADDRESS, NODE = range(3)
+# Smaller shares of a part do not count.
+_MIN_SHARE = 1e-12
+
+# With n features and k parts. Read-only, a part of ``residuals.GOALS``; empty without a prior.
+PRIOR = Layout(
+    "Prior",
+    min_energy="float",  # E₀
+    features="int_table",  # (n, 3) kind, address in q, node
+    center="floats",  # (n,)
+    spread="floats",  # (n,)
+    log_weights="floats",  # (k,) log of w_k divided by the norm of the part
+    means="table",  # (k, n)
+    precisions="table",  # (k n, n) one matrix P_k below the other
+)
+
+# What the method writes.
+PRIOR_WORK = Layout(
+    "PriorWork",
+    x="floats features",
+    log_densities="floats parts",  # log w_k N(x; …)
+    gradient="floats features",  # g, then L⁻¹ g
+    hessian="table features features",  # H, then its factors
+    first="ints features",  # zeros: no row of H begins later
+)
 
 
 @outlined
-def features(goal, q):
-    """Features of q into row X of goal.prior."""
-    feature, prior = goal.feature, goal.prior
-    for i in range(feature.shape[0]):
-        what, a = feature[i, WHAT], feature[i, AT]
-        if what == NUMBER:
-            value = q[a]
-        elif what == LEAN_X:
-            value = 2.0 * (q[a + 1] * q[a + 3] - q[a] * q[a + 2])
-        elif what == LEAN_Y:
-            value = 2.0 * (q[a + 2] * q[a + 3] + q[a] * q[a + 1])
-        else:
-            x, y, z = rotation_back(q, a, 1.0, 0.0, 0.0, 0.0)
-            value = -x if what == VECTOR_X else (-y if what == VECTOR_Y else -z)
-        prior[X, i] = (value - prior[MIDDLE, i]) / prior[SPREAD, i]
+def prior_residual(goals, search, work, g):
+    """Write the residual of the prior, which is goal ``g``, at search.q; return |r|².
 
-
-@pure
-def feature_rate(what, q, a, axis):
-    """How a feature changes per unit of the axis-th degree of freedom of its joint."""
-    if what == NUMBER:
-        return 1.0
-    if what in (LEAN_X, LEAN_Y):  # up in the base's axes moves with up × ω
-        ux, uy = 2.0 * (q[a + 1] * q[a + 3] - q[a] * q[a + 2]), 2.0 * (q[a + 2] * q[a + 3] + q[a] * q[a + 1])
-        uz = 1.0 - 2.0 * (q[a + 1] * q[a + 1] + q[a + 2] * q[a + 2])
-        if what == LEAN_X:
-            return 0.0 if axis == 0 else (-uz if axis == 1 else uy)
-        return uz if axis == 0 else (0.0 if axis == 1 else -ux)
-    x, y, z = rotation_back(q, a, 1.0, 0.0, 0.0, 0.0)
-    ex, ey, ez = unit(axis)
-    rx, ry, rz = inverse_right_jacobian(-x, -y, -z, ex, ey, ez)
-    return rx if what == VECTOR_X else (ry if what == VECTOR_Y else rz)
-
-
-@outlined
-def densities(prior, n, count):
-    """Log of w_k N(x; …) of every part into its numbers; returns the largest."""
-    best = -math.inf
-    for k in range(count):
-        first = HESSIAN + n + k * (PART_PRECISION + n)
-        square = 0.0
-        for i in range(n):
-            off = prior[X, i] - prior[first + PART_MEAN, i]
-            s = 0.0
-            for j in range(i):
-                s += prior[first + PART_PRECISION + i, j] * (prior[X, j] - prior[first + PART_MEAN, j])
-            square += off * (2.0 * s + prior[first + PART_PRECISION + i, i] * off)
-        prior[first + PART_NUMBERS, 1] = prior[first + PART_NUMBERS, 0] - 0.5 * square
-        best = max(best, prior[first + PART_NUMBERS, 1])
-    return best
-
-
-@outlined
-def energy_terms(prior, n, count, best):
-    """Gradient and Hessian of the bound into their rows; returns the energy E."""
-    total = 0.0
-    for k in range(count):
-        total += math.exp(prior[HESSIAN + n + k * (PART_PRECISION + n) + PART_NUMBERS, 1] - best)
-    for i in range(n):
-        prior[GRADIENT, i] = 0.0
-        for j in range(i + 1):
-            prior[HESSIAN + i, j] = 0.0
-    for k in range(count):
-        first = HESSIAN + n + k * (PART_PRECISION + n)
-        share = math.exp(prior[first + PART_NUMBERS, 1] - best) / total
-        if share < _NO_SHARE:
-            continue
-        precision, mean = first + PART_PRECISION, first + PART_MEAN
-        for i in range(n):
-            s = 0.0
-            off = share * (prior[X, i] - prior[mean, i])
-            for j in range(i):
-                p = prior[precision + i, j]
-                prior[HESSIAN + i, j] += share * p
-                s += p * (prior[X, j] - prior[mean, j])
-                prior[GRADIENT, j] += p * off
-            prior[HESSIAN + i, i] += share * prior[precision + i, i]
-            prior[GRADIENT, i] += share * s + prior[precision + i, i] * off
-    return -(best + math.log(total))
-
-
-@outlined
-def whiten(prior, n):
-    """L in place of H and L⁻¹ g in place of g; returns |L⁻¹ g|²."""
+    Leaves the factors of H in ``work`` for ``prior_jacobian``.
+    """
+    prior = goals.prior
+    count = work.x.shape[0]
+    weight = search.weight[g, 1]
+    row = goals.row[g]
+    write_features(prior, search.q, work.x)
+    energy = write_bound(prior, work, write_densities(prior, work))
+    factorise(work.hessian, work.first, count)
+    solve_lower(work.hessian, work.first, work.gradient, count)
     square = 0.0
-    for i in range(n):
-        s = prior[GRADIENT, i]
-        for j in range(i):
-            t = prior[HESSIAN + i, j]
-            for k in range(j):
-                t -= prior[HESSIAN + i, k] * prior[HESSIAN + j, k]
-            t /= prior[HESSIAN + j, j]
-            prior[HESSIAN + i, j] = t
-            s -= t * prior[GRADIENT, j]
-        d = prior[HESSIAN + i, i]
-        for k in range(i):
-            d -= prior[HESSIAN + i, k] * prior[HESSIAN + i, k]
-        d = math.sqrt(d)
-        prior[HESSIAN + i, i] = d
-        prior[GRADIENT, i] = s / d
-        square += prior[GRADIENT, i] * prior[GRADIENT, i]
-    return square
+    for i in range(count):
+        entry = math.sqrt(work.hessian[i, i]) * work.gradient[i]
+        square += entry * entry
+        search.residual[row + i] = -weight * entry
+    rest = max(2.0 * (energy - prior.min_energy) - square, 0.0)
+    search.residual[row + count] = weight * math.sqrt(rest)
+    search.miss[g, 0] = 0.0
+    search.miss[g, 1] = 0.0
+    return weight * weight * (square + rest)
 
 
 @outlined
-def prior_rows(goal, work, g):
-    """Rows of the prior of goal ``g`` at work.q; returns |r|²."""
-    prior, residual, row, w = goal.prior, work.residual, goal.row[g], goal.weight[g, 1]
-    n = goal.feature.shape[0]
-    count = (prior.shape[0] - HESSIAN - n) // (PART_PRECISION + n)
-    features(goal, work.q)
-    energy = energy_terms(prior, n, count, densities(prior, n, count))
-    square = whiten(prior, n)
-    rest = max(2.0 * (energy - prior[NUMBERS, 0]) - square, 0.0)
-    for i in range(n):
-        residual[row + i] = -w * prior[GRADIENT, i]
-    residual[row + n] = w * math.sqrt(rest)
-    return w * w * (square + rest)
+def prior_jacobian(tree, goals, search, work, g, jacobian):
+    """Write the rows of the prior to ``jacobian``, as ``residuals.goal_jacobian`` does."""
+    row = goals.row[g]
+    columns = goals.dofs.shape[0]
+    for u in range(columns):
+        for i in range(work.x.shape[0] + 1):
+            jacobian[row + i, u] = 0.0
+    for mover in range(goals.moved.shape[0]):
+        column = goals.column[mover]
+        factor = search.weight[g, 1] * goals.joint_scale[column]
+        if mover >= columns:
+            factor *= slope_of(tree, goals.coupled[mover - columns, 0], search.q)
+        add_column(tree, goals, search, work, row, column, goals.moved[mover], factor, jacobian)
 
 
-@outlined
-def prior_column(tree, goal, work, g, u, v, share):
-    """Adds ``share`` of what degree of freedom ``v`` does to these rows to column ``u``."""
-    feature, prior, jacobian, row = goal.feature, goal.prior, work.jacobian, goal.row[g]
+@inlined
+def add_column(tree, goals, search, work, row, column, v, factor, jacobian):
+    """Add factor · D^½ Lᵀ ∂x/∂dq of degree of freedom ``v`` to a column of ``jacobian``."""
+    prior = goals.prior
     node = tree.dof_node[v]
     axis = v - tree.vadr[node] - (3 if tree.kind[node] == FREE else 0)
-    if axis < 0:  # where the base stands says nothing of the pose
+    if axis < 0:  # the position of the base is not a feature
         return
-    for j in range(feature.shape[0]):
-        if feature[j, NODE] != node:
+    for j in range(work.x.shape[0]):
+        if prior.features[j, NODE] != node:
             continue
-        rate = feature_rate(feature[j, WHAT], work.q, feature[j, AT], axis)
-        rate *= share * goal.weight[g, 1] / prior[SPREAD, j]
+        kind = prior.features[j, KIND]
+        rate = feature_rate(kind, search.q, prior.features[j, ADDRESS], axis)
+        rate *= factor / prior.spread[j]
         if rate == 0.0:
             continue
         for i in range(j + 1):
-            jacobian[row + i, u] += rate * prior[HESSIAN + j, i]
+            lower = work.hessian[j, i] if i < j else 1.0
+            jacobian[row + i, column] += rate * lower / math.sqrt(work.hessian[i, i])
 
 
 @outlined
-def prior_jacobian(tree, goal, work, g):
-    """These rows of work.jacobian, coupled joints and stiffness as in ``residuals.goal_jacobian``."""
-    jacobian, row, joint_scale = work.jacobian, goal.row[g], goal.joint_scale
-    for u in range(goal.dofs.shape[0]):
-        for i in range(goal.feature.shape[0] + 1):
-            jacobian[row + i, u] = 0.0
-        prior_column(tree, goal, work, g, u, goal.dofs[u], joint_scale[u])
-    for c in range(goal.coupled.shape[0]):
-        u = goal.coupled[c, 1]
-        slope = slope_of(tree, goal.coupled[c, 0], work.q)
-        prior_column(tree, goal, work, g, u, goal.coupled[c, 2], joint_scale[u] * slope)
+def write_features(prior, q, x):
+    """Write the features of q to ``x``."""
+    for i in range(x.shape[0]):
+        kind = prior.features[i, KIND]
+        a = prior.features[i, ADDRESS]
+        if kind == NUMBER:
+            value = q[a]
+        elif kind == LEAN_X or kind == LEAN_Y:
+            up = world_up(q, a)
+            value = up[0] if kind == LEAN_X else up[1]
+        else:
+            value = part_of(rotation_vector(q, a), kind)
+        x[i] = (value - prior.center[i]) / prior.spread[i]
+
+
+@inlined
+def feature_rate(kind, q, a, axis):
+    """Return the change of a feature per unit of the degree of freedom ``axis`` of its joint."""
+    if kind == NUMBER:
+        return 1.0
+    if kind == LEAN_X or kind == LEAN_Y:
+        rate = so3.cross(world_up(q, a), unit(axis))
+        return rate[0] if kind == LEAN_X else rate[1]
+    phi = rotation_vector(q, a)
+    return part_of(so3.jr_inv(phi, so3.curvature(phi), unit(axis)), kind)
+
+
+@inlined
+def world_up(q, a):
+    """Return the world's z axis in the axes of the base with the quaternion q[a : a + 4]."""
+    w, x, y, z = q[a], q[a + 1], q[a + 2], q[a + 3]
+    return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
+@inlined
+def rotation_vector(q, a):
+    """Return the rotation vector of the quaternion q[a : a + 4]."""
+    return so3.scale(-1.0, rotation_back(q, a, 1.0, 0.0, 0.0, 0.0))
+
+
+@inlined
+def part_of(vector, kind):
+    """Return the coordinate of a vector that a feature of this kind is."""
+    if kind == VECTOR_X:
+        return vector[0]
+    return vector[1] if kind == VECTOR_Y else vector[2]
+
+
+@outlined
+def write_densities(prior, work):
+    """Write log w_k N(x; …) of each part; return the largest."""
+    largest = -math.inf
+    n = work.x.shape[0]
+    for k in range(prior.log_weights.shape[0]):
+        first = k * n
+        square = 0.0
+        for i in range(n):
+            difference = work.x[i] - prior.means[k, i]
+            s = 0.0
+            for j in range(i):
+                s += prior.precisions[first + i, j] * (work.x[j] - prior.means[k, j])
+            square += difference * (2.0 * s + prior.precisions[first + i, i] * difference)
+        work.log_densities[k] = prior.log_weights[k] - 0.5 * square
+        largest = max(largest, work.log_densities[k])
+    return largest
+
+
+@outlined
+def write_bound(prior, work, largest):
+    """Write g and the lower triangle of H; return the energy E.
+
+    ``largest`` is the largest of work.log_densities.
+    """
+    n = work.x.shape[0]
+    total = 0.0
+    for k in range(prior.log_weights.shape[0]):
+        total += math.exp(work.log_densities[k] - largest)
+    for i in range(n):
+        work.gradient[i] = 0.0
+        for j in range(i + 1):
+            work.hessian[i, j] = 0.0
+    for k in range(prior.log_weights.shape[0]):
+        share = math.exp(work.log_densities[k] - largest) / total
+        if share < _MIN_SHARE:
+            continue
+        first = k * n
+        for i in range(n):
+            difference = share * (work.x[i] - prior.means[k, i])
+            s = 0.0
+            for j in range(i):
+                p = prior.precisions[first + i, j]
+                work.hessian[i, j] += share * p
+                s += p * (work.x[j] - prior.means[k, j])
+                work.gradient[j] += p * difference
+            diagonal = prior.precisions[first + i, i]
+            work.hessian[i, i] += share * diagonal
+            work.gradient[i] += share * s + diagonal * difference
+    return -(largest + math.log(total))

@@ -1,66 +1,89 @@
-"""Frames of a whole body in motion: hard rows met, soft rows and a posture as well as they allow.
+"""Frames of a whole body in motion, each met as well as hard rows, soft rows and limits allow.
 
-Each frame minimises, from where the frame before it ended,
+Each frame minimises, from the end of the frame before it,
 
     Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  low <= q + dq <= high
 
-in two to four steps.  ``low`` and ``high`` are the joint limits and what the speed limits leave of them
-within one frame.  There are no levels of priority below the hard rows, no test of convergence on the soft
-ones and no restarts: ``lm`` has all that and costs three times as much.  A step is solved by the Schur
-complement of its hard rows (Nocedal & Wright, *Numerical Optimization*, section 16.2); joints that it would
-take over a bound are held there and it is solved again.
+in two to four steps. ``low`` and ``high`` are the joint limits and what the speed limits leave of
+them within one frame. There are no priorities below the hard rows, no test of convergence of the
+soft rows and no restarts: ``lm`` has all of these and takes three times as long. A step is solved
+by the Schur complement of its hard rows (Nocedal & Wright, *Numerical Optimization*, section 16.2).
+Joints that it would take over a bound are held there, and it is solved again.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
-from robot_ik.kernels import kinematics
-from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.linalg import reduced_system, row_dot
-from robot_ik.kernels.loop import copy
-from robot_ik.kernels.residuals import rotation_error
-from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
+from robot_ik.kernels import kinematics, so3
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.body_goals import center_of_mass, center_velocity
+from robot_ik.kernels.frame_goals import orientation_error
+from robot_ik.kernels.jit import inlined, kernel, outlined
+from robot_ik.kernels.linalg import (
+    divide_by_pivots,
+    factorise,
+    reduced_system,
+    scaled_dot,
+    solve_lower,
+    solve_upper,
+)
+from robot_ik.kernels.search import copy
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE, TREE_BLOCK
 
+# Kinds of groups of three rows: the origin of a frame, its rotation, the centre of mass, the
+# direction of the x axis of a frame, and the angular momentum about the centre of mass since the
+# frame before (kg m² rad).
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
-"""Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis points, and the
-angular momentum about the centre of mass since the frame before (kg m² rad)."""
+# Weight of a row that must hold.
 HARD = math.inf
-"""The weight of a row that must hold."""
 
-# A step longer than this, rad or m, is shortened: rows are linear near q only.
+# A longer step, rad or m, is shortened: rows are linear near q only.
 _LONGEST = 0.4
-# What a step costs by itself, beside posture weights of 0.02 and more.
+# Cost of a step itself, beside posture weights of 0.02 and more.
 _DAMPING = 1e-4
-# Slack of the hard rows, which keeps their system solvable where they depend on each other; and where they
-# contradict each other, by what the bounds leave.
-_SLACK, _YIELDING = 1e-10, 1e-2
-# What a step costs by itself where it would be longer than ``_LONGEST``.
+# Slack of the hard rows: it keeps their system solvable if they depend on each other.
+_SLACK = 1e-10
+# Slack if the hard rows contradict each other within the bounds.
+_YIELDING = 1e-2
+# Cost of a step itself if it would be longer than ``_LONGEST``.
 _CAUTIOUS = 10.0
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
 _MOMENTUM_SCALE = 0.1
 # How often joints are held at their bounds within one step.
 _HOLDS = 8
+# A step may exceed its bounds by this before a joint is held, rad or m.
+_BOUND_SLACK = 1e-12
+# A frame nearer to the point that it aims at than this, in metres, is taken to be this far away.
+_MIN_AIM_DISTANCE = 1e-9
 
+# With g groups, h = 3 g rows, n nodes, b = n + 1, k = max(h, nv).
 WHOLE_BODY = Layout(
     "WholeBody",
+    max_steps="int",  # of each frame
+    rest="float",  # a shorter step (rad, m) is the last one of a frame …
+    close="float",  # … if no hard row misses by more than this (m, rad)
+    hard_count="int",  # hard rows at q
+    hard_miss="float",  # the largest miss of a hard row at q, m or rad
     kind="ints",  # (g,) of each group of three rows
     node="ints",  # (g,) node that carries the frame
-    local="table",  # (g, 12) the frame seen from it
+    local="table",  # (g, 12) pose of the frame in the node
     axes="ints",  # (g,) bit k: the row of world axis k counts
     share="table",  # (g, nv) 1 where a degree of freedom may serve the group
-    inertia="table",  # (n, 10) mass, centre and inertia xx yy zz xy xz yz about it, of what each node carries
+    masses="table",  # (n + 1, 4) mass and centre of each node, see ``body_goals.center_of_mass``
+    inertia="table",  # (n, 6) xx yy zz xy xz yz of each node about this centre, in the node's axes
     stiffness="floats",  # (nv,) weight of the posture
     lower="floats",  # (nv,)
     upper="floats",  # (nv,)
-    stride="floats",  # (nv,) farthest a joint may go in one frame
-    world="table n 12",  # from here on: work space, with m = n + 1 and h = 3 g
+    stride="floats",  # (nv,) how far a joint may move in one frame
+    # What the kernel writes.
+    world="table n 12",
     scratch="table 2 12",
     pose="table g 12",
-    carried="table m 10",  # mass, first moment, inertia of what hangs on a node
+    moments="table b 4",
+    carried="table n 6",  # inertia about the centre of mass of each node with its descendants
     center="floats 3",
-    previous="floats nq",
-    displacement="floats nv",  # from the frame before to here
+    previous="floats nq",  # the frame before
+    displacement="floats nv",  # from the frame before to q
     row="table 3 nv",
     miss="floats 3",
     hard="table h nv",
@@ -71,278 +94,270 @@ WHOLE_BODY = Layout(
     step="floats nv",
     low="floats nv",
     high="floats nv",
-    side="ints nv",  # -1 or 1 of a joint that is held at its lower or upper bound, else 0
-    hard_solved="table h nv",  # ``hard`` times L⁻ᵀ of the factor
+    side="ints nv",  # -1, 1 for a joint that is held at its lower or upper bound
+    first="ints k",  # zeros: the matrices are dense
+    hard_solved="table h nv",  # ``hard`` times L⁻ᵀ of the factors
     schur="table h h",
     multiplier="floats h",
+    tree=TREE_BLOCK,
 )
-_open = WHOLE_BODY.open
+open_body = WHOLE_BODY.open
+
+
+# Mass
 
 
 @outlined
 def carry(tree, body):
-    """Mass, first moment and inertia about the centre of mass of what hangs on each node."""
-    inertia, carried, world, center = body.inertia, body.carried, body.world, body.center
-    n = inertia.shape[0]
-    whole = center[0] = center[1] = center[2] = 0.0
-    for k in range(n):
-        m = inertia[k, 0]
-        whole += m
-        for i in range(3):
-            r = 3 + 3 * i
-            at = world[k, i]
-            for j in range(3):
-                at += world[k, r + j] * inertia[k, 1 + j]
-            carried[k, 1 + i] = at
-            center[i] += m * at
-    for i in range(3):
-        center[i] /= whole
-    for k in range(n):
-        m = inertia[k, 0]
-        x, y, z = carried[k, 1] - center[0], carried[k, 2] - center[1], carried[k, 3] - center[2]
-        carried[k, 0] = m
-        carried[k, 1], carried[k, 2], carried[k, 3] = m * x, m * y, m * z
-        carried[k, 4], carried[k, 5] = m * (y * y + z * z), m * (x * x + z * z)
-        carried[k, 6] = m * (x * x + y * y)
-        carried[k, 7], carried[k, 8], carried[k, 9] = -m * x * y, -m * x * z, -m * y * z
-        xx, yy, zz = inertia[k, 4], inertia[k, 5], inertia[k, 6]
-        xy, xz, yz = inertia[k, 7], inertia[k, 8], inertia[k, 9]
-        for e in range(6):  # R I Rᵀ
-            i = e if e < 3 else (0 if e < 5 else 1)
-            j = e if e < 3 else (1 if e == 3 else 2)
-            a0, a1, a2 = world[k, 3 + 3 * i], world[k, 4 + 3 * i], world[k, 5 + 3 * i]
-            b0, b1, b2 = world[k, 3 + 3 * j], world[k, 4 + 3 * j], world[k, 5 + 3 * j]
-            carried[k, 4 + e] += (
-                a0 * (xx * b0 + xy * b1 + xz * b2)
-                + a1 * (xy * b0 + yy * b1 + yz * b2)
-                + a2 * (xz * b0 + yz * b1 + zz * b2)
-            )
-    for k in range(n - 1, 0, -1):
-        p = tree.parent[k]
-        if p >= 0:
-            for i in range(10):
-                carried[p, i] += carried[k, i]
-    carried[n, 0] = whole
+    """Write the centre of mass, and the moments and inertia of each node with its descendants."""
+    center = center_of_mass(tree, body.world, body.masses, 0, body.moments)
+    so3.write_vector(body.center, 0, center)
+    nodes = tree.parent.shape[0]
+    for k in range(nodes):
+        write_inertia(body, k, center)
+    for k in range(nodes - 1, 0, -1):
+        parent = tree.parent[k]
+        if parent >= 0:
+            for i in range(6):
+                body.carried[parent, i] += body.carried[k, i]
 
 
-@pure
-def mass_column(carried, center, world, k, ax, ay, az, rotational):
-    """Velocity of the centre of mass and angular momentum about it, per unit of a freedom of node k."""
-    m, sx, sy, sz = carried[k, 0], carried[k, 1], carried[k, 2], carried[k, 3]
-    inverse = 1.0 / carried[carried.shape[0] - 1, 0]
-    if not rotational:
-        return (
-            m * inverse * ax, m * inverse * ay, m * inverse * az,
-            sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax,
-        )  # fmt: skip
-    px, py, pz = center[0] - world[k, 0], center[1] - world[k, 1], center[2] - world[k, 2]
-    tx, ty, tz = sx + m * px, sy + m * py, sz + m * pz
-    vx, vy, vz = ay * pz - az * py, az * px - ax * pz, ax * py - ay * px
-    return (
-        inverse * (ay * tz - az * ty), inverse * (az * tx - ax * tz), inverse * (ax * ty - ay * tx),
-        carried[k, 4] * ax + carried[k, 7] * ay + carried[k, 8] * az + sy * vz - sz * vy,
-        carried[k, 7] * ax + carried[k, 5] * ay + carried[k, 9] * az + sz * vx - sx * vz,
-        carried[k, 8] * ax + carried[k, 9] * ay + carried[k, 6] * az + sx * vy - sy * vx,
-    )  # fmt: skip
+@inlined
+def write_inertia(body, k, center):
+    """Write the inertia of node ``k`` alone, in the world, about ``center`` to body.carried."""
+    mass = body.masses[k, 0]
+    rotation = so3.read_rotation(body.world, k)
+    local_center = so3.read_vector(body.masses, k, 1)
+    position = so3.add(so3.read_vector(body.world, k, 0), so3.apply(rotation, local_center))
+    x, y, z = so3.subtract(position, center)
+    xx, yy, zz = so3.read_vector(body.inertia, k, 0)
+    xy, xz, yz = so3.read_vector(body.inertia, k, 3)
+    local = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    # The columns of I Rᵀ.
+    first = so3.apply(local, rotation[0])
+    second = so3.apply(local, rotation[1])
+    third = so3.apply(local, rotation[2])
+    body.carried[k, 0] = mass * (y * y + z * z) + so3.dot(rotation[0], first)
+    body.carried[k, 1] = mass * (x * x + z * z) + so3.dot(rotation[1], second)
+    body.carried[k, 2] = mass * (x * x + y * y) + so3.dot(rotation[2], third)
+    body.carried[k, 3] = so3.dot(rotation[0], second) - mass * x * y
+    body.carried[k, 4] = so3.dot(rotation[0], third) - mass * x * z
+    body.carried[k, 5] = so3.dot(rotation[1], third) - mass * y * z
+
+
+@inlined
+def momentum_rate(tree, body, v):
+    """Return the angular momentum about the centre of mass per unit of degree of freedom ``v``.
+
+    What the freedom moves has the mass m, the first moment s and the inertia I about the centre of
+    mass. A rotation with ω about a point p gives I ω + s × (ω × (c − p)), a shift s × v.
+    """
+    node = tree.dof_node[v]
+    center = so3.read_vector_at(body.center, 0)
+    moment = so3.subtract(
+        so3.read_vector(body.moments, node, 1), so3.scale(body.moments[node, 0], center)
+    )
+    velocity, omega = kinematics.velocity_of(tree, body.world, v, center)
+    xx, yy, zz = so3.read_vector(body.carried, node, 0)
+    xy, xz, yz = so3.read_vector(body.carried, node, 3)
+    inertia = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    return so3.add(so3.apply(inertia, omega), so3.cross(moment, velocity))
+
+
+# Rows
 
 
 @outlined
 def mass_rows(tree, body, momentum, target, t, g):
-    """Rows and misses of the centre of mass, or of the angular momentum about it."""
-    row, miss, share = body.row, body.miss, body.share
-    row[:] = 0.0
-    for k in range(tree.kind.shape[0]):
-        for i in range(kinematics.width_of(tree.kind[k])):
-            v = tree.vadr[k] + i
-            ax, ay, az, rotational = kinematics.dof_axis(tree.kind, body.world, k, i)
-            cx, cy, cz, lx, ly, lz = mass_column(
-                body.carried, body.center, body.world, k, ax, ay, az, rotational
-            )
-            if momentum:
-                cx, cy, cz = _MOMENTUM_SCALE * lx, _MOMENTUM_SCALE * ly, _MOMENTUM_SCALE * lz
-            row[0, v], row[1, v], row[2, v] = cx * share[g, v], cy * share[g, v], cz * share[g, v]
+    """Write rows and misses of the centre of mass, or of the angular momentum about it."""
+    row = body.row
+    for v in range(row.shape[1]):
+        if momentum:
+            rate = so3.scale(_MOMENTUM_SCALE, momentum_rate(tree, body, v))
+        else:
+            rate = center_velocity(tree, body.world, body.moments, 0, v)
+        so3.write_column(row, 0, v, so3.scale(body.share[g, v], rate))
     for i in range(3):
         if momentum:
-            miss[i] = _MOMENTUM_SCALE * target[t, i]
+            body.miss[i] = _MOMENTUM_SCALE * target[t, i]
             for v in range(row.shape[1]):
-                miss[i] -= row[i, v] * body.displacement[v]
+                body.miss[i] -= row[i, v] * body.displacement[v]
         else:
-            miss[i] = target[t, i] - body.center[i]
+            body.miss[i] = target[t, i] - body.center[i]
 
 
 @outlined
-def frame_rows(tree, body, what, target, t, g):
-    """Rows and misses of a frame's position, rotation or line of sight."""
-    row, miss, share, world, pose = body.row, body.miss, body.share, body.world, body.pose
+def frame_rows(tree, body, kind, target, t, g):
+    """Write rows and misses of the position, the rotation or the aim of a frame."""
+    row = body.row
     row[:] = 0.0
-    px, py, pz = pose[g, 0], pose[g, 1], pose[g, 2]
+    point = so3.read_vector(body.pose, g, 0)
+    rotation = so3.read_rotation(body.pose, g)
     k = body.node[g]
     while k >= 0:
         for i in range(kinematics.width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, rotational = kinematics.dof_axis(tree.kind, world, k, i)
-            if what == POSITION:
-                ax, ay, az = kinematics.point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
-            elif not rotational:
-                ax, ay, az = 0.0, 0.0, 0.0
-            row[0, v], row[1, v], row[2, v] = ax * share[g, v], ay * share[g, v], az * share[g, v]
+            velocity, omega = kinematics.velocity_of(tree, body.world, v, point)
+            rate = velocity if kind == POSITION else omega
+            so3.write_column(row, 0, v, so3.scale(body.share[g, v], rate))
         k = tree.parent[k]
-    if what == POSITION:
-        for i in range(3):
-            miss[i] = target[t, i] - pose[g, i]
-    elif what == ROTATION:
-        rotation_error(target, t, pose, g, miss, 0)
+    if kind == ROTATION:
+        miss, _ = orientation_error(so3.read_rotation(target, t), rotation)
     else:
-        ux, uy, uz = target[t, 0] - px, target[t, 1] - py, target[t, 2] - pz
-        n = 1.0 / max(math.sqrt(ux * ux + uy * uy + uz * uz), 1e-9)
-        ux, uy, uz = ux * n, uy * n, uz * n
-        x, y, z = pose[g, 3], pose[g, 6], pose[g, 9]
-        miss[0], miss[1], miss[2] = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+        miss = so3.subtract(so3.read_vector(target, t, 0), point)
+        if kind == AIM:
+            direction = so3.scale(1.0 / max(so3.norm(miss), _MIN_AIM_DISTANCE), miss)
+            miss = so3.cross((rotation[0][0], rotation[1][0], rotation[2][0]), direction)
+    so3.write_vector(body.miss, 0, miss)
 
 
 @outlined
 def measure_displacement(tree, body, q):
-    """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
-    previous = body.previous
-    kinematics.difference(tree, previous, q, body.displacement)
+    """Write the change (nv,) from the frame before to q, and the bounds of the next step."""
+    kinematics.difference(tree, body.previous, q, body.displacement)
     for k in range(tree.kind.shape[0]):
-        a, v = tree.qadr[k], tree.vadr[k]
+        a = tree.qadr[k]
+        v = tree.vadr[k]
         if tree.kind[k] == FREE:
             for i in range(6):
-                body.low[v + i], body.high[v + i] = -math.inf, math.inf
+                body.low[v + i] = -math.inf
+                body.high[v + i] = math.inf
         else:
-            body.low[v] = max(body.lower[v], previous[a] - body.stride[v]) - q[a]
-            body.high[v] = min(body.upper[v], previous[a] + body.stride[v]) - q[a]
+            body.low[v] = max(body.lower[v], body.previous[a] - body.stride[v]) - q[a]
+            body.high[v] = min(body.upper[v], body.previous[a] + body.stride[v]) - q[a]
 
 
 @outlined
-def quadratic_form(tree, body, q, target, weight, t, posture):
-    """The quadratic form, its gradient and the hard rows at q; returns the number of these and their miss."""
-    matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
-    nv = gradient.shape[0]
+def write_system(tree, body, q, target, weight, t, posture):
+    """Write the quadratic form, its gradient and the hard rows at q."""
+    groups = body.kind.shape[0]
     kinematics.forward(tree, tree.every, q, body.world, body.scratch)
     carry(tree, body)
     measure_displacement(tree, body, q)
-    for i in range(nv):
-        for j in range(i):
-            matrix[i, j] = 0.0
-        matrix[i, i], gradient[i] = _DAMPING, 0.0
-    for k in range(tree.kind.shape[0]):
-        v = tree.vadr[k]
-        if tree.kind[k] != FREE:
-            matrix[v, v] += body.stiffness[v]
-            gradient[v] = body.stiffness[v] * (posture[t, tree.qadr[k]] - q[tree.qadr[k]])
-    count, worst, groups = 0, 0.0, body.kind.shape[0]
+    begin_system(tree, body, q, t, posture)
+    body.hard_count = 0
+    body.hard_miss = 0.0
     for g in range(groups):
-        w = weight[t, g]
-        if not w > 0.0:
+        if not weight[t, g] > 0.0:
             continue
-        what, at = body.kind[g], t * groups + g
-        if what in (CENTER_OF_MASS, MOMENTUM):
-            mass_rows(tree, body, what == MOMENTUM, target, at, g)
+        kind = body.kind[g]
+        at = t * groups + g
+        if kind == CENTER_OF_MASS or kind == MOMENTUM:
+            mass_rows(tree, body, kind == MOMENTUM, target, at, g)
         else:
             kinematics.frame_pose(body.world, body.node[g], body.local, g, body.pose)
-            frame_rows(tree, body, what, target, at, g)
+            frame_rows(tree, body, kind, target, at, g)
         for i in range(3):
             if not body.axes[g] >> i & 1:
                 continue
-            if w == HARD:
-                for v in range(nv):
-                    body.hard[count, v] = row[i, v]
-                body.wanted[count] = miss[i]
-                worst = max(worst, abs(miss[i]))
-                count += 1
-                continue
-            for a in range(nv):
-                x = w * row[i, a]
-                if x != 0.0:
-                    gradient[a] += x * miss[i]
-                    for b in range(a + 1):
-                        matrix[a, b] += x * row[i, b]
-    return count, worst
+            if weight[t, g] == HARD:
+                add_hard_row(body, i)
+            else:
+                add_soft_row(body, i, weight[t, g])
 
 
-@pure
-def cholesky(matrix, n):
-    """L of M = L Lᵀ into the lower triangle of M; the diagonal holds 1 / L[i, i]."""
-    for i in range(n):
+@inlined
+def begin_system(tree, body, q, t, posture):
+    """Write the quadratic form and its gradient of the step itself and of the posture."""
+    matrix = body.matrix
+    for i in range(matrix.shape[0]):
         for j in range(i):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = s * matrix[j, j]
-        s = matrix[i, i]
-        for k in range(i):
-            s -= matrix[i, k] * matrix[i, k]
-        matrix[i, i] = 1.0 / math.sqrt(max(s, 1e-300))
+            matrix[i, j] = 0.0
+        matrix[i, i] = _DAMPING
+        body.gradient[i] = 0.0
+    for k in range(tree.kind.shape[0]):
+        if tree.kind[k] != FREE:
+            a = tree.qadr[k]
+            v = tree.vadr[k]
+            matrix[v, v] += body.stiffness[v]
+            body.gradient[v] = body.stiffness[v] * (posture[t, a] - q[a])
 
 
-@pure
-def substitute(matrix, x, n):
-    """x = L⁻¹ x."""
-    for i in range(n):
-        s = x[i]
-        for k in range(i):
-            s -= matrix[i, k] * x[k]
-        x[i] = s * matrix[i, i]
+@inlined
+def add_hard_row(body, i):
+    """Add row ``i`` of the group to the hard rows."""
+    count = body.hard_count
+    for v in range(body.row.shape[1]):
+        body.hard[count, v] = body.row[i, v]
+    body.wanted[count] = body.miss[i]
+    body.hard_miss = max(body.hard_miss, abs(body.miss[i]))
+    body.hard_count = count + 1
 
 
-@pure
-def substitute_back(matrix, x, n):
-    """x = L⁻ᵀ x."""
-    for i in range(n - 1, -1, -1):
-        x[i] *= matrix[i, i]
-        s = x[i]
-        for k in range(i):
-            x[k] -= matrix[i, k] * s
+@inlined
+def add_soft_row(body, i, weight):
+    """Add row ``i`` of the group to the quadratic form."""
+    row = body.row
+    for u in range(row.shape[1]):
+        entry = weight * row[i, u]
+        if entry != 0.0:
+            body.gradient[u] += entry * body.miss[i]
+            for v in range(u + 1):
+                body.matrix[u, v] += entry * row[i, v]
+
+
+# Steps
 
 
 @outlined
-def solve_held(body, count, slack):
-    """The step with the held joints at their bounds: body.step."""
-    factor, side, step, multiplier = body.factor, body.side, body.step, body.multiplier
-    hard_solved, schur, n = body.hard_solved, body.schur, body.gradient.shape[0]
-    reduced_system(body.matrix, body.gradient, body.low, body.high, side, factor, step)
-    cholesky(factor, n)
+def solve_held(body, slack):
+    """Write the step with the held joints at their bounds to body.step.
+
+    The step is M⁻¹ (g + Jᵀμ) with (J M⁻¹ Jᵀ + slack) μ = e − J M⁻¹ g for the hard rows J dq = e.
+    """
+    step = body.step
+    factor = body.factor
+    multiplier = body.multiplier
+    count = body.hard_count
+    n = step.shape[0]
+    reduced_system(body.matrix, 0.0, body.gradient, body.low, body.high, body.side, factor, step)
+    factorise(factor, body.first, n)
     copy(body.wanted, multiplier)
     for r in range(count):
+        row = body.hard_solved[r]
         for v in range(n):
-            hard_solved[r, v] = body.hard[r, v]
-            if side[v] != 0:
-                multiplier[r] -= hard_solved[r, v] * step[v]
-                hard_solved[r, v] = 0.0
-        substitute(factor, hard_solved[r], n)
-    substitute(factor, step, n)
+            row[v] = body.hard[r, v]
+            if body.side[v] != 0:
+                multiplier[r] -= row[v] * step[v]
+                row[v] = 0.0
+        solve_lower(factor, body.first, row, n)
+    solve_lower(factor, body.first, step, n)
     for r in range(count):
-        for v in range(n):
-            multiplier[r] -= hard_solved[r, v] * step[v]
+        row = body.hard_solved[r]
+        multiplier[r] -= scaled_dot(factor, row, step, n)
         for c in range(r + 1):
-            schur[r, c] = row_dot(hard_solved, r, hard_solved, c)
-    for r in range(count):
-        schur[r, r] += slack
-    cholesky(schur, count)
-    substitute(schur, multiplier, count)
-    substitute_back(schur, multiplier, count)
+            body.schur[r, c] = scaled_dot(factor, row, body.hard_solved[c], n)
+        body.schur[r, r] += slack
+    # A hard row that depends on others has no pivot, and its multiplier is zero.
+    factorise(body.schur, body.first, count)
+    solve_lower(body.schur, body.first, multiplier, count)
+    divide_by_pivots(body.schur, multiplier, count)
+    solve_upper(body.schur, body.first, multiplier, count)
     for r in range(count):
         for v in range(n):
-            step[v] += hard_solved[r, v] * multiplier[r]
-    substitute_back(factor, step, n)
+            step[v] += body.hard_solved[r, v] * multiplier[r]
+    divide_by_pivots(factor, step, n)
+    solve_upper(factor, body.first, step, n)
 
 
 @outlined
-def hold_and_solve(body, count, slack):
-    """body.step, with joints held at the bounds that it would cross; returns its longest part."""
+def hold_and_solve(body, slack):
+    """Write a step to body.step with joints held at the bounds it would cross; return its length.
+
+    The length is that of its largest part.
+    """
     n = body.step.shape[0]
     for v in range(n):
         body.side[v] = 0
     for _ in range(_HOLDS):
-        solve_held(body, count, slack)
-        more = False
+        solve_held(body, slack)
+        held = 0
         for v in range(n):
-            if body.side[v] == 0 and not (body.low[v] - 1e-12 <= body.step[v] <= body.high[v] + 1e-12):
-                body.side[v] = -1 if body.step[v] < body.low[v] else 1
-                more = True
-        if not more:
+            below = body.step[v] < body.low[v] - _BOUND_SLACK
+            if body.side[v] == 0 and (below or not body.step[v] <= body.high[v] + _BOUND_SLACK):
+                body.side[v] = -1 if below else 1
+                held += 1
+        if held == 0:
             break
     longest = 0.0
     for v in range(n):
@@ -351,64 +366,67 @@ def hold_and_solve(body, count, slack):
 
 
 @outlined
-def bounded_step(tree, body, q, count):
-    """One step from q, inside the bounds; returns its longest part."""
-    longest = hold_and_solve(body, count, _SLACK)
+def bounded_step(tree, body, q):
+    """Take one step from q inside the bounds, in place; return the length of its largest part."""
+    longest = hold_and_solve(body, _SLACK)
     n = body.step.shape[0]
-    if longest > _LONGEST:  # soft rows that cannot be met pull far: hard ones hold nevertheless
+    if longest > _LONGEST:  # soft rows that cannot be met pull far; the hard rows still hold
         for v in range(n):
             body.matrix[v, v] += _CAUTIOUS
-        longest = hold_and_solve(body, count, _SLACK)
+        longest = hold_and_solve(body, _SLACK)
     if longest > _LONGEST:
-        longest = hold_and_solve(body, count, _YIELDING)
-    if longest > _LONGEST:
-        for v in range(n):
-            body.step[v] *= _LONGEST / longest
+        longest = hold_and_solve(body, _YIELDING)
+    share = _LONGEST / longest if longest > _LONGEST else 1.0
     for v in range(n):
-        body.step[v] = min(max(body.step[v], body.low[v]), body.high[v])
+        body.step[v] = min(max(share * body.step[v], body.low[v]), body.high[v])
     kinematics.integrate(tree, tree.every, q, body.step)
     return longest
 
 
+@outlined
+def continue_motion(tree, body, q):
+    """Move q, which is the frame before, as far as the body moved in that frame, inside the limits."""
+    for k in range(tree.kind.shape[0]):
+        if tree.kind[k] == HINGE or tree.kind[k] == SLIDE:
+            a = tree.qadr[k]
+            v = tree.vadr[k]
+            position = min(max(q[a] + body.displacement[v], body.lower[v]), body.upper[v])
+            body.displacement[v] = min(max(position - q[a], -body.stride[v]), body.stride[v])
+    kinematics.integrate(tree, tree.every, q, body.displacement)
+
+
 @kernel
-def solve_frames(tree, body, target, weight, posture, q, start, second, steps, rest, close, miss, used):
-    """Solves one frame after the other.
+def solve_frames(address, target, weight, posture, q, start, second, miss, used):
+    """Solve one frame after the other.
 
     Args:
-        tree: Table of a tree of hinges, slides and free joints.
-        body: Table of ``WHOLE_BODY``.
-        target: (frames · groups, 12) position, or rotation as a pose row, of every group in every frame.
+        address: Block of ``WHOLE_BODY``, with a tree of hinges, slides and free joints.
+        target: (frames · groups, 12) position, or rotation as a pose row, of every group in every
+            frame.
         weight: (frames, groups) weights; ``HARD``; 0 leaves a group out.
         posture: (frames, nq).
         q: (frames, nq) result.
         start: (nq,) the frame before the first.
-        second: (nq,) the frame before that, whose motion the first goes on with.
-        steps: Most steps a frame.
-        rest: A step shorter than this (rad, m) was the last …
-        close: … if it leaves no hard row farther off than this.
+        second: (nq,) the frame before that; the first frame continues the motion.
         miss: (frames,) result: largest miss of a hard row (m, rad).
         used: (frames,) result: steps taken.
     """
-    tree = open_tree(tree)
-    body = _open(body)
-    here = q[0]
+    body = open_body(address)
+    tree = body.tree
     copy(second, body.previous)
     measure_displacement(tree, body, start)
     copy(start, body.previous)
     for t in range(q.shape[0]):
-        here = q[t]
-        copy(body.previous, here)
-        for k in range(tree.kind.shape[0]):  # what moved goes on moving
-            if tree.kind[k] in (HINGE, SLIDE):
-                a, v = tree.qadr[k], tree.vadr[k]
-                to = min(max(here[a] + body.displacement[v], body.lower[v]), body.upper[v])
-                body.displacement[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
-        kinematics.integrate(tree, tree.every, here, body.displacement)
+        frame = q[t]
+        copy(body.previous, frame)
+        continue_motion(tree, body, frame)
         longest = math.inf
-        for step in range(steps + 1):
-            count, miss[t] = quadratic_form(tree, body, here, target, weight, t, posture)
+        for step in range(body.max_steps + 1):
+            write_system(tree, body, frame, target, weight, t, posture)
+            miss[t] = body.hard_miss
             used[t] = step
-            if step == steps or (longest < rest and miss[t] < close):
+            at_rest = longest < body.rest and body.hard_miss < body.close
+            if step == body.max_steps or at_rest:
                 break
-            longest = bounded_step(tree, body, here, count)
-        copy(here, body.previous)
+            longest = bounded_step(tree, body, frame)
+        copy(frame, body.previous)

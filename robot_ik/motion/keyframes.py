@@ -226,7 +226,7 @@ class Keyframes:
         s = (t - self._starts[i]) * self._inverse[i]
         third, second, first = self._cubic[i]
         q = self.q[i].copy()
-        kinematics.tree_integrate(self._handle, self._nodes, q, ((third * s + second) * s + first) * s)
+        kinematics.tree_integrate(self._tree_address, self._nodes, q, ((third * s + second) * s + first) * s)
         if rounds and self._base is not None:
             where, stride = self._base
             stride.times(int(rounds)).move(q[where])
@@ -347,7 +347,8 @@ class Keyframes:
     def _fit(self) -> None:
         """The cubic of every segment."""
         tree = self.robot.tree
-        self._handle, self._nodes = tree.handle, np.arange(tree.size)
+        self._tree_address = tree.block.address
+        self._nodes = np.arange(tree.size)
         self._starts = self.times.tolist()
         gaps = np.diff(self.times)
         self._inverse = (1.0 / gaps).tolist()

@@ -1,167 +1,187 @@
-"""The recursive method: the chain is pulled by its end like a chain of rings, or not moved at all.
+"""The recursive method: the chain is pulled by its end like a chain of rings.
 
-From the tip, a bone that cannot reach the goal by rotating is moved there, and its other end becomes the goal
-of the bone before it: on the circle where the spheres of both bones cut, else where the pull drags it.  On
-failure q is, bit for bit, what it was (Aho, Implementation of articulated mechanisms in computer animation,
-University of Helsinki 2000, section 4.3).  ``guard`` is ours; see ``docs/reference/solvers/recursive.md``.
+From the tip, a bone that cannot reach the goal by a rotation is moved there. Its other end becomes
+the goal of the bone before it: on the circle in which the spheres of both bones intersect, else
+where the pull drags it. If the root would have to move, q stays as it was, bit for bit. Aho,
+Implementation of articulated mechanisms in computer animation, University of Helsinki 2000, section
+4.3. A dragged bone stays where the bones before it can follow, which is an addition of this
+library: the published method loses some goals.
 """
-
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from robot_ik.kernels import so3
+from robot_ik.kernels.block import Layout
 from robot_ik.kernels.bones import (
-    chain_path,
+    BONES,
+    clear_step,
     distance,
+    find_path,
     inner_radius,
     link_points,
     locate_all,
     offset,
-    open_bones,
     settle,
-    third_side_angle,
+    triangle_angle,
 )
-from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import perpendicular
-from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
-from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.vectors import dot, length, minus, over, plus, put, scaled, three
-from robot_ik.kernels.workspace import BEST_COST, open_work
-from robot_ik.solvers.legacy_base import option, options_of
-from robot_ik.solvers.families import BoneSolver
+from robot_ik.kernels.jit import kernel, outlined
+from robot_ik.kernels.search import advance, begin, copy, measure, proceed
+from robot_ik.solvers.bone_solver import BoneSolver
+from robot_ik.solvers.iterative import run_layout
+from robot_ik.solvers.options import option, options_layout
 
-# Lengths that agree to this share of the chain are equal.
+# Lengths are equal if they differ by less than this share of the length of the chain.
 _EQUAL = 1e-10
+# The smallest sine that gives a direction across a line.
+_MIN_SINE = 1e-9
 
 
 @dataclass(frozen=True)
 class Recursive(BoneSolver):
-    """One step is one try, kept whole or undone whole."""
+    """Each step is one attempt. It reaches the goal or changes nothing."""
 
-    restarts: int = option(0, "random starts to try from when the first fails", low=0, high=100_000)
-    first_steps: int = option(1, "tries from the start", low=1, high=100_000)
-    try_steps: int = option(1, "tries from a random point", low=1, high=100_000)
-    patience: int = option(1, "tries in vain before a start is given up", low=1, high=1000)
-    guard: bool = option(True, "drag bones only where the bones before them can follow", low=0, high=1)
-    sweeps: int = option(10, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 30))
+    first_steps: int = option(1, "attempts from the start", low=1, high=100_000)
+    random_steps: int = option(1, "attempts from a random point", low=1, high=100_000)
+    patience: int = option(1, "failed attempts that end a descent", low=1, high=1000)
+    sweeps: int = option(
+        10, "sweeps over joints that share an anchor", low=1, high=100, usual=(1, 30)
+    )
 
     name: ClassVar[str] = "recursive"
-    title: ClassVar[str] = "a chain of rings pulled by its end; undone whole where it fails"
+    title: ClassVar[str] = "a chain pulled by its end; undone if it fails"
     source: ClassVar[str] = "Aho, University of Helsinki 2000, section 4.3"
-
-    def kernel(self) -> Callable[..., None]:
-        return recursive
+    default_restarts: ClassVar[int] = 0
 
 
-open_options = options_of(Recursive)
+OPTIONS = options_layout(Recursive)
 
+WORK = Layout(
+    "RecursiveWork",
+    before="floats nq",  # q before the attempt
+    bones=BONES,
+)
 
-@pure
-def intersect_spheres(bones, e, b, p, radius):
-    """Target of ``b`` on the circle of the spheres about that of ``e`` (its bone) and ``p`` (``radius``).
-
-    Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
-    """
-    bone = bones.length[e]
-    far = distance(bones.target, e, bones.now, p)
-    if far > bone + radius or far < abs(bone - radius) or far == 0.0:
-        return False
-    line = over(offset(bones.target, e, bones, p), far)
-    along = (far * far + radius * radius - bone * bone) / (2.0 * far)
-    off = math.sqrt(max(0.0, radius * radius - along * along))
-    here = offset(bones.now, b, bones, p)
-    side = minus(here, scaled(dot(here, line), line))
-    norm = length(side)
-    side = over(side, norm) if norm > 1e-9 * far else perpendicular(line)
-    put(bones.target, b, plus(plus(three(bones.now, p, 0), scaled(along, line)), scaled(off, side)))
-    return True
-
-
-@pure
-def drag_bone(bones, e, b, root, low, high, guard):
-    """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
-    bone, end = bones.length[e], three(bones.target, e, 0)
-    way = minus(three(bones.now, b, 0), end)
-    norm = length(way)
-    way = over(way, norm) if norm > 0.0 else (0.0, 0.0, 1.0)
-    far = distance(bones.now, root, bones.target, e)
-    if guard and far > 0.0 and bone > 0.0:
-        back = over(minus(three(bones.now, root, 0), end), far)
-        along = dot(way, back)
-        side = minus(way, scaled(along, back))
-        sine = length(side)
-        angle = math.atan2(sine, along)
-        allowed = min(max(angle, third_side_angle(bone, far, low)), third_side_angle(bone, far, high))
-        if allowed != angle:
-            side = over(side, sine) if sine > 1e-9 else perpendicular(back)
-            way = plus(scaled(math.cos(allowed), back), scaled(math.sin(allowed), side))
-    put(bones.target, b, plus(end, scaled(bone, way)))
+RUN = run_layout("RecursiveRun", WORK, OPTIONS)
+open_run = RUN.open
 
 
 @outlined
-def pull_chain(tree, goal, bones, guard):
-    """Targets of all points, tip to root; False when the root bone cannot follow."""
-    count = chain_path(tree, bones)
+def intersect_spheres(bones, e, b, p, radius):
+    """Write the target of ``b`` where the spheres of two bones intersect; return if they do.
+
+    One sphere has its centre at the target of ``e`` and the length of its bone as radius. The other
+    has its centre at ``p``. Of their circle this is the point nearest to where ``b`` is.
+    """
+    bone = bones.length[e]
+    line = offset(bones.target, e, bones, p)
+    gap = so3.norm(line)
+    if gap > bone + radius or gap < abs(bone - radius) or gap == 0.0:
+        return False
+    line = so3.scale(1.0 / gap, line)
+    along = (gap * gap + radius * radius - bone * bone) / (2.0 * gap)
+    across = math.sqrt(max(0.0, radius * radius - along * along))
+    point = offset(bones.point, b, bones, p)
+    side = so3.subtract(point, so3.scale(so3.dot(point, line), line))
+    length = so3.norm(side)
+    if length > _MIN_SINE * gap:
+        side = so3.scale(1.0 / length, side)
+    else:
+        side = so3.perpendicular(line)
+    center = so3.add(so3.read_vector(bones.point, p, 0), so3.scale(along, line))
+    so3.write_row(bones.target, b, 0, so3.add(center, so3.scale(across, side)))
+    return True
+
+
+@outlined
+def drag_bone(bones, e, b, root, low, high):
+    """Write the target of ``b``: at the length of its bone from the target of ``e``.
+
+    It is on the way to where ``b`` is, but between ``low`` and ``high`` metres from the root.
+    """
+    bone = bones.length[e]
+    end = so3.read_vector(bones.target, e, 0)
+    direction = so3.subtract(so3.read_vector(bones.point, b, 0), end)
+    length = so3.norm(direction)
+    direction = so3.scale(1.0 / length, direction) if length > 0.0 else (0.0, 0.0, 1.0)
+    gap = distance(bones.target, e, bones, root)
+    if gap > 0.0 and bone > 0.0:
+        back = so3.scale(-1.0 / gap, offset(bones.target, e, bones, root))
+        along = so3.dot(direction, back)
+        side = so3.subtract(direction, so3.scale(along, back))
+        sine = so3.norm(side)
+        angle = math.atan2(sine, along)
+        smallest = triangle_angle(bone, gap, low)
+        largest = triangle_angle(bone, gap, high)
+        allowed = min(max(angle, smallest), largest)
+        if allowed != angle:
+            if sine > _MIN_SINE:
+                side = so3.scale(1.0 / sine, side)
+            else:
+                side = so3.perpendicular(back)
+            direction = so3.add(
+                so3.scale(math.cos(allowed), back), so3.scale(math.sin(allowed), side)
+            )
+    so3.write_row(bones.target, b, 0, so3.add(end, so3.scale(bone, direction)))
+
+
+@outlined
+def pull_chain(tree, search, bones):
+    """Write the targets of all points, tip to root; return if the root can stay."""
+    count = find_path(tree, bones)
     total = 0.0
     for i in range(count):
         c = bones.path[i]
         total += bones.length[c]
-        put(bones.target, c, three(bones.now, c, 0))
-    tip, root = bones.path[count - 1], bones.path[0]
-    put(bones.target, tip, three(goal.target, 0, 0))
+        so3.write_row(bones.target, c, 0, so3.read_vector(bones.point, c, 0))
+    root = bones.path[0]
+    so3.write_row(bones.target, bones.path[count - 1], 0, so3.read_matrix_point(search.target, 0))
     rest = total
     for i in range(count - 1, 0, -1):
-        e, b = bones.path[i], bones.path[i - 1]
-        if abs(distance(bones.target, e, bones.now, b) - bones.length[e]) <= _EQUAL * total:
+        e = bones.path[i]
+        b = bones.path[i - 1]
+        if abs(distance(bones.target, e, bones, b) - bones.length[e]) <= _EQUAL * total:
             return True
         if i == 1:
             return False
         rest -= bones.length[e]
-        if not intersect_spheres(bones, e, b, bones.path[i - 2], bones.length[b]):
-            drag_bone(bones, e, b, root, inner_radius(bones, 1, i), rest, guard)
-        else:
+        if intersect_spheres(bones, e, b, bones.path[i - 2], bones.length[b]):
             return True
+        drag_bone(bones, e, b, root, inner_radius(bones, 1, i), rest)
     return False
 
 
 @outlined
-def recursive_step(tree, goal, work, bones, options):
-    """One try; leaves q at the goal, or as it was and returns False."""
-    copy(work.q, work.accepted)
-    locate_all(tree, goal, work, bones)
-    if pull_chain(tree, goal, bones, options.guard):
-        settle(tree, goal, work, bones, options.sweeps)
-        if measure(tree, goal, work):
+def recursive_step(tree, goals, search, work, options):
+    """Make one attempt; return if q is at the goal. Otherwise q is as it was."""
+    bones = work.bones
+    copy(search.q, work.before)
+    locate_all(tree, goals, search, bones)
+    if pull_chain(tree, search, bones):
+        settle(tree, goals, search, bones, options.sweeps)
+        if measure(tree, goals, search):
             return True
-    copy(work.accepted, work.q)
+    copy(work.before, search.q)
     return False
 
 
 @kernel
-def recursive(tree, goals, work, options, bones):
-    """Runs until ``proceed`` says stop."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
-    options = open_options(options)
-    bones = open_bones(bones)
-    best = np.empty(work.best.shape[0])
-    link_points(tree, goal, work.nodes, bones)
-    work.step[:] = 0.0
-    bones.pull[:] = 0.0
-    begin(tree, goal, work)
-    while proceed(tree, goal, work):
-        copy(work.best, best)
-        best_cost = work.value[BEST_COST]
-        moved = recursive_step(tree, goal, work, bones, options)
-        advance(tree, goal, work)
-        if not moved:
-            # ``advance`` normalises quaternions: a failure must not change a bit.
-            copy(work.accepted, work.q)
-            copy(best, work.best)
-            work.value[BEST_COST] = best_cost
+def solve(address):
+    """Run one solve, or a slice of it."""
+    run = open_run(address)
+    search = run.search
+    bones = run.work.bones
+    begin(run.tree, run.goals, search)
+    link_points(run.tree, run.goals, search, bones)
+    clear_step(search)
+    bones.hinge_pull = 0.0
+    bones.ball_pull = 0.0
+    while proceed(run.tree, run.goals, search):
+        reached = recursive_step(run.tree, run.goals, search, run.work, run.options)
+        advance(run.tree, run.goals, search)
+        if not reached:
+            copy(run.work.before, search.q)  # ``advance`` has normalised quaternions

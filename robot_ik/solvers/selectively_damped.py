@@ -1,119 +1,131 @@
-"""Selectively damped least squares: each singular direction is damped as much as it would swing the joints.
+"""Selectively damped least squares: each singular direction has the damping that its joints need.
 
-Buss & Kim (Selectively damped least squares for inverse kinematics, Journal of Graphics Tools 10(3),
-2005, pages 37-49).  For each singular triple (u_i, σ_i, v_i) of J, with α_i = ⟨e, u_i⟩:
+Buss & Kim (Selectively damped least squares for inverse kinematics, J. Graphics Tools 10(3), 2005,
+pages 37-49). For each singular triple (u_i, σ_i, v_i) of J, with α_i = ⟨e, u_i⟩:
 
     N_i = Σ_ℓ ‖u_{ℓ,i}‖                          motion of the end effectors that is wanted
     M_i = σ_i⁻¹ Σ_ℓ Σ_j |v_{j,i}| ‖∂s_ℓ/∂θ_j‖    bound of the motion that the joints would cause
-    γ_i = min(1, N_i / M_i) γ_max                 largest change allowed to this direction
+    γ_i = min(1, N_i / M_i) γ_max                largest change allowed to this direction
     φ_i = ClampMaxAbs(σ_i⁻¹ α_i v_i, γ_i)
     Δθ  = ClampMaxAbs(Σ φ_i, γ_max)
 """
-
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels import jacobian_step as steps
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.jacobian_step import (
+    SINGULAR,
+    fix_pushed_by_gradient,
+    fix_pushed_by_step,
+    keep_inside,
+    limit,
+    prepare,
+    shorten_in_polish,
+)
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.loop import advance, begin, proceed
-from robot_ik.kernels.residuals import goal_end, open_goals
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.legacy_base import option, options_of
-from robot_ik.solvers.families import JacobianSolver
+from robot_ik.kernels.linalg import BOX_PROBLEM, svd
+from robot_ik.kernels.residuals import rows_end
+from robot_ik.kernels.search import advance, begin, proceed
+from robot_ik.solvers.iterative import GuidedSolver, run_layout
+from robot_ik.solvers.options import option, options_layout
 
 
 @dataclass(frozen=True)
-class SelectivelyDamped(JacobianSolver):
-    """Smooth near singularities and at unreachable targets without a damping to tune."""
+class SelectivelyDamped(GuidedSolver):
+    """Smooth near singularities and at unreachable targets, without a damping to tune."""
 
     max_step: float = option(
-        math.pi / 4, "γ_max: largest change of one joint in a step", low=1e-4, high=1e6, unit="rad",
+        math.pi / 4,
+        "γ_max: largest change of a joint in one step",
+        low=1e-4,
+        high=1e6,
+        unit="rad",
         usual=(0.0, 2.0),
-    )  # fmt: skip
+    )
 
     name: ClassVar[str] = "sdls"
     title: ClassVar[str] = "selectively damped least squares"
     source: ClassVar[str] = "Buss & Kim, Journal of Graphics Tools 10(3), 2005"
 
-    def kernel(self) -> Callable[..., None]:
-        return sdls
 
-
-open_options = options_of(SelectivelyDamped)
+OPTIONS = options_layout(SelectivelyDamped)
+WORK = Layout("SdlsWork", box=BOX_PROBLEM, singular=SINGULAR)
+RUN = run_layout("SdlsRun", WORK, OPTIONS)
+open_run = RUN.open
 
 
 @outlined
-def selective_share(goal, work, i):
-    """N_i / M_i of one singular direction, at most 1; a goal's rows are one end effector."""
-    u, v, jacobian = work.left, work.right, work.jacobian
-    m, n = jacobian.shape
-    wanted, caused = 0.0, 0.0
-    for g in range(goal.row.shape[0]):
-        first, end = goal.row[g], goal_end(goal, g, m)
+def selective_share(goals, box, singular, i):
+    """Return N_i / M_i of one singular direction, at most 1; the rows of a goal are one ℓ."""
+    rows, columns = box.jacobian.shape
+    wanted = 0.0
+    caused = 0.0
+    for g in range(goals.row.shape[0]):
+        first = goals.row[g]
+        end = rows_end(goals, g, rows)
         square = 0.0
         for r in range(first, end):
-            square += u[i, r] * u[i, r]
+            square += singular.left[i, r] * singular.left[i, r]
         wanted += math.sqrt(square)
-        for j in range(n):
+        for j in range(columns):
             square = 0.0
             for r in range(first, end):
-                square += jacobian[r, j] * jacobian[r, j]
-            caused += abs(v[i, j]) * math.sqrt(square)
-    caused /= work.sigma[i]
+                square += box.jacobian[r, j] * box.jacobian[r, j]
+            caused += abs(singular.right[i, j]) * math.sqrt(square)
+    caused /= singular.sigma[i]
     return wanted / caused if caused > wanted else 1.0
 
 
 @outlined
-def selective_step(goal, work, max_step):
-    """work.step = Σ φ_i from the singular vectors of work.jacobian."""
-    u, sigma, v, step = work.left, work.sigma, work.right, work.step
-    n = step.shape[0]
-    for j in range(n):
+def selective_step(goals, box, singular, max_step, step):
+    """Write Σ φ_i to ``step``, from the singular vectors of the Jacobian."""
+    columns = step.shape[0]
+    for j in range(columns):
         step[j] = 0.0
-    for i in range(sigma.shape[0]):
-        if not sigma[i] > 0.0:
+    for i in range(singular.sigma.shape[0]):
+        if not singular.sigma[i] > 0.0:
             continue
         part = 0.0
-        for r in range(work.wanted.shape[0]):
-            part += work.wanted[r] * u[i, r]
-        part /= sigma[i]
+        for r in range(box.residual.shape[0]):
+            part += box.residual[r] * singular.left[i, r]
+        part /= singular.sigma[i]
         largest = 0.0
-        for j in range(n):
-            largest = max(largest, abs(part * v[i, j]))
-        allowed = selective_share(goal, work, i) * max_step
+        for j in range(columns):
+            largest = max(largest, abs(part * singular.right[i, j]))
+        allowed = selective_share(goals, box, singular, i) * max_step
         if largest > allowed:
             part *= allowed / largest
-        for j in range(n):
-            step[j] += part * v[i, j]
+        for j in range(columns):
+            step[j] += part * singular.right[i, j]
 
 
 @outlined
-def sdls_step(tree, goal, work, options):
-    """One step of Buss & Kim; joints that stand at a bound and would leave it are taken out first."""
-    steps.prepare(tree, goal, work, options.clamp, options.alternative)
-    steps.fix_pushed_by_gradient(work)
-    for _ in range(work.step.shape[0] + 1):
-        steps.svd(work.jacobian, work.left, work.sigma, work.right)
-        selective_step(goal, work, options.max_step)
-        if not steps.fix_pushed_by_step(work):
+def sdls_step(tree, goals, search, work, options):
+    """Write a step of Buss & Kim to search.step, without the joints that leave their limits."""
+    box = work.box
+    singular = work.singular
+    prepare(tree, goals, search, box, options.clamp, options.alternative)
+    fix_pushed_by_gradient(search, box)
+    for _ in range(search.step.shape[0] + 1):
+        svd(box.jacobian, singular.left, singular.sigma, singular.right)
+        selective_step(goals, box, singular, options.max_step, search.step)
+        if fix_pushed_by_step(search, box) < 0:
             break
-    steps.keep_inside(work)
-    steps.cap(work, options.gain, options.max_step)
-    steps.shorten(work)
+    keep_inside(box, search.step)
+    limit(search.step, options.gain, options.max_step)
+    shorten_in_polish(search)
 
 
 @kernel
-def sdls(tree, goals, work, options):
-    """Runs until ``proceed`` says stop."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
-    options = open_options(options)
-    begin(tree, goal, work)
-    while proceed(tree, goal, work):
-        sdls_step(tree, goal, work, options)
-        advance(tree, goal, work)
+def solve(address):
+    """Run one solve, or a slice of it."""
+    run = open_run(address)
+    begin(run.tree, run.goals, run.search)
+    while proceed(run.tree, run.goals, run.search):
+        sdls_step(run.tree, run.goals, run.search, run.work, run.options)
+        advance(run.tree, run.goals, run.search)

@@ -147,7 +147,7 @@ def test_copies_own_their_arrays(load_xml):
     expected = robot.forward(q).matrix
     copies = [copy.copy(robot.tree), copy.deepcopy(robot.tree), pickle.loads(pickle.dumps(robot.tree))]
     deep = copy.deepcopy(robot)
-    assert len({int(tree.handle[0, 0]) for tree in [*copies, robot.tree, deep.tree]}) == 5
+    assert len({tree.block.address for tree in [*copies, robot.tree, deep.tree]}) == 5
     del robot, copies
     gc.collect()
     rubbish = [np.full(64, 7.0) for _ in range(1000)]

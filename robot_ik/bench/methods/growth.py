@@ -18,7 +18,7 @@ from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
-from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.tree import open_tree_block
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
@@ -40,7 +40,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 @kernel
 def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
     """Forward kinematics of one frame for each row of ``qs`` (n, nq)."""
-    tree = open_tree(tree)
+    tree = open_tree_block(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]
@@ -51,7 +51,7 @@ def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
 @kernel
 def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian):
     """Forward kinematics and Jacobian of one frame for each row of ``qs`` (n, nq)."""
-    tree = open_tree(tree)
+    tree = open_tree_block(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]
@@ -66,7 +66,7 @@ def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
     node, local = robot.attachment()
     nodes = np.array(robot.tree.ancestors(node), dtype=np.int64)
     world, scratch, out = np.empty((robot.tree.size, 12)), np.empty((2, 12)), np.empty((1, 12))
-    common = (robot.tree.handle, nodes, node, local[None, :], qs, np.empty(robot.nq), world, scratch, out)
+    common = (robot.tree.block.address, nodes, node, local[None, :], qs, np.empty(robot.nq), world, scratch, out)
     jacobian = np.empty((6, robot.nv))
     forward_us = round(_best(lambda: loop_forward(*common)) / _LOOP, 4)
     jacobian_us = round(_best(lambda: loop_jacobian(*common, jacobian)) / _LOOP, 4)

@@ -1,0 +1,158 @@
+"""Measures one installed robot_ik; ``compare.py`` runs it in two environments.
+
+    python worker.py counts ROBOT METHOD GOALS
+    python worker.py times ROBOT METHOD
+    python worker.py batch ROBOT METHOD
+    python worker.py compile ROBOT METHOD
+
+Prints one line of JSON. It knows the calls of both designs: the solver that takes a problem, and the
+problem that owns its solver.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import robot_ik as rik
+
+# Seeds of the cold poses and of the path.
+_COLD_SEED = 20
+_PATH_SEED = 7
+# Poses of one timed round, and joint step between two ticks of the path, rad.
+_TIMED_POSES = 200
+_TICK = 0.01
+_BATCH_POSES = 20_000
+# Solves of a count may take this many steps.
+_COUNT_ITERATIONS = 3000
+
+_OWNS_SOLVER = "solver" in inspect.signature(rik.Problem.__init__).parameters
+# Methods that take positions only.
+_POSITION_ONLY = ("fabrik", "triangulation", "recursive")
+
+Solve = Callable[[Any, Any], Any]
+
+
+def prepared(robot: Any, goal: Any, method: str, **options: Any) -> Solve:
+    """Return ``solve(start, target)`` of a problem that is built once."""
+    if _OWNS_SOLVER:
+        problem = rik.Problem(robot, goal, solver=method, **options)
+        return lambda start, target: problem.solve(start, target=target)
+    problem = rik.Problem(robot, goal, **options)
+    solver = rik.make_solver(method)
+
+    def solve(start: Any, target: Any) -> Any:
+        problem.retarget(target)
+        return solver.solve(problem, start)
+
+    return solve
+
+
+def poses(robot: Any, count: int, seed: int = _COLD_SEED) -> list[Any]:
+    """Return reachable poses (4, 4) of the tool."""
+    rng = np.random.default_rng(seed)
+    return [robot.forward(robot.sample(rng)).matrix for _ in range(count)]
+
+
+def goal_for(method: str) -> Any:
+    """Return a goal of the kind that the method takes."""
+    if method in _POSITION_ONLY:
+        return rik.PositionGoal(None, (0.0, 0.0, 0.0))
+    return rik.PoseGoal(None, (0.0, 0.0, 0.0))
+
+
+def counts(robot: Any, method: str, number: int) -> dict[str, Any]:
+    """Return sums over seeded goals, each solved from home."""
+    solve = prepared(robot, goal_for(method), method, budget=rik.Budget(iterations=_COUNT_ITERATIONS))
+    totals = {"converged": 0, "iterations": 0, "restarts": 0}
+    for pose in poses(robot, number):
+        target = pose[:3, 3] if method in _POSITION_ONLY else pose
+        solution = solve(robot.home, target)
+        totals["converged"] += int(solution.converged)
+        totals["iterations"] += solution.iterations
+        totals["restarts"] += solution.restarts
+    return totals
+
+
+def times(robot: Any, method: str) -> dict[str, float]:
+    """Return medians in microseconds: warm ``rik.solve``, prepared loop, tracking."""
+    cold = poses(robot, _TIMED_POSES)
+    goals = [rik.PoseGoal.at(None, rik.Pose.from_matrix(pose)) for pose in cold]
+    solve = prepared(robot, rik.PoseGoal(None, (0.0, 0.0, 0.0)), method)
+    rng = np.random.default_rng(_PATH_SEED)
+    q = robot.home.copy()
+    direction = rng.uniform(-1.0, 1.0, robot.nv)
+    path = []
+    for tick in range(_TIMED_POSES):
+        step = _TICK * np.cos(0.05 * tick) * direction
+        q = robot.clip(robot.integrate(q, step))
+        path.append(robot.forward(q).matrix)
+
+    def warm() -> list[float]:
+        taken = []
+        for goal in goals:
+            began = time.perf_counter()
+            rik.solve(robot, goal, solver=method)
+            taken.append(time.perf_counter() - began)
+        return taken
+
+    def loop() -> list[float]:
+        taken = []
+        for pose in cold:
+            began = time.perf_counter()
+            solve(robot.home, pose)
+            taken.append(time.perf_counter() - began)
+        return taken
+
+    def tracking() -> list[float]:
+        taken = []
+        last = robot.home
+        for pose in path:
+            began = time.perf_counter()
+            last = solve(last, pose).q
+            taken.append(time.perf_counter() - began)
+        return taken
+
+    results = {}
+    for name, run in (("warm", warm), ("loop", loop), ("tracking", tracking)):
+        run()
+        results[name] = 1e6 * min(statistics.median(run()) for _ in range(5))
+    return results
+
+
+def batch(robot: Any, method: str) -> dict[str, float]:
+    """Return microseconds a pose of a batch on one thread."""
+    targets = np.array(poses(robot, 500))[np.arange(_BATCH_POSES) % 500]
+    rik.solve_batch(robot, targets[:100], solver=method, threads=1)
+    best = min(
+        rik.solve_batch(robot, targets, solver=method, threads=1).seconds for _ in range(3)
+    )
+    return {"pose": 1e6 * best / _BATCH_POSES}
+
+
+def first_compile(robot: Any, method: str) -> dict[str, float]:
+    """Return CPU seconds of the first solve of a process."""
+    began = time.process_time()
+    rik.solve(robot, rik.PoseGoal.at(None, robot.forward(robot.home)), solver=method)
+    return {"seconds": time.process_time() - began}
+
+
+def main() -> None:
+    what, name, method, *rest = sys.argv[1:]
+    robot = rik.load_robot(name)
+    if what == "counts":
+        results: dict[str, Any] = counts(robot, method, int(rest[0]))
+    else:
+        results = {"times": times, "batch": batch, "compile": first_compile}[what](robot, method)
+    print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main()

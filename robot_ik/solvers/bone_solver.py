@@ -1,0 +1,51 @@
+"""``BoneSolver``: methods that give targets to joints as points (``kernels/bones.py``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_ik.goals import Goal, PositionGoal
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.solvers.iterative import IterativeSolver
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem
+
+_KIND_NAMES = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
+
+
+@dataclass(frozen=True)
+class BoneSolver(IterativeSolver):
+    """A method that moves points and lets the joints follow.
+
+    Class attributes:
+        joint_kinds: Kinds of joints that it can turn into bones.
+        several_goals: Whether it supports several goals at once.
+    """
+
+    goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal,)
+    joint_kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
+    several_goals: ClassVar[bool] = False
+    # A pass has no length that could be shortened: after an undo it would be the same pass.
+    checks_steps: ClassVar[bool] = True
+
+    def unsupported(self, problem: Problem) -> str:
+        if unsupported := super().unsupported(problem):
+            return unsupported
+        if len(problem.given) > 1 and not self.several_goals:
+            return "several goals at once"
+        for goal in problem.given:
+            position_weight, angle_weight = goal.weights
+            if position_weight <= 0.0 < angle_weight:
+                return f"{goal.with_article} without weight on its position"
+        return self._unsupported_joint(problem)
+
+    def _unsupported_joint(self, problem: Problem) -> str:
+        """Return the first joint that this method cannot move; "" if there is none."""
+        robot = problem.robot
+        for k in problem.compiled.block.arrays["nodes"].tolist():
+            kind = int(robot.tree.kind[k])
+            if kind not in self.joint_kinds:
+                return f"the {_KIND_NAMES[kind]} joint {robot.joints[k]!r}"
+        return ""
