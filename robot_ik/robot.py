@@ -75,7 +75,7 @@ class Robot:
             object.__setattr__(self, name, array)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key != "memory"}
+        return {key: value for key, value in self.__dict__.items() if key != "_thread_data"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -89,9 +89,9 @@ class Robot:
         )
 
     @cached_property
-    def memory(self) -> dict[str, Any]:
-        """What others worked out for this robot and keep with it; copies begin without."""
-        return {}
+    def _thread_data(self) -> threading.local:
+        """MuJoCo's data of each thread; copies begin without."""
+        return threading.local()
 
     @property
     def lower(self) -> Array:
@@ -182,10 +182,10 @@ class Robot:
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
         """MuJoCo's data with all bodies where they are at ``q``, good until this thread's next call."""
-        own = self.memory.setdefault("kinematics", threading.local())
-        data = getattr(own, "data", None)
+        data = getattr(self._thread_data, "data", None)
         if data is None:
-            data = own.data = mujoco.MjData(self.model)
+            data = mujoco.MjData(self.model)
+            self._thread_data.data = data
         data.qpos[:] = self.qpos(q)
         mujoco.mj_kinematics(self.model, data)
         return data

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import PostureGoal
+from robot_ik.goals import PostureGoal
 from robot_ik.errors import (
     ConfigError,
     ModelError,
