@@ -92,7 +92,7 @@ class Robot:
             object.__setattr__(self, name, array)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key != "_thread"}
+        return {key: value for key, value in self.__dict__.items() if key != "_thread_data"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -225,10 +225,10 @@ class Robot:
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
         """Return MuJoCo's data with all bodies at ``q``, valid until the next call of this thread."""
-        data = getattr(self._thread, "data", None)
+        data = getattr(self._thread_data, "data", None)
         if data is None:
             data = mujoco.MjData(self.model)
-            self._thread.data = data
+            self._thread_data.data = data
         data.qpos[:] = self.qpos(q)
         mujoco.mj_kinematics(self.model, data)
         return data
@@ -372,7 +372,7 @@ class Robot:
         return mjcf.qpos_addresses(self.model, self.tree)
 
     @cached_property
-    def _thread(self) -> threading.local:
+    def _thread_data(self) -> threading.local:
         """MuJoCo's data of each thread. Not pickled and not copied."""
         return threading.local()
 
