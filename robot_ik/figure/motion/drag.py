@@ -262,7 +262,7 @@ class Drag:
 
 
 def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:
-    """The first frame on each body: its name, and its pose in the body."""
+    """Return the name of the first frame on each body, and its pose in the body."""
     frames: dict[int, tuple[str, Pose]] = {}
     for name in robot.frames:
         frame = robot.frame(name)
