@@ -8,11 +8,22 @@ from functools import partial
 import numpy as np
 import pytest
 
-from robot_ik.goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    GOALS,
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PosePriorGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 
 QUARTER = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
 

@@ -7,10 +7,21 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from robot_ik.goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    GOALS,
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PosePriorGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
@@ -78,8 +89,8 @@ def test_the_cost_never_rises_within_a_try(robot_name, position, robots, reachab
     robot = robots(robot_name)
     goal = PoseGoal(None, position, (0.5, 0.5, -0.5, 0.5))
     for start in reachable(robot, 5):
-        problem = Problem(robot, goal, trace=True, budget=Budget(restarts=6))
-        solution = Minimization().solve(problem, start)
+        problem = Problem(robot, goal, trace=True, budget=Budget(restarts=6), solver=Minimization())
+        solution = problem.solve(start)
         assert not solution.converged and solution.restarts == 6
         for restart, rows in itertools.groupby(solution.trace, key=lambda row: row.restart):
             if restart == 6:  # after the last try comes one from the best point
@@ -125,8 +136,8 @@ def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_mo
             ]
             goals.append(OrientationGoal(None, pose.wxyz, weight=0.5))
         near = robot.clip(there + 0.3 * (start - there))
-        problem = Problem(robot, goals, budget=ONE_TRY, tolerance=FINE)
-        q = Minimization().solve(problem, near).q
+        problem = Problem(robot, goals, budget=ONE_TRY, tolerance=FINE, solver=Minimization())
+        q = problem.solve(near).q
         cost = half_square(problem, q)
         assert scipys_least(problem, linear_model, q) >= cost - 1e-8 * (1 + cost)  # nothing is left to win
         same += abs(scipys_least(problem, linear_model, near) - cost) <= 1e-6 * cost
@@ -143,8 +154,8 @@ def test_on_the_edge_of_a_balls_cone_nothing_is_left_to_win_either(position, rob
     ranges = [(-0.5, 0.5), (0.0, 0.6), (-2.0, 2.0), (-2.0, 2.0), (-2.0, 2.0), (-2.2, 2.2), (-9.0, 9.0)]
     cone = {"type": "ineq", "fun": lambda x: CONE**2 - x[2:5] @ x[2:5]}
     for start in reachable(robot, 3, 40):
-        problem = Problem(robot, PositionGoal(None, position), budget=ONE_TRY)
-        q = Minimization().solve(problem, start).q
+        problem = Problem(robot, PositionGoal(None, position), budget=ONE_TRY, solver=Minimization())
+        q = problem.solve(start).q
 
         def cost(x, problem=problem):
             return half_square(problem, robot.integrate(rest, np.append(x, 0.0)))
@@ -184,10 +195,10 @@ def test_linear_equalities_hold_at_every_step(tmp_path):
     rng = np.random.default_rng(1)
     for _ in range(3):
         start, there = robot.sample(rng), robot.sample(rng)
-        problem = Problem(robot, PositionGoal(None, 1.3 * robot.forward(there).position), tolerance=FINE)
+        problem = Problem(robot, PositionGoal(None, 1.3 * robot.forward(there).position), tolerance=FINE, solver=Minimization())
         for steps in range(1, 15):
             problem.budget = Budget(iterations=steps, restarts=0)
-            Minimization().solve(problem, start)
+            problem.solve(start)
             data.qpos[:] = robot.qpos(problem.arrays["q"])
             mujoco.mj_forward(robot.model, data)
             assert np.abs(data.efc_pos[: data.ne]).max() < 1e-12 and not robot.outside(problem.arrays["q"])
@@ -200,11 +211,11 @@ def test_limits_hold_at_every_step_and_joints_at_them_do_not_hold_the_others_bac
     robot, held, released = robots(robot_name), 0, 0
     for start, there in zip(reachable(robot, 9, 50), reachable(robot, 9, 51), strict=True):
         pose = robot.forward(there)
-        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=FINE)
+        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=FINE, solver=Minimization())
         before = np.zeros(len(problem.dofs), dtype=bool)
         for steps in range(1, 20):
             problem.budget = Budget(iterations=steps, restarts=0)
-            Minimization().solve(problem, start)
+            problem.solve(start)
             q, arrays = problem.arrays["q"], problem.arrays
             np.testing.assert_allclose(robot.clip(q), q, atol=1e-14)
             sides = arrays["side"][: len(problem.dofs)] != 0
@@ -265,10 +276,10 @@ def test_cold_poses_are_met_to_a_micrometre(kind, robots, reachable):
     robot = robots("puma560")
     poses = [robot.forward(q) for q in reachable(robot, 200, 60)]
     goal = PoseGoal.at(None, poses[0]) if kind == "pose" else PositionGoal(None, poses[0].position)
-    problem, solver = Problem(robot, goal, tolerance=FINE), make_solver("bfgs")
+    problem, solver = Problem(robot, goal, tolerance=FINE, solver="bfgs"), make_solver("bfgs")
     for pose in poses:
         problem.retarget(pose if kind == "pose" else pose.position)
-        assert solver.solve(problem).converged
+        assert problem.solve().converged
 
 
 def test_priorities_are_refused_by_name(robots):

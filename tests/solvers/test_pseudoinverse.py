@@ -90,11 +90,11 @@ def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
     here = robot.forward(start).position
     far = {}
     for name in ("none", aim):
-        problem = Problem(robot, PositionGoal(None, here))
+        problem = Problem(robot, PositionGoal(None, here), solver=Pseudoinverse(aim=name, restarts=0))
         q = start
         for tick in range(201):
             problem.retarget(here + np.array([0.03 * np.sin(tick * np.pi / 10), 0, 0]))
-            solution = Pseudoinverse(aim=name, restarts=0).solve(problem, q)
+            solution = problem.solve(q)
             assert solution.converged
             assert np.abs(solution.q - q).max() < 0.1
             q = solution.q
@@ -175,9 +175,8 @@ def test_halving_ends_and_never_leads_up(robots):
     """Out of reach no step lands for long: bounded halvings, and what leads up is undone."""
     robot = robots("planar")
     problem = Problem(
-        robot, PositionGoal(None, (1.4, 1.0, 0)), trace=True, budget=Budget(iterations=300, restarts=2)
-    )
-    solution = Pseudoinverse(halvings=4, landing=1e-3).solve(problem, np.array([0.1, 1.2, -0.4]))
+        robot, PositionGoal(None, (1.4, 1.0, 0)), trace=True, budget=Budget(iterations=300, restarts=2), solver=Pseudoinverse(halvings=4, landing=1e-3))
+    solution = problem.solve(np.array([0.1, 1.2, -0.4]))
     assert not solution.converged
     first = [row.cost for row in solution.trace if row.restart == 0]
     assert len(first) > 5
