@@ -3,9 +3,10 @@
 import numpy as np
 from numba import njit
 
-from robot_ik.kernels.loop import draw
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import SEED, STATE_SIZE
+from robot_ik.goals import PostureGoal
+from robot_ik.kernels.search import draw
+from robot_ik.problem import Problem
+from tests.residual_rows import RUN, open_run
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
@@ -18,18 +19,28 @@ MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 
 
 @njit
-def draw_many(tree, nodes, start, state, out):
+def draw_many(address, out):
+    run = open_run(address)
     for i in range(out.shape[0]):
-        draw(open_tree(tree), nodes, start, state, out[i])
+        draw(run.tree, run.goals, run.search)
+        out[i] = run.search.q
 
 
-def starts(robot, seed, count=2000, nodes=None):
-    state = np.zeros(STATE_SIZE, dtype=np.int64)
-    state[SEED] = seed
+def starts(robot, seed, count=2000, joints=None):
+    goal = PostureGoal(q=robot.home, joints=dict.fromkeys(joints or robot.joints, 1.0), only=True)
+    problem = Problem(robot, goal, solver="lm")
     start = np.zeros(robot.nq)
     start[-7:] = [1, 2, 3, 1, 0, 0, 0]
+    problem.search["random_state"] = seed
+    problem.search.arrays["start"][:] = start
+    problem.search.arrays["q"][:] = start
+    blocks = {
+        "tree": robot.tree.block,
+        "goals": problem.compiled.block,
+        "search": problem.search,
+    }
     out = np.tile(start, (count, 1))
-    draw_many(robot.tree.handle, robot.tree.every if nodes is None else nodes, start, state, out)
+    draw_many(RUN.allocate(given=blocks).address, out)
     return out
 
 
@@ -63,6 +74,6 @@ def test_the_same_seed_gives_the_same_bits_and_others_do_not(load_xml):
 
 def test_joints_that_do_not_matter_are_left_alone(load_xml):
     robot = load_xml(MIXED)
-    out = starts(robot, 3, 20, nodes=np.array([0, 2]))
+    out = starts(robot, 3, 20, joints=("hinge", "ball"))
     assert not out[:, [1, 6, 7]].any() and np.array_equal(out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1)))
     assert out[:, 0].std() > 0 and out[:, 3].std() > 0
