@@ -36,7 +36,7 @@ def still(robot):
 
 
 def follow(robot, **options):
-    return rik.follow(None, robot, "lm", [Sink()], start=robot.home, **options)
+    return rik.follow(robot, None, sinks=[Sink()], solver="lm", start=robot.home, **options)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from robot_ik.robot import load_robot
 def run(puma, goals, **options):
     recorder = RecorderSink(puma.joints)
     options = {"clock": VirtualClock(), "start": puma.home, "duration": 1.0} | options
-    report = follow(goals, puma, options.pop("solver", "lm"), [recorder], **options)
+    report = follow(puma, goals, sinks=[recorder], solver=options.pop("solver", "lm"), **options)
     return report, recorder.trajectory()
 
 
@@ -152,7 +152,7 @@ def test_it_starts_where_the_arm_is_unclipped(puma):
     outside[0] = puma.upper[0] + 0.05
     arm, seen = Mirror(clock, outside), []
     goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
-    follow(goal, puma, "lm", [arm], clock=clock, source=arm, duration=0.1, on_tick=seen.append)
+    follow(puma, goal, sinks=[arm], solver="lm", clock=clock, source=arm, duration=0.1, on_tick=seen.append)
     first = seen[0].q - outside
     assert (np.abs(first) <= puma.velocity_limits / 100.0 * (1 + 1e-9)).all() and first[0] < 0.0
 
@@ -161,7 +161,7 @@ def test_tracking_error_is_that_of_the_source(puma):
     clock = VirtualClock()
     arm = Mirror(clock, puma.home, away=0.003)
     goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
-    report = follow(goal, puma, "lm", [arm], clock=clock, source=arm, start=puma.home, duration=0.2)
+    report = follow(puma, goal, sinks=[arm], solver="lm", clock=clock, source=arm, start=puma.home, duration=0.2)
     np.testing.assert_allclose(report.tracking_error, 0.003, atol=1e-12)
 
 
@@ -173,7 +173,7 @@ def test_a_stall_is_counted_and_not_caught_up(puma):
             clock.sleep_until(clock.now() + 0.1)
 
     goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
-    report = follow(goal, puma, "lm", [recorder], clock=clock, start=puma.home, duration=1.0, on_tick=stall)
+    report = follow(puma, goal, sinks=[recorder], solver="lm", clock=clock, start=puma.home, duration=1.0, on_tick=stall)
     assert report.overruns == 2
     assert (
         report.ticks == 100
@@ -192,7 +192,7 @@ def test_an_interrupt_propagates_and_nothing_more_is_sent(puma):
 
     options = {"clock": VirtualClock(), "start": puma.home, "on_tick": interrupt}
     with pytest.raises(KeyboardInterrupt):
-        follow(ManualSource(), puma, "lm", [recorder], **options)
+        follow(puma, ManualSource(), sinks=[recorder], solver="lm", **options)
     assert len(recorder) == 10
 
 
@@ -209,7 +209,7 @@ def test_no_sink_can_bend_the_command(puma):
     goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     for source, sink in ((ManualSource(), Bender()), (goal, LateBender())):
         with pytest.raises(ValueError, match="read-only"):
-            follow(source, puma, "lm", [sink], clock=VirtualClock(), start=puma.home, duration=1.0)
+            follow(puma, source, sinks=[sink], solver="lm", clock=VirtualClock(), start=puma.home, duration=1.0)
 
 
 def test_it_stays_on_the_branch_where_the_arm_is(puma):
@@ -238,7 +238,7 @@ def test_malformed_options_are_refused_before_anything_is_sent(puma, options):
     recorder = RecorderSink(puma.joints)
     with pytest.raises(TrajectoryError):
         follow(
-            ManualSource(), puma, "lm", [recorder],
+            puma, ManualSource(), sinks=[recorder], solver="lm",
             **({"clock": VirtualClock(), "start": puma.home, "duration": 1.0} | options),
         )  # fmt: skip
     assert len(recorder) == 0

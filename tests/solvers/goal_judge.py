@@ -156,5 +156,5 @@ def cost(problem, q):
     for goal in problem.goals:
         metres, radians = measured(problem.robot, q, goal)
         a, b = goal.weights
-        total += 0.5 * ((a * metres / problem.length(goal)) ** 2 + (b * radians) ** 2)
+        total += 0.5 * ((a * metres / length_scale(problem.robot, goal)) ** 2 + (b * radians) ** 2)
     return total

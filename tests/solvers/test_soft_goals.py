@@ -65,7 +65,7 @@ def long_minimisation(figure, path):
     goals = whole_body(figure, path[0], (0, 0, 0, 0), {"weight": 1e-3})
     budget = Budget(iterations=400, restarts=0)
     problem = Problem(figure, goals, tolerance=Tolerance(1e-12, 1e-12), budget=budget, solver="lm")
-    solver, q = make_solver("lm"), figure.home
+    _solver, q = make_solver("lm"), figure.home
     for ball in path:
         problem.retarget(ball, 3)
         problem.retarget(ball, 4)
@@ -85,7 +85,7 @@ def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_u
     priorities, posture = FORMS[form]
     path = ball_path(figure)
     problem = Problem(figure, whole_body(figure, path[0], priorities, posture | {"soft": True}), solver="auto")
-    solver, q, near = make_solver("auto"), figure.home, []
+    _solver, q, near = make_solver("auto"), figure.home, []
     for ball, best in zip(path, least_unease, strict=True):
         problem.retarget(ball, 3)
         problem.retarget(ball, 4)
@@ -161,7 +161,7 @@ def test_tracking_a_soft_posture_comes_to_rest(figure):
     ball = ball_path(figure)[0]
     for priorities, posture in FORMS.values():
         problem = Problem(figure, whole_body(figure, ball, priorities, posture | {"soft": True}), solver="lm")
-        solver, q, steps = make_solver("lm"), figure.home, []
+        _solver, q, steps = make_solver("lm"), figure.home, []
         for _ in range(20):
             found = problem.solve(q)
             steps.append(float(np.abs(found.q - q).max()))
