@@ -81,7 +81,12 @@ def robots() -> dict[str, Any]:
 # Method, options, robots and kinds of goals.
 CASES = (
     ("ccd", {}, "puma560 seven_segment chain5 cones tree", "position orientation pose far"),
-    ("ccd", {"axis": "free"}, "puma560 seven_segment chain5 cones tree", "position orientation pose"),
+    (
+        "ccd",
+        {"axis": "free"},
+        "puma560 seven_segment chain5 cones tree",
+        "position orientation pose",
+    ),
     ("ccd", {}, "two_arms", "two half"),
     ("fabrik", {}, "puma560 seven_segment chain2 chain5 cones tree", "position pose far line"),
     ("fabrik", {"pull": 0.5, "sweeps": 1}, "puma560 tree", "position"),
@@ -100,7 +105,10 @@ def goals_of(robot: Any, kind: str) -> Iterator[tuple[Any, Any]]:
         q = robot.sample(rng)
         start = robot.home if row % 2 else robot.sample(rng)
         if kind in ("two", "half"):
-            sides = [rik.PositionGoal(name, robot.forward(q, name).position) for name in ("left", "right")]
+            sides = [
+                rik.PositionGoal(name, robot.forward(q, name).position)
+                for name in ("left", "right")
+            ]
             if kind == "half":  # one goal beyond all links laid end to end
                 sides[1] = rik.PositionGoal("right", (0.0, -4.0, 1.0))
             yield sides, start
@@ -170,6 +178,7 @@ def first_compile(name: str) -> None:
 
 
 def main() -> None:
+    """Run the script."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="one method")
     parser.add_argument("--compile", default="", metavar="NAME", help="time the first compile")

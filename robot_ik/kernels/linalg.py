@@ -75,7 +75,6 @@ def eliminate(matrix, x, n):
     return True
 
 
-@inlined
 # Factors that are used for several right-hand sides: M = L D Lᵀ.
 
 
