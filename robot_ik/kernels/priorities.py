@@ -35,6 +35,7 @@ from numba import types
 
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import inlined, kernel, outlined
+from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import (
     divide_by_pivots,
     eliminate,
@@ -45,7 +46,7 @@ from robot_ik.kernels.linalg import (
     solve_upper,
 )
 from robot_ik.kernels.pose_prior import PRIOR_WORK, prior_jacobian, prior_residual
-from robot_ik.kernels.residual_rows import GOALS, goal_jacobian, rows_end
+from robot_ik.kernels.residuals import GOALS, goal_jacobian, rows_end
 from robot_ik.kernels.search import (
     BLOCKED,
     CONVERGED,
@@ -73,8 +74,7 @@ from robot_ik.kernels.search import (
     put_start,
     step_bounds,
 )
-from robot_ik.kernels.kinematics import follow
-from robot_ik.kernels.tree import TREE_BLOCK
+from robot_ik.kernels.tree import TREE
 
 # More values of search.phase.
 TOGETHER = 3
@@ -157,7 +157,7 @@ WORK = Layout(
     prior=PRIOR_WORK,
 )
 
-RUN = Layout("LevelRun", tree=TREE_BLOCK, goals=GOALS, search=SEARCH, work=WORK, options=OPTIONS)
+RUN = Layout("LevelRun", tree=TREE, goals=GOALS, search=SEARCH, work=WORK, options=OPTIONS)
 open_run = RUN.open
 
 
