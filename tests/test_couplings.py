@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import PostureGoal
+from robot_ik.goals import PostureGoal
 from robot_ik.errors import (
     ConfigError,
     ModelError,
@@ -87,8 +87,8 @@ def test_the_jacobian_carries_the_followers(tmp_path, law):
             step = np.zeros(robot.nv)
             step[v] = 1e-6
             forward, backward = (
-                robot.follow(robot.integrate(q, step)),
-                robot.follow(robot.integrate(q, -step)),
+                robot.apply_couplings(robot.integrate(q, step)),
+                robot.apply_couplings(robot.integrate(q, -step)),
             )
             slope = (at(backward)[0] - at(forward)[0]) / 2e-6
             np.testing.assert_allclose(jacobian[:, u], slope, atol=1e-7)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.body_goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal
+from robot_ik.goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
+from robot_ik.goals import AimGoal
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, axis_vector
 from robot_ik.kernels.jit import kernel

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal, PlaneGoal
+from robot_ik.goals import CenterOfMassGoal, PostureGoal
+from robot_ik.goals import AimGoal, PlaneGoal
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve

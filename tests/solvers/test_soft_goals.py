@@ -6,8 +6,8 @@ import pickle
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal
+from robot_ik.goals import CenterOfMassGoal, PostureGoal
+from robot_ik.goals import AimGoal
 from robot_ik.errors import InvalidGoalError, UnsupportedGoalError
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
