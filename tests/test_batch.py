@@ -22,19 +22,18 @@ def poses_of(robot, count, seed=1):
 
 @pytest.mark.parametrize("name", ["auto", "lm", "dls", "analytic"])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_a_batch_gives_the_same_answers_as_single_solves(puma, name, threads, monkeypatch):
-    monkeypatch.setattr("robot_ik.batch._LEAST_PER_THREAD", 5)
-    poses = poses_of(puma, 24)
+def test_a_batch_gives_the_same_answers_as_single_solves(puma, name, threads):
+    poses = poses_of(puma, 800)  # enough for three threads
     matrices = np.array([pose.matrix for pose in poses])
     matrices[3, :3, 3] = 3.0  # out of reach
     rng = np.random.default_rng(2)
     starts = np.array([puma.sample(rng) for _ in poses])
     batch = rik.solve_batch(puma, matrices, starts=starts, solver=name, threads=threads)
-    assert len(batch) == 24
-    assert batch.converged.sum() == 23
+    assert len(batch) == 800
+    assert batch.converged.sum() >= 790
     assert batch.status[3] == Status.UNREACHABLE
     problem = Problem(puma, PoseGoal.at(None, poses[0]), solver=name)
-    for row in range(24):
+    for row in [3, *range(0, 800, 40)]:
         alone = problem.solve(starts[row], target=matrices[row])
         assert batch.status[row] == alone.status
         # Two compiled versions of one source may differ in the last bits.

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.errors import ConfigError, UnknownSolverError
+from robot_ik.errors import OptionError, UnknownSolverError
 from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import FEATURES, Prepared, Solver
@@ -42,11 +42,11 @@ class Combined(Solver):
         super().__post_init__()
         names = self.methods.split()
         if not names or any(name in _SEQUENCES for name in names):
-            raise ConfigError(
+            raise OptionError(
+                "methods",
                 f"{self.methods!r} is not allowed",
-                file=f"solver {self.name}",
-                key="methods",
-                allowed="names of single methods, separated by spaces",
+                "names of single methods, separated by spaces",
+                owner=f"solver {self.name}",
             )
         for name in names:
             if name not in SOLVERS:

@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from robot_ik.chain import make_chain
-from robot_ik.errors import ConfigError
+from robot_ik.errors import OptionError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
@@ -157,5 +157,5 @@ def test_orientations_and_poses_rotate_free_bones_too(axis):
 
 def test_an_unknown_axis_is_refused(robots):
     goal = PositionGoal(None, (0.4, 0.0, 0.8))
-    with pytest.raises(ConfigError, match=r"axis.*joint, free"):
+    with pytest.raises(OptionError, match=r"axis.*joint, free"):
         Problem(robots("puma560"), goal, solver="ccd", axis="none")
