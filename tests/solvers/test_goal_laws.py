@@ -39,7 +39,7 @@ def _serving():
 NAMES_OF = _serving()
 cases = pytest.mark.parametrize(("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]])
 # Methods that reach every goal near home; others may stall at limits or saddles, and say so.
-SURE = ("auto", "lm", "sdls", "bfgs")
+SURE = ("auto", "lm", "combined", "sdls", "bfgs")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
     # A pose prior is of one robot, always soft and never missed: tests/figure/motion/test_pose_prior.py.
     tried = {type(goal) for goal in goals_near(robots["puma560"], 0).values()}
     assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_judge.py) has one of each"
-    general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose"}
+    general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}
     for kind in KINDS:
         assert general <= set(NAMES_OF[kind]), kind
 

@@ -84,7 +84,7 @@ def slope(problem, q):
 
 
 @unreachable
-@pytest.mark.parametrize("name", ["auto", "lm"])
+@pytest.mark.parametrize("name", ["auto", "lm", "combined"])
 def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
     # The default budget polishes the best of all tries; one that runs out between two tries does not.
     budget = Budget() if name == "lm" else Budget(restarts=0)
