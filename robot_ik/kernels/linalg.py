@@ -75,8 +75,7 @@ def eliminate(matrix, x, n):
     return True
 
 
-@inlined
-# Factors that are used for several right-hand sides: M = L D Lᵀ.
+# Factors of M = L D Lᵀ for several right-hand sides
 
 
 @outlined

@@ -171,3 +171,33 @@ def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, 
     assert found == pressed
     np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-14 + 1e-13 * 10.0**size)
     np.testing.assert_allclose(step, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max(initial=1e-300))
+
+
+@njit
+def solve_with_factors(matrix, first, x):
+    n = len(x)
+    linalg.factorise(matrix, first, n)
+    linalg.solve_lower(matrix, first, x, n)
+    linalg.divide_by_pivots(matrix, x, n)
+    linalg.solve_upper(matrix, first, x, n)
+
+
+@pytest.mark.parametrize("n", range(1, 11))
+def test_factors_solve_a_system_inside_its_skyline(n):
+    rng = np.random.default_rng(n)
+    lower = np.tril(rng.normal(size=(n, n))) + 3.0 * np.eye(n)
+    first = np.array([rng.integers(0, i + 1) for i in range(n)])
+    for i in range(n):
+        lower[i, : first[i]] = 0.0
+    matrix = lower @ lower.T
+    x = rng.normal(size=n)
+    wanted = np.linalg.solve(matrix, x)
+    solve_with_factors(np.tril(matrix), first, x)
+    np.testing.assert_allclose(x, wanted, rtol=1e-9, atol=1e-12)
+
+
+def test_an_unknown_without_a_pivot_is_zero():
+    matrix = np.array([[2.0, 0.0], [0.0, 0.0]])
+    x = np.array([4.0, 1.0])
+    solve_with_factors(matrix, np.zeros(2, dtype=np.int64), x)
+    assert x.tolist() == [2.0, 0.0]

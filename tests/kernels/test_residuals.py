@@ -5,28 +5,30 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.body_goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, axis_vector
+from robot_ik.goals import (
+    GOALS,
+    AimGoal,
+    CenterOfMassGoal,
+    OrientationGoal,
+    PoseGoal,
+    PosePriorGoal,
+    PositionGoal,
+    PostureGoal,
+    axis_vector,
+)
+from robot_ik.kernels import so3
+from robot_ik.kernels.frame_goals import orientation_error
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.residuals import rotation_error
 from robot_ik.problem import Problem
-from robot_ik.solvers import make_solver
-from tests.residual_rows import residual_and_jacobian
+from tests.residual_rows import rows_at
 
 
 @kernel
-def compiled_rotation_error(target, current, out):
-    return rotation_error(target, 0, current, 0, out, 0)
-
-
-def evaluate(problem, q):
-    """(cost, residual, miss, jacobian) of a problem at q, in arrays of their own."""
-    a = problem.arrays
-    a["q"][:] = q
-    cost = residual_and_jacobian(*problem.tables)
-    return cost, a["residual"].copy(), a["miss"].copy(), a["jacobian"].copy()
+def compiled_orientation_error(target, current, out):
+    error, angle = orientation_error(so3.read_rotation(target, 0), so3.read_rotation(current, 0))
+    so3.write_vector(out, 0, error)
+    return angle
 
 
 AXIS = st.sampled_from(["x", "-y", "z", (1.0, -2.0, 0.5)])
@@ -66,15 +68,13 @@ def differences(problem, q, step=1e-6):
     """-d residual / d dq by central differences, columns as in the problem."""
     robot = problem.robot
     columns = []
-    for v in problem.dofs:
+    for v in problem.compiled.block.arrays["dofs"]:
         dq = np.zeros(robot.nv)
         dq[v] = step
-        forward, backward = (
-            evaluate(problem, robot.integrate(q, dq))[1],
-            evaluate(problem, robot.integrate(q, -dq))[1],
-        )
+        forward = rows_at(problem, robot.integrate(q, dq)).residual
+        backward = rows_at(problem, robot.integrate(q, -dq)).residual
         columns.append((backward - forward) / (2 * step))
-    return np.array(columns).T.reshape(len(problem.arrays["residual"]), len(problem.dofs))
+    return np.array(columns).T.reshape(problem.compiled.rows, problem.compiled.columns)
 
 
 # A pose prior is never met, and only the square of its rows is asked for: tests/motion/test_pose_prior.py.
@@ -92,21 +92,22 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     kinds = data.draw(st.lists(KIND, min_size=1, max_size=3))
     goals = [make_goal(data, kind, robot, there, data.draw(st.tuples(WEIGHT, WEIGHT))) for kind in kinds]
     problem = Problem(robot, goals)
-    cost, residual, miss, _ = evaluate(problem, there)
-    assert cost < 1e-20 and np.abs(residual).max(initial=0) < 1e-10 and np.abs(miss).max() < 1e-10
+    met = rows_at(problem, there)
+    assert met.cost < 1e-20
+    assert np.abs(met.residual).max(initial=0) < 1e-10
+    assert np.abs(met.miss).max() < 1e-10
 
-    cost, residual, miss, jacobian = evaluate(problem, here)
-    assert cost == pytest.approx(0.5 * residual @ residual, rel=1e-12)
-    for goal, row in zip(goals, miss, strict=True):
-        metres, radians = goal.miss(robot, here, goal.target)  # MuJoCo's forward pass
+    rows = rows_at(problem, here)
+    assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
+    for goal, row in zip(goals, rows.miss, strict=True):
+        metres, radians = goal.miss(robot, here)  # MuJoCo's forward pass
         asked = goal.weights
         assert row[0] == pytest.approx(metres, abs=1e-9) or asked[0] == 0.0
         assert row[1] == pytest.approx(radians, abs=2e-8) or asked[1] == 0.0
         if radians > np.pi - 1e-3:
             return  # within a step of pi the residual jumps, and differences say nothing; see below
-    np.testing.assert_allclose(
-        jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0))
-    )
+    largest = np.abs(rows.jacobian).max(initial=0)
+    np.testing.assert_allclose(rows.jacobian, differences(problem, here), atol=2e-6 * max(1, largest))
 
 
 ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
@@ -123,10 +124,10 @@ def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, ang
     vector = angle * np.array(axis) / np.linalg.norm(axis)
     problem = Problem(robot, OrientationGoal(None, rotation_exp(vector)))
     start = np.array([1.0, 0, 0, 0])
-    _, residual, miss, jacobian = evaluate(problem, start)
-    np.testing.assert_allclose(residual, vector, atol=2e-12)
-    assert miss[0, 1] == pytest.approx(angle, abs=1e-12)
-    np.testing.assert_allclose(jacobian, differences(problem, start), atol=1e-5)
+    rows = rows_at(problem, start)
+    np.testing.assert_allclose(rows.residual, vector, atol=2e-12)
+    assert rows.miss[0, 1] == pytest.approx(angle, abs=1e-12)
+    np.testing.assert_allclose(rows.jacobian, differences(problem, start), atol=1e-5)
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 2, -3), (-1, 1e-9, 0)])
@@ -136,7 +137,7 @@ def test_half_a_turn_has_a_finite_axis_and_the_whole_angle(axis, short):
     current = Pose((0, 0, 0), (0.4, -0.3, 0.8, 0.2))
     target = Pose((0, 0, 0), quat_multiply(rotation_exp(vector), current.wxyz))
     out = np.zeros(3)
-    angle = compiled_rotation_error(target.row[None], current.row[None], out)
+    angle = compiled_orientation_error(target.row[None], current.row[None], out)
     assert angle == pytest.approx(np.pi - short, abs=1e-9)
     assert min(np.abs(out - vector).max(), np.abs(out + vector).max()) < 1e-7
     if short >= 1e-6:
@@ -146,6 +147,8 @@ def test_half_a_turn_has_a_finite_axis_and_the_whole_angle(axis, short):
 def test_a_part_that_weighs_nothing_is_not_asked_for(load_xml):
     robot = load_xml(ONE_BALL)
     far = PoseGoal(None, (9, 9, 9), (1, 0, 0, 0), position_weight=0.0)
-    problem = Problem(robot, far)
-    cost, residual, _, _ = evaluate(problem, [1.0, 0, 0, 0])
-    assert cost == 0.0 and not residual.any() and make_solver("lm").solve(problem).converged
+    problem = Problem(robot, far, solver="lm")
+    rows = rows_at(problem, [1.0, 0, 0, 0])
+    assert rows.cost == 0.0
+    assert not rows.residual.any()
+    assert problem.solve().converged

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import open_work
+from robot_ik.kernels.residual_rows import GOALS
+from robot_ik.kernels.search import SEARCH
+from robot_ik.kernels.tree import TREE_BLOCK
 from robot_ik.problem import Problem
-from robot_ik.solvers.levenberg_marquardt import has_second_order, second_order
-from tests.residual_rows import residual_and_jacobian
+from robot_ik.solvers.levenberg_marquardt import curvature_of_goals, has_curvature
+from tests.residual_rows import rows_at
 
 # Slides before and after hinges, a branch that the second goal alone hangs on.
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
@@ -25,31 +26,40 @@ BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geo
 <site name="tool" pos="0 0 1"/></body></worldbody></mujoco>"""
 
 
+RUN = Layout("Curvature", tree=TREE_BLOCK, goals=GOALS, search=SEARCH)
+open_run = RUN.open
+
+
 @kernel
-def hessian_parts(tree, goals, work, out):
-    """Whether it is known, and ``second_order`` at the work space's q."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
-    known = has_second_order(tree, goal)
+def write_curvature(address, jacobian, out):
+    """Write ``curvature_of_goals`` at the point that was measured last; return whether it is known."""
+    run = open_run(address)
+    known = has_curvature(run.tree, run.goals)
     if known:
-        second_order(tree, goal, work, out)
+        curvature_of_goals(run.tree, run.goals, run.search, jacobian, out)
     return known
 
 
 def parts(problem, q):
-    """The cost at q, JᵀJ and what it lacks (nu, nu), and whether that is known."""
-    tables, n = problem.tables, len(problem.dofs)
-    problem.arrays["q"][:] = q
-    cost, lacking = residual_and_jacobian(*tables), np.zeros((n, n))
-    jacobian = problem.arrays["jacobian"].copy()
-    known = hessian_parts(*tables, lacking)
+    """The cost at q, JᵀJ and what it lacks (u, u), and whether that is known."""
+    rows = rows_at(problem, q)
+    blocks = {
+        "tree": problem.robot.tree.block,
+        "goals": problem.compiled.block,
+        "search": problem.search,
+    }
+    run = RUN.allocate(given=blocks)
+    lacking = np.zeros((len(rows.dofs), len(rows.dofs)))
+    known = write_curvature(run.address, rows.jacobian, lacking)
     lower = np.tril(lacking)
-    return cost, jacobian.T @ jacobian, lower + np.tril(lower, -1).T, known
+    return rows.cost, rows.jacobian.T @ rows.jacobian, lower + np.tril(lower, -1).T, known
 
 
 def by_differences(problem, q, scale, h=1e-4):
-    n = len(problem.dofs)
+    dofs = problem.compiled.block.arrays["dofs"]
+    n = len(dofs)
     step, hessian = np.zeros((n, len(q))), np.zeros((n, n))
-    step[np.arange(n), problem.dofs] = h * scale  # hinges and slides: q has one number for each
+    step[np.arange(n), dofs] = h * scale  # hinges and slides: q has one number for each
     for i in range(n):
         for j in range(n):
             signs = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -58,7 +68,7 @@ def by_differences(problem, q, scale, h=1e-4):
     return hessian
 
 
-GOALS = [
+CASES = [
     [rik.PositionGoal("tool", (1, 2, 0.5), weight=1.7)],
     [rik.OrientationGoal("tool", (1, 2, 0.5, 0.3), weight=2.0)],
     [rik.PoseGoal("tool", (1, 2, 0.5), (0.5, 0.5, 0.1, 0.4), angle_weight=0.6)],
@@ -67,12 +77,12 @@ GOALS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("goals", GOALS, ids=lambda goals: "+".join(goal.name.split()[0] for goal in goals))
+@pytest.mark.parametrize("goals", CASES, ids=lambda goals: "+".join(goal.name.split()[0] for goal in goals))
 @pytest.mark.parametrize("stiff", [False, True])
 def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
     robot = load_xml(MIXED)
     problem = Problem(robot, goals)
-    scale = problem.goal_arrays["joint_scale"]
+    scale = problem.compiled.block.arrays["joint_scale"]
     if stiff:
         scale[:] = np.linspace(0.5, 1.0, len(scale))
     rng = np.random.default_rng(1)
