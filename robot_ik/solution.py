@@ -12,7 +12,7 @@ import numpy as np
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Array, Pose
 from robot_ik.goals import Goal
-from robot_ik.kernels import workspace
+from robot_ik.kernels import search
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 class Status(enum.IntEnum):
     """How a solve ended; only CONVERGED means that every goal that is needed is within tolerance."""
 
-    CONVERGED = workspace.CONVERGED
-    STALLED = workspace.STALLED
-    ITERATION_LIMIT = workspace.ITERATION_LIMIT
-    TIME_LIMIT = workspace.TIME_LIMIT
-    UNREACHABLE = workspace.UNREACHABLE
-    BLOCKED_BY_LIMITS = workspace.BLOCKED
-    NUMERICAL = workspace.NUMERICAL
+    CONVERGED = search.CONVERGED
+    STALLED = search.STALLED
+    ITERATION_LIMIT = search.ITERATION_LIMIT
+    TIME_LIMIT = search.TIME_LIMIT
+    UNREACHABLE = search.UNREACHABLE
+    BLOCKED_BY_LIMITS = search.BLOCKED
+    NUMERICAL = search.NUMERICAL
 
     @property
     def meaning(self) -> str:

@@ -21,7 +21,7 @@ import math
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.kernels.linalg import AT_BOUND, pushed_out
-from robot_ik.kernels.residual_rows import clamp_residual, goal_jacobian
+from robot_ik.kernels.residuals import clamp_residual, goal_jacobian
 from robot_ik.kernels.search import POLISH, step_bounds
 
 # Damping per length of the residual that the first failed step of the polish adds.

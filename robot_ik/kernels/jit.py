@@ -10,7 +10,6 @@ import atexit
 import contextlib
 import ctypes
 import functools
-import gc
 import hashlib
 import importlib
 import importlib.util
@@ -24,15 +23,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba import types
-from numba.core.types.functions import BaseFunction
-from numba.core.typing import Context as TypingContext
 from llvmlite import binding as llvm  # type: ignore[import-untyped]
+from numba import types
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.types.functions import BaseFunction
+from numba.core.typing import Context as TypingContext
 
 from robot_ik.errors import ConfigError
 

@@ -75,7 +75,15 @@ def eliminate(matrix, x, n):
     return True
 
 
-# Factors of M = L D Lᵀ for several right-hand sides
+@inlined
+def solve_definite(matrix, x, n):
+    """Call ``eliminate``. For n = 6 the compiler unrolls the loops, which halves the time."""
+    if n == 6:
+        return eliminate(matrix, x, types.int64(6))
+    return eliminate(matrix, x, n)
+
+
+# Factors that are used for several right-hand sides: M = L D Lᵀ.
 
 
 @outlined
@@ -132,14 +140,6 @@ def divide_by_pivots(factors, x, n):
     """Overwrite ``x`` with D⁻¹ x."""
     for i in range(n):
         x[i] *= factors[i, i]
-
-
-@inlined
-def solve_definite(matrix, x, n):
-    """Call ``eliminate``. For n = 6 the compiler unrolls the loops, which halves the time."""
-    if n == 6:
-        return eliminate(matrix, x, types.int64(6))
-    return eliminate(matrix, x, n)
 
 
 # Products

@@ -30,7 +30,7 @@ KIND, ADDRESS, NODE = range(3)
 # Smaller shares of a part do not count.
 _MIN_SHARE = 1e-12
 
-# With n features and k parts. Read-only, a part of ``residual_rows.GOALS``; empty without a prior.
+# With n features and k parts. Read-only, a part of ``residuals.GOALS``; empty without a prior.
 PRIOR = Layout(
     "Prior",
     min_energy="float",  # E₀
@@ -81,7 +81,7 @@ def prior_residual(goals, search, work, g):
 
 @outlined
 def prior_jacobian(tree, goals, search, work, g, jacobian):
-    """Write the rows of the prior to ``jacobian``, as ``residual_rows.goal_jacobian`` does."""
+    """Write the rows of the prior to ``jacobian``, as ``residuals.goal_jacobian`` does."""
     row = goals.row[g]
     columns = goals.dofs.shape[0]
     for u in range(columns):

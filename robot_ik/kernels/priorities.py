@@ -35,6 +35,7 @@ from numba import types
 
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import inlined, kernel, outlined
+from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import (
     divide_by_pivots,
     eliminate,
@@ -45,7 +46,7 @@ from robot_ik.kernels.linalg import (
     solve_upper,
 )
 from robot_ik.kernels.pose_prior import PRIOR_WORK, prior_jacobian, prior_residual
-from robot_ik.kernels.residual_rows import GOALS, goal_jacobian, rows_end
+from robot_ik.kernels.residuals import GOALS, goal_jacobian, rows_end
 from robot_ik.kernels.search import (
     BLOCKED,
     CONVERGED,
@@ -73,7 +74,6 @@ from robot_ik.kernels.search import (
     put_start,
     step_bounds,
 )
-from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.tree import TREE_BLOCK
 
 # More values of search.phase.

@@ -23,7 +23,7 @@ from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import inlined, kernel, outlined
 from robot_ik.kernels.kinematics import difference
 from robot_ik.kernels.linalg import pushed_out
-from robot_ik.kernels.residual_rows import goal_jacobian
+from robot_ik.kernels.residuals import goal_jacobian
 from robot_ik.kernels.search import (
     NO_LIMIT,
     advance,

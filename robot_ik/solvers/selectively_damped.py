@@ -29,7 +29,7 @@ from robot_ik.kernels.jacobian_step import (
 )
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import BOX_PROBLEM, svd
-from robot_ik.kernels.residual_rows import rows_end
+from robot_ik.kernels.residuals import rows_end
 from robot_ik.kernels.search import advance, begin, proceed
 from robot_ik.solvers.iterative import GuidedSolver, run_layout
 from robot_ik.solvers.options import option, options_layout

@@ -11,20 +11,8 @@ from __future__ import annotations
 
 import math
 
-from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.vectors import (
-    apply,
-    apply_back,
-    cross,
-    dot,
-    from_frame,
-    into_frame,
-    minus,
-    plus,
-    rotate,
-    scaled,
-    three,
-)  # fmt: skip
+from robot_ik.kernels import so3
+from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.solvers.analytic.subproblems import (
     angle_between,
     angles_to_height,
@@ -39,71 +27,87 @@ ALIGNED = 1e-7
 _FREE_TRIES = 66
 
 
-@pure
+@inlined
+def zero_rotation(extra):
+    """Return R_M, the rotation of the tool at q = 0."""
+    return so3.read_vector(extra, 2, 0), so3.read_vector(extra, 3, 0), so3.read_vector(extra, 4, 0)
+
+
+@inlined
 def relative_rotation(target, extra, v):
     """R_target · R_Mᵀ · v: what the joints' rotation makes of v (v as at q = 0)."""
-    return apply(target, 0, 3, from_frame(extra, 2, v))
+    return so3.apply(so3.read_rotation(target, 0), so3.apply_inverse(zero_rotation(extra), v))
 
 
-@pure
+@inlined
 def relative_back(target, extra, v):
     """R_M · R_targetᵀ · v: the inverse of ``relative_rotation``."""
-    return into_frame(extra, 2, apply_back(target, 0, 3, v))
+    return so3.apply(zero_rotation(extra), so3.apply_inverse(so3.read_rotation(target, 0), v))
 
 
-@pure
+@inlined
 def centre(target, extra):
     """Where the wrist centre must be, world."""
-    return plus(three(target, 0, 0), apply(target, 0, 3, three(extra, 1, 0)))
+    return so3.add(
+        so3.read_vector(target, 0, 0),
+        so3.apply(so3.read_rotation(target, 0), so3.read_vector(extra, 1, 0)),
+    )
 
 
-@pure
+@inlined
 def back(axes, j, c, s, v):
     """v rotated about axis j by minus the angle with cosine c and sine s."""
-    return rotate(three(axes, j, 0), c, -s, v)
+    return so3.rotate(so3.read_vector(axes, j, 0), c, -s, v)
 
 
-@pure
+@inlined
 def before_arm(axes, c, s, v):
     """v before joints 1 to 3 rotated it, by angles of cosines c (3) and sines s (3)."""
     return back(axes, 2, c[2], s[2], back(axes, 1, c[1], s[1], back(axes, 0, c[0], s[0], v)))
 
 
-@pure
+@inlined
 def after_arm(axes, c, s, v):
     """What joints 1 to 3 make of v: the inverse of ``before_arm``."""
-    for_three = rotate(three(axes, 2, 0), c[2], s[2], v)
-    return rotate(three(axes, 0, 0), c[0], s[0], rotate(three(axes, 1, 0), c[1], s[1], for_three))
+    for_three = so3.rotate(so3.read_vector(axes, 2, 0), c[2], s[2], v)
+    return so3.rotate(
+        so3.read_vector(axes, 0, 0),
+        c[0],
+        s[0],
+        so3.rotate(so3.read_vector(axes, 1, 0), c[1], s[1], for_three),
+    )
 
 
-@pure
+@inlined
 def same_way(u, axes, j):
     """1 where axis j, parallel to u, points the same way, else -1."""
-    return 1.0 if dot(u, three(axes, j, 0)) > 0.0 else -1.0
+    return 1.0 if so3.dot(u, so3.read_vector(axes, j, 0)) > 0.0 else -1.0
 
 
-@pure
+@inlined
 def elbow_angles(u, f, e, g):
     """Angles a about u at which R(u, a) e − f is as far from the axis as g, as of ``angles_to_height``.
 
     Of two links that move across u: f and e lead from the elbow to the first axis and to the end, at a = 0;
     g leads from the first axis to where the end is wanted.
     """
-    fu, eu, gu = dot(f, u), dot(e, u), dot(g, u)
-    reach = (dot(e, e) - eu * eu) + (dot(f, f) - fu * fu)
-    far = dot(g, g) - gu * gu
+    fu = so3.dot(f, u)
+    eu = so3.dot(e, u)
+    gu = so3.dot(g, u)
+    reach = (so3.dot(e, e) - eu * eu) + (so3.dot(f, f) - fu * fu)
+    far = so3.dot(g, g) - gu * gu
     # (R(u, a) e)·f across u = (|e|² + |f|² − far) / 2
     return angles_to_height(f, u, e, 0.5 * (reach - far) + fu * eu)
 
 
-@pure
+@inlined
 def first_link(u, f, e, c, s, g, kept):
     """The first link's angle for an elbow of cosine c and sine s; ``kept`` where every angle will do."""
-    angle, weight = angle_between(u, minus(rotate(u, c, s, e), f), g)
+    angle, weight = angle_between(u, so3.subtract(so3.rotate(u, c, s, e), f), g)
     return kept if weight < 1e-14 else angle
 
 
-@pure
+@inlined
 def one_of(first, middle, half, amplitude, kept):
     """middle ± half; ``kept`` where the angle is free."""
     if amplitude < 1e-12:
@@ -111,7 +115,7 @@ def one_of(first, middle, half, amplitude, kept):
     return middle + half if first else middle - half
 
 
-@pure
+@inlined
 def free_place(k, start, lower, upper):
     """Where a free angle is tried: at ``start``, ever farther off on both sides, at last at its limits."""
     if k < _FREE_TRIES - 2:
@@ -121,47 +125,59 @@ def free_place(k, start, lower, upper):
     return limit if math.isfinite(limit) else start
 
 
-@pure
+@inlined
 def keep_branch(form, row, angles, free):
     """Six angles as a branch, where a free one has no better place yet; whether no other is to be tried.
 
     The first place counts from which all angles have an image inside their limits, else the first of all.
     """
-    branches, fits = form.branches, True
+    branches = form.branches
+    fits = True
     for j in range(6):
-        fits = fits and (not free or image(angles[j], form.start[j], form.lower[j], form.upper[j])[1])
+        fits = fits and (
+            not free or image(angles[j], form.start[j], form.lower[j], form.upper[j])[1]
+        )
     if fits or math.isnan(branches[row, 0]):
         for j in range(6):
             branches[row, j] = angles[j]
     return fits
 
 
-@pure
+@inlined
 def wrist_angles(form, target, flip, c, s):
     """q4, q5, q6 of the rotation that is left after joints 1 to 3; and whether there are any.
 
     R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  What Q makes of h₆, and its inverse of h₄, is all
     that is needed.
     """
-    axes, extra, start, lower, upper = form.axes, form.extra, form.start, form.lower, form.upper
-    h4, h5, h6 = three(axes, 3, 0), three(axes, 4, 0), three(axes, 5, 0)
+    axes = form.axes
+    extra = form.extra
+    start = form.start
+    lower = form.lower
+    upper = form.upper
+    h4 = so3.read_vector(axes, 3, 0)
+    h5 = so3.read_vector(axes, 4, 0)
+    h6 = so3.read_vector(axes, 5, 0)
     wanted = before_arm(axes, c, s, relative_rotation(target, extra, h6))  # Q h6
-    middle, half, amplitude, possible = angles_to_height(h4, h5, h6, dot(h4, wanted))
+    middle, half, amplitude, possible = angles_to_height(h4, h5, h6, so3.dot(h4, wanted))
     if not possible or amplitude < 1e-12:
         return 0.0, 0.0, 0.0, False
     q5 = middle + half if flip == 0 else middle - half
-    c5, s5 = math.cos(q5), math.sin(q5)
-    bent = rotate(h5, c5, s5, h6)  # R5 h6
+    c5 = math.cos(q5)
+    s5 = math.sin(q5)
+    bent = so3.rotate(h5, c5, s5, h6)  # R5 h6
     q4, weight = angle_between(h4, bent, wanted)
     if weight > ALIGNED * ALIGNED:
         held = relative_back(target, extra, after_arm(axes, c, s, h4))  # Qᵀ h4
-        q6, _ = angle_between(h6, rotate(h5, c5, -s5, h4), held)  # R5ᵀ h4
+        q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, h4), held)  # R5ᵀ h4
         return q4, q5, -q6, True
     # Axes 4 and 6 in line: only q4 ± q6 counts.  The rotation of any vector across them gives it.
-    sign = 1.0 if dot(bent, h4) > 0.0 else -1.0
-    p = cross(h4, h5)
-    turned = rotate(h5, c5, -s5, p)  # R5ᵀ p: what p was before joint 5
-    total, _ = angle_between(h4, p, before_arm(axes, c, s, relative_rotation(target, extra, turned)))
+    sign = 1.0 if so3.dot(bent, h4) > 0.0 else -1.0
+    p = so3.cross(h4, h5)
+    turned = so3.rotate(h5, c5, -s5, p)  # R5ᵀ p: what p was before joint 5
+    total, _ = angle_between(
+        h4, p, before_arm(axes, c, s, relative_rotation(target, extra, turned))
+    )
     q4, q6 = split_inside(total, sign, start[3], start[5], lower[3], upper[3], lower[5], upper[5])
     return q4, q5, q6, True
 
@@ -173,35 +189,46 @@ def spherical_wrist(form, target):
     Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·elbow + flip.
     """
     noinline()
-    axes, extra, start = form.axes, form.extra, form.start
-    h1, u, end = three(axes, 0, 0), three(axes, 1, 0), three(extra, 0, 0)
-    p1, p2, p3 = three(axes, 0, 3), three(axes, 1, 3), three(axes, 2, 3)
+    axes = form.axes
+    extra = form.extra
+    start = form.start
+    h1 = so3.read_vector(axes, 0, 0)
+    u = so3.read_vector(axes, 1, 0)
+    end = so3.read_vector(extra, 0, 0)
+    p1 = so3.read_vector(axes, 0, 3)
+    p2 = so3.read_vector(axes, 1, 3)
+    p3 = so3.read_vector(axes, 2, 3)
     along3 = same_way(u, axes, 2)
-    e, f = minus(end, p3), minus(p2, p3)
-    height = dot(u, minus(end, p2)) + dot(u, minus(p2, p1))
-    d = minus(centre(target, extra), p1)
+    e = so3.subtract(end, p3)
+    f = so3.subtract(p2, p3)
+    height = so3.dot(u, so3.subtract(end, p2)) + so3.dot(u, so3.subtract(p2, p1))
+    d = so3.subtract(centre(target, extra), p1)
     # h · R(h1, -q1) d = height: the sign of the axis makes it subproblem 4.
-    middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, height)
+    middle1, half1, amplitude1, possible = angles_to_height(u, so3.scale(-1.0, h1), d, height)
     if not possible:
         return
     # With the wrist's centre on axis 1 every q1 does: the place nearest to the start is taken from which all
     # angles are inside their limits, for each branch by itself.
-    free, settled = amplitude1 < 1e-12, 0
+    free = amplitude1 < 1e-12
+    settled = 0
     for k in range(_FREE_TRIES if free else 2):
         shoulder = 0 if free else k
         q1 = middle1 + half1 if shoulder == 0 else middle1 - half1
         if free:
             q1 = free_place(k, start[0], form.lower[0], form.upper[0])
-        c1, s1 = math.cos(q1), math.sin(q1)
-        g = minus(plus(rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
+        c1 = math.cos(q1)
+        s1 = math.sin(q1)
+        g = so3.subtract(so3.add(so3.rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
         middle3, half3, amplitude3, possible = elbow_angles(u, f, e, g)
         if not possible:
             continue
         for elbow in range(2):
             a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
-            c3, s3 = math.cos(a3), math.sin(a3)
+            c3 = math.cos(a3)
+            s3 = math.sin(a3)
             q2 = first_link(u, f, e, c3, s3, g, start[1])
-            c, s = (c1, math.cos(q2), c3), (s1, math.sin(q2), along3 * s3)
+            c = (c1, math.cos(q2), c3)
+            s = (s1, math.sin(q2), along3 * s3)
             for flip in range(2):
                 row = 4 * shoulder + 2 * elbow + flip
                 if settled >> row & 1:
@@ -220,42 +247,62 @@ def three_parallel(form):
     Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·flip + elbow.
     """
     noinline()
-    axes, extra, target, start = form.axes, form.extra, form.target, form.start
-    h1, u, h5, h6 = three(axes, 0, 0), three(axes, 1, 0), three(axes, 4, 0), three(axes, 5, 0)
-    p1, p2, p3, p4 = three(axes, 0, 3), three(axes, 1, 3), three(axes, 2, 3), three(axes, 3, 3)
-    along3, along4 = same_way(u, axes, 2), same_way(u, axes, 3)
-    end = three(extra, 0, 0)
-    d = minus(centre(target, extra), p1)
-    middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, dot(u, minus(end, p1)))
+    axes = form.axes
+    extra = form.extra
+    target = form.target
+    start = form.start
+    h1 = so3.read_vector(axes, 0, 0)
+    u = so3.read_vector(axes, 1, 0)
+    h5 = so3.read_vector(axes, 4, 0)
+    h6 = so3.read_vector(axes, 5, 0)
+    p1 = so3.read_vector(axes, 0, 3)
+    p2 = so3.read_vector(axes, 1, 3)
+    p3 = so3.read_vector(axes, 2, 3)
+    p4 = so3.read_vector(axes, 3, 3)
+    along3 = same_way(u, axes, 2)
+    along4 = same_way(u, axes, 3)
+    end = so3.read_vector(extra, 0, 0)
+    d = so3.subtract(centre(target, extra), p1)
+    middle1, half1, amplitude1, possible = angles_to_height(
+        u, so3.scale(-1.0, h1), d, so3.dot(u, so3.subtract(end, p1))
+    )
     if not possible:
         return
-    e, f = minus(p4, p3), minus(p2, p3)
+    e = so3.subtract(p4, p3)
+    f = so3.subtract(p2, p3)
     wanted = relative_rotation(target, extra, h6)
     for shoulder in range(2):
         q1 = one_of(shoulder == 0, middle1, half1, amplitude1, start[0])
-        c1, s1 = math.cos(q1), math.sin(q1)
+        c1 = math.cos(q1)
+        s1 = math.sin(q1)
         a = back(axes, 0, c1, s1, wanted)  # Q1 h6
-        middle5, half5, amplitude5, possible = angles_to_height(u, h5, h6, dot(u, a))
+        middle5, half5, amplitude5, possible = angles_to_height(u, h5, h6, so3.dot(u, a))
         if not possible or amplitude5 < 1e-12:
             continue
-        g = minus(plus(rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
-        held = relative_back(target, extra, rotate(h1, c1, s1, u))  # Q1ᵀ u
+        g = so3.subtract(so3.add(so3.rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
+        held = relative_back(target, extra, so3.rotate(h1, c1, s1, u))  # Q1ᵀ u
         for flip in range(2):
             q5 = middle5 + half5 if flip == 0 else middle5 - half5
-            c5, s5 = math.cos(q5), math.sin(q5)
-            theta, weight = angle_between(u, rotate(h5, c5, s5, h6), a)  # R5 h6
-            q6, _ = angle_between(h6, rotate(h5, c5, -s5, u), held)  # R5ᵀ u
+            c5 = math.cos(q5)
+            s5 = math.sin(q5)
+            theta, weight = angle_between(u, so3.rotate(h5, c5, s5, h6), a)  # R5 h6
+            q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, u), held)  # R5ᵀ u
             q6 = -q6
             # With axis 6 parallel to the three only θ ± q6 counts.  Taken is the place of q6 nearest to the
             # start from which the elbow reaches and all angles are inside their limits, for each elbow.
-            free, settled = weight <= ALIGNED * ALIGNED, 0
+            free = weight <= ALIGNED * ALIGNED
+            settled = 0
             for k in range(_FREE_TRIES if free else 1):
                 if free:
                     q6 = free_place(k, start[5], form.lower[5], form.upper[5])
                     # Across u lies h5; what the joints before 6 make of it gives θ.
-                    m = relative_rotation(target, extra, rotate(h6, math.cos(q6), -math.sin(q6), h5))
+                    m = relative_rotation(
+                        target, extra, so3.rotate(h6, math.cos(q6), -math.sin(q6), h5)
+                    )
                     theta, _ = angle_between(u, h5, back(axes, 0, c1, s1, m))
-                v = minus(g, rotate(u, math.cos(theta), math.sin(theta), minus(end, p4)))  # p2 -> p4
+                v = so3.subtract(
+                    g, so3.rotate(u, math.cos(theta), math.sin(theta), so3.subtract(end, p4))
+                )  # p2 -> p4
                 middle3, half3, amplitude3, possible = elbow_angles(u, f, e, v)
                 if not possible:
                     continue
@@ -280,11 +327,18 @@ def planar_two_link(form, slack):
     which the tool moves.
     """
     noinline()
-    axes, extra, target, start = form.axes, form.extra, form.target, form.start
-    u, p1, p2 = three(axes, 0, 0), three(axes, 0, 3), three(axes, 1, 3)
+    axes = form.axes
+    extra = form.extra
+    target = form.target
+    start = form.start
+    u = so3.read_vector(axes, 0, 0)
+    p1 = so3.read_vector(axes, 0, 3)
+    p2 = so3.read_vector(axes, 1, 3)
     along = same_way(u, axes, 1)
-    g, e, f = minus(three(target, 0, 0), p1), minus(three(extra, 0, 0), p2), minus(p1, p2)
-    if abs(dot(g, u) - (dot(e, u) - dot(f, u))) > slack:
+    g = so3.subtract(so3.read_vector(target, 0, 0), p1)
+    e = so3.subtract(so3.read_vector(extra, 0, 0), p2)
+    f = so3.subtract(p1, p2)
+    if abs(so3.dot(g, u) - (so3.dot(e, u) - so3.dot(f, u))) > slack:
         return
     middle, half, amplitude, possible = elbow_angles(u, f, e, g)
     if not possible:
@@ -292,4 +346,5 @@ def planar_two_link(form, slack):
     for elbow in range(2):
         a2 = one_of(elbow == 0, middle, half, amplitude, along * start[1])
         q1 = first_link(u, f, e, math.cos(a2), math.sin(a2), g, start[0])
-        form.branches[elbow, 0], form.branches[elbow, 1] = q1, along * a2
+        form.branches[elbow, 0] = q1
+        form.branches[elbow, 1] = along * a2

@@ -13,11 +13,22 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic
 
-from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels import so3
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.kernels.kinematics import clip
-from robot_ik.kernels.search import BLOCKED, CONVERGED, STALLED, copy, count_all_goals, keep_best, measure
-from robot_ik.kernels.vectors import apply_back, cross, dot, minus, scaled, three
+from robot_ik.kernels.residuals import GOALS
+from robot_ik.kernels.search import (
+    BLOCKED,
+    CONVERGED,
+    SEARCH,
+    STALLED,
+    copy,
+    count_all_goals,
+    keep_best,
+    measure,
+)
+from robot_ik.kernels.tree import TREE_BLOCK
 
 # Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
 SLACK = 1e-9
@@ -25,7 +36,7 @@ SLACK = 1e-9
 
 @intrinsic
 def noinline(_typing: Any) -> Any:
-    """Keeps LLVM from copying the function that calls it: a limb's would compile for a minute."""
+    """Keep LLVM from inlining the calling function, which would take long to compile."""
 
     def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         builder.function.attributes.add("noinline")
@@ -34,27 +45,30 @@ def noinline(_typing: Any) -> Any:
     return types.none(), mark
 
 
-@pure
+@inlined
 def angle_between(k, p, q):
     """Subproblem 1: the angle about k that rotates p towards q, and the product of their distances from k.
 
     Where that product vanishes every angle does.  What lies along k is taken out first: of vectors that are
     nearly parallel to it, as next to a singular pose, the differences of products would leave no digits.
     """
-    p, q = minus(p, scaled(dot(k, p), k)), minus(q, scaled(dot(k, q), k))
-    a, b = dot(p, q), dot(k, cross(p, q))
+    p = so3.subtract(p, so3.scale(so3.dot(k, p), k))
+    q = so3.subtract(q, so3.scale(so3.dot(k, q), k))
+    a = so3.dot(p, q)
+    b = so3.dot(k, so3.cross(p, q))
     return math.atan2(b, a), math.sqrt(a * a + b * b)
 
 
-@pure
+@inlined
 def height_terms(h, k, p):
     """h · R(k, θ) p = constant + amplitude · cos(θ - centre): constant, amplitude, centre."""
-    constant = dot(h, k) * dot(k, p)
-    a, b = dot(h, p) - constant, dot(h, cross(k, p))
+    constant = so3.dot(h, k) * so3.dot(k, p)
+    a = so3.dot(h, p) - constant
+    b = so3.dot(h, so3.cross(k, p))
     return constant, math.sqrt(a * a + b * b), math.atan2(b, a)
 
 
-@pure
+@inlined
 def angles_to_height(h, k, p, height):
     """Subproblem 4: the angles θ about k with h · R(k, θ) p = height.
 
@@ -72,7 +86,7 @@ def angles_to_height(h, k, p, height):
     return middle, math.atan2(across, rest), amplitude, True
 
 
-@pure
+@inlined
 def image(angle, start, lower, upper):
     """The angle, modulo 2π, that is nearest to ``start`` inside the limits; and whether there is one."""
     whole = 2.0 * math.pi
@@ -85,7 +99,7 @@ def image(angle, start, lower, upper):
     return min(max(found, lower), upper), inside
 
 
-@pure
+@inlined
 def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
     """α, β with α + sign·β = total (mod 2π), as near to a and b as can be inside the limits.
 
@@ -94,52 +108,45 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
     whole = 2.0 * math.pi
     rest = total - a - sign * b
     rest -= whole * math.floor(rest / whole + 0.5)
-    best_a, best_b, closest = a + 0.5 * rest, b + 0.5 * sign * rest, math.inf
+    best_a = a + 0.5 * rest
+    best_b = b + 0.5 * sign * rest
+    closest = math.inf
     for k in range(-2, 3):
         difference = rest + whole * k
         # β = b + sign·(difference - (α - a)) inside its limits, as limits of α.
         low = a + difference - sign * ((upper_b if sign > 0.0 else lower_b) - b)
         high = a + difference - sign * ((lower_b if sign > 0.0 else upper_b) - b)
-        low, high = max(low, lower_a), min(high, upper_a)
+        low = max(low, lower_a)
+        high = min(high, upper_a)
         if low > high + 1e-9:
             continue
         alpha = min(max(a + 0.5 * difference, low), high)
         beta = b + sign * (difference - (alpha - a))
         distance = (alpha - a) * (alpha - a) + (beta - b) * (beta - b)
         if distance < closest:
-            best_a, best_b, closest = alpha, beta, distance
+            best_a = alpha
+            best_b = beta
+            closest = distance
     return best_a, best_b
 
 
-# n numbers of q belong to the chain: one for a hinge, four for a ball.
+# With n joints of the chain.
 FORM = Layout(
     "Form",
-    qadr="ints",  # (n,) where they stand in q
-    axes="table",  # (joints, 6)
+    family="int",
+    qadr="ints",  # (n,) coordinate of each joint in q
+    axes="table",  # (n, 6)
     extra="table",  # (5, 3)
-    lower="floats",  # (n,) limits; of a ball joint the cone angle stands in ``upper`` of its first number
+    lower="floats",  # (n,) limits
     upper="floats",  # (n,)
     start="floats n",
     best="floats n",
     branches="table 8 n",
-    target="table",  # (1, 12) the goal in the world
+    target="table 1 12",  # the goal in the world
     inverse="table 1 12",  # its inverse, for arms that are solved from the tool
-    # Of limbs only:
-    groups="int_table",  # (2, 2) how shoulder and wrist are joined, column of their first number
-    middle_rotations="table",  # (2, 3) ``recognise.middle_rotations``
-    edges="table",  # (m, 8) ``recognise.limit_edges``
-    least="floats",  # (n,) -inf: no limits at all
-    most="floats",  # (n,) inf
-    matrices="table 7 9",  # rotations in use
-    parts="table 2 27",  # rotations of shoulder and wrist by swivel angle: constant, cosine's, sine's
-    cuts="floats 64",  # swivel angles at which something changes
-    tally="table 4 4",  # best of each combination of flips: squared distance, angle, cell's ends
-    trial="table 2 n",  # angles by flip
-    scores="floats 6",  # squared distances: shoulder's two flips, wrist's two; their slope and speed
-    spin="table 2 3",  # by the swivel angle: angular velocity of shoulder and wrist
-    speeds="floats 2",  # of ball joints: growth of their rotation
 )
-open_form = FORM.open
+RUN = Layout("ClosedFormRun", tree=TREE_BLOCK, goals=GOALS, search=SEARCH, form=FORM)
+open_run = RUN.open
 
 # What a run is for: the solution; every branch, even for a start at the goal; only measuring the start.
 SOLVE, EVERY, START_ONLY = range(3)
@@ -188,14 +195,16 @@ def take_branch(tree, goals, search, form, inside, exists):
 @outlined
 def invert(target, inverse):
     """The inverse of the pose row target[0] into inverse[0]."""
-    x, y, z = apply_back(target, 0, 3, three(target, 0, 0))
-    inverse[0, 0], inverse[0, 1], inverse[0, 2] = -x, -y, -z
+    x, y, z = so3.apply_inverse(so3.read_rotation(target, 0), so3.read_vector(target, 0, 0))
+    inverse[0, 0] = -x
+    inverse[0, 1] = -y
+    inverse[0, 2] = -z
     for i in range(3):
         for j in range(3):
             inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]
 
 
-@pure
+@inlined
 def clear(branches):
     """No branch yet: NaN."""
     for row in range(branches.shape[0]):
@@ -210,12 +219,19 @@ def nearest(form):
     Each angle is first moved by multiples of 2π, in ``form.branches`` too.  Returns whether a branch is
     inside the limits, and whether there is any.
     """
-    branches, start, lower, upper, best = form.branches, form.start, form.lower, form.upper, form.best
-    exists, closest = False, math.inf
+    branches = form.branches
+    start = form.start
+    lower = form.lower
+    upper = form.upper
+    best = form.best
+    exists = False
+    closest = math.inf
     for row in range(branches.shape[0]):
         if math.isnan(branches[row, 0]):
             continue
-        exists, fits, distance = True, True, 0.0
+        exists = True
+        fits = True
+        distance = 0.0
         for j in range(best.shape[0]):
             angle, inside = image(branches[row, j], start[j], lower[j], upper[j])
             branches[row, j] = angle if inside else branches[row, j]
