@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.pose_prior import PRIOR_WORK, prior_jacobian, prior_residual
-from robot_ik.kernels.residual_rows import GOALS, goal_jacobian
+from robot_ik.kernels.residuals import GOALS, goal_jacobian
 from robot_ik.kernels.search import SEARCH, count_all_goals, measure
 from robot_ik.kernels.tree import TREE_BLOCK
 from robot_ik.problem import Problem

@@ -3,7 +3,7 @@
 import numpy as np
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.residual_rows import GOALS
+from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH, draw
 from robot_ik.kernels.tree import TREE_BLOCK
 from robot_ik.goals import PostureGoal

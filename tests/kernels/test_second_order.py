@@ -6,7 +6,7 @@ import pytest
 import robot_ik as rik
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.residual_rows import GOALS
+from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH
 from robot_ik.kernels.tree import TREE_BLOCK
 from robot_ik.problem import Problem
