@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import PostureGoal
 from robot_ik.errors import (
     ConfigError,
     ModelError,
@@ -14,11 +13,11 @@ from robot_ik.errors import (
     UnsupportedGoalError,
     UnsupportedJointError,
 )
-from robot_ik.goals import PositionGoal, Tolerance
+from robot_ik.goals import PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
-from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers import SOLVERS
 from tests.residual_rows import rows_at
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
@@ -161,14 +160,13 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     stiff = described(tmp_path, "[stiffness]\nj1 = 25.0\nj3 = 4.0")
     assert stiff.stiffness.tolist() == [25.0, 1.0, 4.0, 1.0, 1.0]
     goal = PostureGoal(q=soft.home)  # all joints count, so all are columns
-    assert np.allclose(Problem(stiff, goal).goal_arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
+    assert np.allclose(Problem(stiff, goal).compiled.block.arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
     start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
     position = soft.forward(start).position
     near = PositionGoal(None, position + np.array([0.0, 1e-4, 1e-4]))
     for name in ("lm", "dls", "pseudoinverse", "bfgs"):
-        method = make_solver(name)
         moved = {
-            robot.stiffness[0]: method.solve(Problem(robot, near, tolerance=_EXACT), start).q - start
+            robot.stiffness[0]: Problem(robot, near, solver=name, tolerance=_EXACT).solve(start).q - start
             for robot in (soft, stiff)
         }
         jacobian = soft.jacobian(start)[:3]

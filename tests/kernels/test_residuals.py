@@ -40,7 +40,7 @@ def make_goal(data, kind, robot, there, weights):
     frame = data.draw(st.sampled_from(robot.frames))
     pose = robot.forward(there, frame)
     extra = {"length": data.draw(st.sampled_from([None, 0.7]))}
-    if issubclass(kind, PositionGoal):
+    if kind is PositionGoal:
         return kind(frame, pose.position, weight=weights[0], axes=data.draw(AXES), **extra)
     free = data.draw(st.one_of(st.none(), AXIS))
     if kind is OrientationGoal:
