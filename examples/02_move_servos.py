@@ -32,7 +32,7 @@ def main(bus: str = "sim", arm_file: str = "") -> None:
         target = begin + np.where(robot.upper - begin > STEP, STEP, -STEP)  # down near the upper limit
         move = rik.joint_move(
             robot, begin, target, speed=0.2, rate=config.rate_hz,
-            velocity=config.velocity, acceleration=config.acceleration,
+            velocity_limits=config.velocity, acceleration_limits=config.acceleration,
         )  # fmt: skip
         run = rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
         lag = np.degrees(run.tracking_error.max())

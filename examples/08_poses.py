@@ -14,8 +14,8 @@ import numpy as np
 
 import robot_ik as rik
 from robot_ik.body_goals import PosePriorGoal
+from robot_ik.figure.motion.bvh import export_bvh
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.bvh import export_bvh
 from robot_ik.pose_prior import PosePrior
 
 POSITIONS = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}

@@ -14,14 +14,13 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, check_table, keys_of, read_json
 from robot_ik.errors import ArmStateError, HardwareError, ServoRefusedError
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.bus import ServoBus, require_models
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number, model_name
 from robot_ik.hardware.joint_map import ServoId
-from robot_ik.reading import WrongKey, read_json
-from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""
@@ -111,14 +110,14 @@ class _BackupFile(Table):
         for k, servo in enumerate(self.servos):
             at, number = f"servos[{k}]", servo.model_number
             if model_by_number(number) is None:
-                raise WrongKey(f"model number {number} is not known here", f"{at}.model_number")
+                raise KeyProblem(f"model number {number} is not known here", f"{at}.model_number")
             for name, value in servo.registers.items():
                 if name not in servo.table:
-                    raise WrongKey(f"a {servo.table.model} has no register {name!r}", at)
+                    raise KeyProblem(f"a {servo.table.model} has no register {name!r}", at)
                 register = servo.table[name]
                 low, high = (register.minimum, register.maximum) if _restored(register) else (-(2**31), 2**32)
                 if not low <= value <= high:
-                    raise WrongKey(f"{value} is not right", f"{at}.registers.{name}", f"{low}..{high}")
+                    raise KeyProblem(f"{value} is not right", f"{at}.registers.{name}", f"{low}..{high}")
         return self
 
 

@@ -11,14 +11,22 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field, RootModel, model_validator
 
+from robot_ik.config import (
+    KeyProblem,
+    SchemaVersion,
+    Several,
+    Table,
+    check_table,
+    keys_of,
+    read_json,
+    read_table,
+)
 from robot_ik.errors import ConfigError
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.config import ArmConfig, toml_rows
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign, Twin
 from robot_ik.hardware.x_series import REVERSE
-from robot_ik.reading import WrongKey, read_json
-from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of, read_table
 
 SCHEMA = 1  # raised when a key changes its meaning
 
@@ -38,7 +46,7 @@ class JointCalibration:
         urdf_lower, urdf_upper: Limits of the model then, deg (mm of a slide).
 
     Raises:
-        WrongKey: The range is empty.
+        KeyProblem: The range is empty.
     """
 
     name: str
@@ -55,7 +63,7 @@ class JointCalibration:
 
     def __post_init__(self) -> None:
         if self.range_min >= self.range_max:
-            raise WrongKey(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
+            raise KeyProblem(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,7 @@ class _LeRobotRow(Table):
     @model_validator(mode="after")
     def _some_range(self) -> _LeRobotRow:
         if self.range_min >= self.range_max:
-            raise WrongKey("the range is empty", "range_min", f"< {self.range_max}")
+            raise KeyProblem("the range is empty", "range_min", f"< {self.range_max}")
         return self
 
 

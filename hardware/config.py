@@ -14,6 +14,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, model_validator
 
+from robot_ik.config import (
+    KeyProblem,
+    Positive,
+    SchemaVersion,
+    Table,
+    Word,
+    check_table,
+    chosen,
+    keys_of,
+    parse_toml,
+    read_text,
+)
 from robot_ik.errors import ConfigError, UnknownJointError, UnknownRobotError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.control_table import (
@@ -27,9 +39,7 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.joint_map import ARM, Gains, JointMap, ServoId, Sign, StopAt, Ticks, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
-from robot_ik.reading import WrongKey, parse_toml, read_text
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import Positive, SchemaVersion, Table, Word, check_table, chosen, keys_of
 
 MAX_SERVOS = IDS[-1]
 
@@ -44,7 +54,7 @@ WATCHDOG_MAX_MS = 127 * WATCHDOG_UNIT_MS
 
 def _known_rate(baud: int) -> int:
     if baud not in BAUD_RATES.values():
-        raise WrongKey(f"no servo talks at {baud} bits/s", allowed=", ".join(map(str, BAUD_RATES.values())))
+        raise KeyProblem(f"no servo talks at {baud} bits/s", allowed=", ".join(map(str, BAUD_RATES.values())))
     return baud
 
 
@@ -108,13 +118,13 @@ class SlideFile(JointFile):
         pair = (self.horn_mm, self.rod_mm)
         allowed = "pinion_mm alone (a rack), or horn_mm and rod_mm (a swing arm)"
         if self.pinion_mm is not None and pair != (None, None):
-            raise WrongKey(f"two gears move {self.name!r}", "pinion_mm", allowed)
+            raise KeyProblem(f"two gears move {self.name!r}", "pinion_mm", allowed)
         if self.pinion_mm is None and None in pair:
             key = "rod_mm" if self.horn_mm else "horn_mm" if self.rod_mm else "pinion_mm"
-            raise WrongKey("this key is missing", key, allowed)
+            raise KeyProblem("this key is missing", key, allowed)
         if self.horn_mm and self.rod_mm and self.rod_mm < self.horn_mm:
             problem = f"a rod of {self.rod_mm:g} mm on a horn of {self.horn_mm:g} mm gets stuck"
-            raise WrongKey(problem, "rod_mm", f">= {self.horn_mm:g}")
+            raise KeyProblem(problem, "rod_mm", f">= {self.horn_mm:g}")
         return self
 
 
@@ -307,7 +317,7 @@ class ArmConfig:
 
     def wrong(self, problem: str, key: str, allowed: str = "", hint: str = "") -> ConfigError:
         """The error of a key of this arm's file."""
-        return WrongKey(problem, key, allowed, hint).in_file(self.file or self.name)
+        return KeyProblem(problem, key, allowed, hint).in_file(self.file or self.name)
 
     def joint(self, name: str) -> JointMap:
         """A joint by name, also one that is no part of q.
@@ -435,27 +445,27 @@ def _check_arm(config: ArmConfig) -> None:
         for k, joint in enumerate(config.joints + config.auxiliary):
             at = f"joints[{k}]"
             if joint.model not in CONTROL_TABLES:
-                raise WrongKey.unknown("servo model", joint.model, CONTROL_TABLES, "model")
+                raise KeyProblem.unknown("servo model", joint.model, CONTROL_TABLES, "model")
             table = joint.table
             if joint.mode not in table.modes:
                 modes = ", ".join(mode.name.lower() for mode in table.modes)
-                raise WrongKey(f"{joint.model} has no mode {joint.mode.name.lower()}", "mode", modes)
+                raise KeyProblem(f"{joint.model} has no mode {joint.mode.name.lower()}", "mode", modes)
             if config.baud not in table.baud_rates:
                 at, rates = "", ", ".join(map(str, table.baud_rates))
                 problem = f"{joint.model} ({joint.name}) cannot talk at {config.baud} bits/s"
-                raise WrongKey(problem, "bus.baud", rates)
+                raise KeyProblem(problem, "bus.baud", rates)
             if joint.name in names:
-                raise WrongKey(f"joint {joint.name!r} is already {names[joint.name]}", "name")
+                raise KeyProblem(f"joint {joint.name!r} is already {names[joint.name]}", "name")
             names[joint.name] = at
             for key, servo in zip(("id", "twin.id"), joint.servos, strict=False):
                 if servo.id in ids:
-                    raise WrongKey(f"id {servo.id} is already {ids[servo.id]}", key)
+                    raise KeyProblem(f"id {servo.id} is already {ids[servo.id]}", key)
                 ids[servo.id] = f"{at}.{key}".removesuffix(".id")
             _check_currents(joint, table)
             _check_stops(joint, table)
             _check_caps(joint)
             _check_range(joint)
-    except WrongKey as wrong:
+    except KeyProblem as wrong:
         raise wrong.within((), at).in_file(config.file or config.name) from None
 
 
@@ -469,7 +479,7 @@ def _check_watchdogs(config: ArmConfig) -> None:
         if config.stale_ms == config.watchdog_ms // 2:  # not named: it grows with the watchdog
             while least < least_watchdog_ms(least // 2, period):
                 least += WATCHDOG_UNIT_MS
-        raise WrongKey(
+        raise KeyProblem(
             f"the servos would stop by themselves after {config.watchdog_ms} ms, before the program can hold "
             f"them (stale_ms = {config.stale_ms} at {config.rate_hz:g} Hz)",
             "bus.watchdog_ms",
@@ -483,37 +493,37 @@ def _check_currents(joint: JointMap, table: ControlTable) -> None:
     named = [key for key, value in limits.items() if value is not None]
     if not unit and named:
         allowed = "a model that does; load_percent in [joints.stop_at] for this one"
-        raise WrongKey(f"{joint.model} measures no current", named[0], allowed)
+        raise KeyProblem(f"{joint.model} measures no current", named[0], allowed)
     maximum = table["goal_current"].maximum * unit if unit else 0.0
     if joint.current is not None:
         if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
             problem = f"mode {joint.mode.name.lower()} of {joint.name!r} takes no current"
-            raise WrongKey(problem, "current_ma", 'mode = "current_based_position"')
+            raise KeyProblem(problem, "current_ma", 'mode = "current_based_position"')
         limits["current_ma"] = joint.current
     for key, value in limits.items():
         ceiling = maximum if key == "current_limit_ma" or joint.current_limit is None else joint.current_limit
         if value is not None and not unit <= value <= ceiling:
             limited = f" limited to {ceiling:g} mA" if ceiling < maximum else ""
             problem = f"{value:g} mA is no current of a {joint.model}{limited}"
-            raise WrongKey(problem, key, f"{unit:g} to {ceiling:g}")
+            raise KeyProblem(problem, key, f"{unit:g} to {ceiling:g}")
 
 
 def _check_stops(joint: JointMap, table: ControlTable) -> None:
     """Thresholds that a servo can say something about, above what it may do and below what shuts it down."""
     stop = joint.stop_at
     if stop.current_ma is not None and joint.current is not None and stop.current_ma <= joint.current:
-        raise WrongKey(
+        raise KeyProblem(
             f"{joint.name!r} may press with {joint.current:g} mA (current_ma) and would stop the arm by it",
             "stop_at.current_ma",
             f"> {joint.current:g}",
         )
     if stop.load_percent is not None and "present_load" not in table:
         problem = f"{joint.model} measures its current, and no load"
-        raise WrongKey(problem, "stop_at.load_percent", "current_ma")
+        raise KeyProblem(problem, "stop_at.load_percent", "current_ma")
     hottest = table["temperature_limit"].initial or 0
     if stop.temperature_c is not None and not stop.temperature_c < hottest:
         problem = f"a {joint.model} has shut down at {stop.temperature_c:g} C"
-        raise WrongKey(problem, "stop_at.temperature_c", f"< {hottest}, its Temperature Limit")
+        raise KeyProblem(problem, "stop_at.temperature_c", f"< {hottest}, its Temperature Limit")
 
 
 def _check_caps(joint: JointMap) -> None:
@@ -521,9 +531,9 @@ def _check_caps(joint: JointMap) -> None:
     for key in ("velocity", "acceleration"):
         cap, own = getattr(joint, key), getattr(joint, f"profile_{key}")
         if not 0.0 < cap < math.inf:
-            raise WrongKey(f"{cap} is no cap", f"{key}_{joint.unit}", "a number > 0")
+            raise KeyProblem(f"{cap} is no cap", f"{key}_{joint.unit}", "a number > 0")
         if own is not None and not cap <= own < math.inf:
-            raise WrongKey(
+            raise KeyProblem(
                 f"the servo of {joint.name!r} could not follow: its profile is slower than the joint's cap",
                 f"profile_{key}_{joint.unit}",
                 f">= {key}_{joint.unit} = {cap / joint.per_unit:g}",
@@ -535,10 +545,10 @@ def _check_range(joint: JointMap) -> None:
     if not joint.lower < joint.upper:
         span = f"{joint.lower / one:g} to {joint.upper / one:g} {unit}"
         problem = f"the range of {joint.name!r} is empty: {span}"
-        raise WrongKey(problem, f"lower_{unit}", f"lower_{unit} < upper_{unit}")
+        raise KeyProblem(problem, f"lower_{unit}", f"lower_{unit} < upper_{unit}")
     ends = [q / one for q in joint.reach]
     if joint.swing is not None and not joint.reach[0] <= joint.lower < joint.upper <= joint.reach[1]:
-        raise WrongKey(
+        raise KeyProblem(
             f"a horn of {1e3 * joint.swing.horn:g} mm and a rod of {1e3 * joint.swing.rod:g} mm do not take "
             f"{joint.name!r} from {joint.text(joint.lower, 2)} to {joint.text(joint.upper, 2)}",
             "lower_mm" if joint.lower < joint.reach[0] else "upper_mm",
@@ -546,7 +556,7 @@ def _check_range(joint: JointMap) -> None:
         )
     lower, upper = joint.limits
     if not lower < upper:
-        raise WrongKey(
+        raise KeyProblem(
             f"nothing of the range of {joint.name!r} can be reached in mode {joint.mode.name.lower()}",
             f"lower_{unit}",
             f"{ends[0]:.1f} to {ends[1]:.1f} {unit}",
@@ -557,4 +567,4 @@ def _check_range(joint: JointMap) -> None:
         if first > last or upper - lower < joint.resolution:
             problem = f"the range of {joint.name!r} is narrower than one tick of its servo"
             allowed = f"at least {joint.text(joint.resolution, 4)} from lower to upper"
-            raise WrongKey(problem, f"lower_{unit}", allowed)
+            raise KeyProblem(problem, f"lower_{unit}", allowed)

@@ -14,6 +14,7 @@ from enum import IntEnum
 from functools import cached_property, lru_cache
 from types import MappingProxyType
 
+from robot_ik.config import KeyProblem
 from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.hardware.x_series import (
     MODELS,
@@ -26,7 +27,6 @@ from robot_ik.hardware.x_series import (
     Motor,
     Row,
 )
-from robot_ik.reading import WrongKey
 
 TICKS_PER_REVOLUTION = 4096
 RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_REVOLUTION
@@ -280,7 +280,7 @@ def control_table(model: str, firmware: int | None = None) -> ControlTable:
         ConfigError: No such model here, or no such firmware.
     """
     if model not in CONTROL_TABLES:
-        raise WrongKey.unknown("servo model", model, CONTROL_TABLES).in_file("control_table")
+        raise KeyProblem.unknown("servo model", model, CONTROL_TABLES).in_file("control_table")
     if firmware is None:
         return CONTROL_TABLES[model]
     if not 1 <= firmware <= 255:

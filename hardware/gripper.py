@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from robot_ik.errors import HardwareError, UnsafeCommandError, apart
+from robot_ik.errors import HardwareError, UnsafeCommandError, distinct_texts
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle
@@ -61,7 +61,7 @@ class Fingers:
             joint = config.joint(name)
             lower, upper = joint.limits
             if not lower <= to <= upper:
-                asked, low, high = apart(*(value / joint.per_unit for value in (to, lower, upper)))
+                asked, low, high = distinct_texts(*(value / joint.per_unit for value in (to, lower, upper)))
                 unit = joint.unit
                 raise UnsafeCommandError(f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}")
             self.goals[name] = float(to)

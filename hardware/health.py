@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import ServoBus
+from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import VELOCITY_UNIT, X_SERIES, hardware_error_names
 from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan

@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from robot_ik.config import Positive
 from robot_ik.hardware.control_table import (
     IDS,
     MULTI_TURN_TICKS,
@@ -23,7 +24,6 @@ from robot_ik.hardware.control_table import (
     OperatingMode,
     control_table,
 )
-from robot_ik.tables import Positive
 
 POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 """Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from robot_ik.environment import NOTE, OK, CheckRow, named_users_of, permission_hint
+from robot_ik.hardware.checks import NOTE, OK, CheckRow, named_users_of, permission_hint
 
 NO_PORTS = ("sim", "pty")
 """Names of buses (``robot_ik.hardware.BUSES``) whose servos are simulated."""

@@ -17,9 +17,9 @@ import serial
 from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
-from robot_ik.environment import users_of
 from robot_ik.errors import BusNotOpenError, did_you_mean
 from robot_ik.hardware.bus import Counters
+from robot_ik.hardware.checks import users_of
 from robot_ik.hardware.control_table import BAUD_RATES
 from robot_ik.hardware.ports import NO_PORTS
 

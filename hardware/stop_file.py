@@ -18,9 +18,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from robot_ik.config import read_json
 from robot_ik.errors import HardwareError
 from robot_ik.files import write_atomically
-from robot_ik.reading import read_json
 
 log = logging.getLogger(__name__)
 

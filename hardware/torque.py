@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from robot_ik.config import KeyProblem
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
@@ -20,7 +21,6 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.reading import WrongKey
 
 log = logging.getLogger(__name__)
 
@@ -197,7 +197,7 @@ def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
 def checked_policy(name: str, file: Path | str, key: str) -> str:
     """``name`` if it is one of ``ON_EXIT``; else raises ``ConfigError``, with where it was said."""
     if name not in ON_EXIT:
-        raise WrongKey.unknown("way to leave an arm", name, ON_EXIT, key).in_file(file)
+        raise KeyProblem.unknown("way to leave an arm", name, ON_EXIT, key).in_file(file)
     return name
 
 

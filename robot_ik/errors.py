@@ -1,13 +1,13 @@
-"""Every error this package raises, as one tree.
+"""Every error that this package raises, as one tree.
 
-The text of each error has the same form: what was asked, what is possible, what to try.
-Constructors take data and keep it as attributes, so that a program can act on the cause
-without reading the text.  "No solution" is not an error: it is a ``Solution`` whose status says so.
+A message says what was given, what is allowed and what to try. Constructors take data and keep it
+as attributes, so that a program can act on the cause without reading the message. A goal that is
+not reached is not an error: it is a ``Solution`` with a status.
 """
 
 from __future__ import annotations
 
-import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,37 +15,110 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from robot_ik.solution import Solution
 
+LONGEST_NAME = 60
+"""Characters of a name in a message, and of a name for which close names are looked up."""
+
+MOST_NAMES = 30
+"""Names that a message lists at most."""
+
 
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Known names most like ``name``, best first, without regard to case."""
-    name = str(name)  # None or a number is an unknown name too
-    by_lower = {item.lower(): item for item in known}
-    found = difflib.get_close_matches(name.lower(), list(by_lower), n=count, cutoff=0.5)
-    return [by_lower[item] for item in found]
+    """Return the known names that ``name`` may be a typing error of, best first.
+
+    A typing error is one wrong, missing, additional or exchanged letter for each three letters of
+    the name, in names of at least three letters. Case does not count. Another number is not a
+    typing error: ``joint9`` does not mean ``joint1``. A word or the beginning of a known name is
+    close to it too: ``elbow`` to ``elbow_joint``.
+
+    Args:
+        name: The unknown name. Values of other types are compared by their text.
+        known: The names that exist.
+        count: The largest number of names to return.
+    """
+    given = str(name).lower()
+    if not 0 < len(given) <= LONGEST_NAME:
+        return []
+    ranked = []
+    for item in known:
+        rank = _typing_errors(given, item.lower())
+        if rank is not None:
+            ranked.append((rank, item))
+    ranked.sort(key=lambda pair: pair[0])
+    return [item for _, item in ranked[:count]]
+
+
+def _typing_errors(given: str, known: str) -> int | None:
+    """Return the number of typing errors between two names, None if they are not close."""
+    limit = max(len(given), len(known)) // 3
+    if not _have_other_numbers(given, known) and abs(len(given) - len(known)) <= limit:
+        distance = _edit_distance(given, known)
+        if distance <= limit:
+            return distance
+    if len(given) >= 3 and (known.startswith(given) or given in re.split(r"[^a-z0-9]+", known)):
+        return limit + 1
+    return None
+
+
+def _have_other_numbers(first: str, second: str) -> bool:
+    """Return whether a digit of one name is replaced in the other."""
+    digits = re.sub(r"\D", "", first)
+    others = re.sub(r"\D", "", second)
+    return len(digits) == len(others) and sorted(digits) != sorted(others)
+
+
+def _edit_distance(first: str, second: str) -> int:
+    """Return the edit distance in which exchanged neighbours count as one error.
+
+    This is the optimal string alignment distance (Damerau 1964).
+    """
+    before_last: list[int] = []
+    last = list(range(len(second) + 1))
+    for i, letter in enumerate(first, 1):
+        row = [i]
+        for j, other in enumerate(second, 1):
+            cost = min(last[j] + 1, row[j - 1] + 1, last[j - 1] + (letter != other))
+            if i > 1 and j > 1 and letter == second[j - 2] and other == first[i - 2]:
+                cost = min(cost, before_last[j - 2] + 1)
+            row.append(cost)
+        before_last = last
+        last = row
+    return last[-1]
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint with the known names that are close, if any."""
+    """Return a question with the close names, empty if there are none."""
     close = close_matches(name, known)
     return f"did you mean {' or '.join(close)}?" if close else ""
 
 
 def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
-    """One sentence for an unknown name: the close ones first, then what exists."""
-    shown = repr(name)
-    text = f"unknown {kind} {shown if len(shown) <= 60 else shown[:59] + '…'}"
+    """Return the message for an unknown name: close names first, then the known names.
+
+    Args:
+        kind: The kind of thing that has the name: "robot".
+        name: The unknown name.
+        known: The names that exist.
+    """
+    quoted = repr(name)
+    if len(quoted) > LONGEST_NAME:
+        quoted = quoted[: LONGEST_NAME - 1] + "…"
+    text = f"unknown {kind} {quoted}"
     if not known:
-        return f"{text}; there is no {kind} at all here."
-    shown = ", ".join(list(known)[:30]) + (", …" if len(known) > 30 else "")
-    if close := close_matches(name, known):
-        return f"{text}; did you mean {' or '.join(map(repr, close))}? Known: {shown}."
-    return f"{text}; known: {shown}."
+        return f"{text}; there is no {kind}."
+    names = ", ".join(list(known)[:MOST_NAMES]) + (", …" if len(known) > MOST_NAMES else "")
+    close = close_matches(name, known)
+    if close:
+        return f"{text}; did you mean {' or '.join(map(repr, close))}? Known: {names}."
+    return f"{text}; known: {names}."
 
 
-def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
-    """Numbers as text, with as many digits as it takes to distinguish those that differ.
+def distinct_texts(*values: float, digits: int = 1, form: str = "f") -> list[str]:
+    """Return numbers as text, with enough digits that different numbers differ.
 
-    At least ``digits`` behind the point (``form`` "f") or in all ("g").
+    Args:
+        values: The numbers.
+        digits: The least number of digits: behind the point for form "f", in all for form "g".
+        form: The format of the numbers, "f" or "g".
     """
     texts: list[str] = []
     for count in range(digits, 18):
@@ -56,7 +129,11 @@ def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
 
 
 class RobotIkError(Exception):
-    """Root of all errors of this package; ``hint`` is what to try next, if anything."""
+    """Root of all errors of this package.
+
+    Attributes:
+        hint: What to try. Empty if nothing can be said.
+    """
 
     def __init__(self, message: str, *, hint: str = "") -> None:
         super().__init__(message)
@@ -68,45 +145,100 @@ class RobotIkError(Exception):
 
 
 class CameraError(RobotIkError):
-    """Root of the errors of pictures, markers and calibrations."""
+    """Root of the errors of cameras, markers and calibrations."""
 
 
 class CameraNotFoundError(CameraError):
-    """The camera, file or URL cannot be opened; the hint lists what exists."""
+    """A camera, file or URL cannot be opened. The hint lists the cameras that exist."""
 
 
 class FrameTimeoutError(CameraError):
-    """The source stopped delivering pictures."""
+    """A source of pictures has stopped."""
 
 
 class FrameSizeError(CameraError):
-    """Pictures have another size than asked for, or than the calibration is made for."""
+    """Pictures have another size than requested or than the calibration is for."""
 
 
 class MarkerNotFoundError(CameraError):
-    """A picture was taken but the wanted marker is not in it."""
+    """The requested marker is not in the picture."""
 
 
 class CalibrationError(CameraError):
-    """A calibration is missing, malformed, implausible or made for another camera."""
+    """A calibration is missing, malformed, implausible or of another camera."""
 
 
 class ConfigError(RobotIkError, ValueError):
-    """A configuration file is wrong: ``file``, dotted ``key`` (empty: the whole), what is ``allowed``."""
+    """A configuration file is wrong.
+
+    Attributes:
+        problem: What is wrong.
+        file: The file.
+        key: The dotted key. Empty for the whole file.
+        allowed: What is allowed.
+    """
 
     def __init__(
-        self, problem: str, *, file: Path | str, key: str = "", allowed: str = "", hint: str = ""
+        self,
+        problem: str,
+        *,
+        file: Path | str,
+        key: str = "",
+        allowed: str = "",
+        hint: str = "",
     ) -> None:
-        self.file, self.key, self.allowed = file, key, allowed
-        where = f"{file}: {key}: " if key else f"{file}: "
-        super().__init__(where + problem + (f"; allowed: {allowed}" if allowed else ""), hint=hint)
+        super().__init__(_located(problem, (str(file), key), allowed), hint=hint)
+        self.problem = problem
+        self.file = file
+        self.key = key
+        self.allowed = allowed
+
+
+class OptionError(RobotIkError, ValueError):
+    """An argument of a function or an option of a solver is wrong.
+
+    Attributes:
+        option: Name of the argument or option. Empty if the problem concerns several.
+        problem: What is wrong.
+        allowed: What is allowed.
+        owner: What has the option: "solver lm". Empty for an argument of the called function.
+    """
+
+    def __init__(
+        self,
+        option: str,
+        problem: str,
+        allowed: str = "",
+        *,
+        owner: str = "",
+        hint: str = "",
+    ) -> None:
+        super().__init__(_located(problem, (owner, option), allowed), hint=hint)
+        self.option = option
+        self.problem = problem
+        self.allowed = allowed
+        self.owner = owner
+
+
+def _located(problem: str, places: Iterable[str], allowed: str) -> str:
+    """Return a message that begins with the place of a problem and ends with what is allowed."""
+    text = ": ".join([*filter(None, places), problem])
+    return f"{text}; allowed: {allowed}" if allowed else text
 
 
 class MissingExtraError(RobotIkError, ImportError):
-    """An optional package is not installed; the message is the command that installs it."""
+    """An optional package is not installed. The hint is the command that installs it.
+
+    Attributes:
+        package: The package that is missing.
+        extra: The extra of this package that installs it.
+        purpose: What needs the package.
+    """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        self.package, self.extra = package, extra
+        self.package = package
+        self.extra = extra
+        self.purpose = purpose
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
             hint=f'install it with: pip install "robot_ik[{extra}]"',
@@ -114,23 +246,23 @@ class MissingExtraError(RobotIkError, ImportError):
 
 
 class ViewerError(RobotIkError):
-    """A window cannot be opened; the hint says what to run instead."""
+    """A window cannot be opened. The hint says what to run instead."""
 
 
 class OutputError(RobotIkError, OSError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 class HardwareError(RobotIkError):
-    """Root of everything that can go wrong between the joint angles and the servos."""
+    """Root of the errors of buses, servos and arms."""
 
 
 class BusNotOpenError(HardwareError):
-    """The port is missing, not a serial port, not permitted or already in use."""
+    """A port is missing, not a serial port, not permitted or already in use."""
 
 
 class BusDisconnectedError(HardwareError):
-    """The port went away while it was in use (cable pulled, adapter reset)."""
+    """A port disappeared while it was in use: the cable was pulled or the adapter was reset."""
 
 
 def _servo(id: int, joint: str) -> str:
@@ -138,7 +270,16 @@ def _servo(id: int, joint: str) -> str:
 
 
 class BusTimeoutError(HardwareError):
-    """A servo, or ``everyone``, did not answer; ``last_good``: seconds since a reply, None: never."""
+    """A servo did not answer.
+
+    Attributes:
+        id: Id of the servo.
+        register: Register that was read or written.
+        port: The port.
+        joint: Name of the joint, if known.
+        last_good: Seconds since the last reply. None if the servo never answered.
+        everyone: Whether no servo of the bus answers.
+    """
 
     def __init__(
         self,
@@ -151,56 +292,103 @@ class BusTimeoutError(HardwareError):
         everyone: bool = False,
         hint: str = "check power, cable, id and baud rate",
     ) -> None:
-        self.id, self.register, self.port, self.joint = id, register, port, joint
-        self.last_good, self.everyone = last_good, everyone
+        self.id = id
+        self.register = register
+        self.port = port
+        self.joint = joint
+        self.last_good = last_good
+        self.everyone = everyone
         when = "it never answered" if last_good is None else f"last answer {last_good:.2f} s ago"
-        asked = f"no answer from {_servo(id, joint)} on {port} ({register})"
-        super().__init__(f"no servo answers on {port}; {when}" if everyone else f"{asked}; {when}", hint=hint)
+        if everyone:
+            text = f"no servo answers on {port}"
+        else:
+            text = f"no answer from {_servo(id, joint)} on {port} ({register})"
+        super().__init__(f"{text}; {when}", hint=hint)
 
 
 class BusCorruptError(HardwareError):
-    """An answer came but cannot be trusted (checksum, length); nothing of it was used."""
+    """A reply has a wrong checksum or length. No part of it was used."""
 
 
 class ServoRefusedError(HardwareError):
-    """A servo answered with an error number (Protocol 2.0, ERR bits 0-6); ``reason`` is its name."""
+    """A servo replied with an error number.
+
+    Attributes:
+        id: Id of the servo.
+        register: Register that was read or written.
+        code: The error number (Protocol 2.0, bits 0 to 6 of ERR).
+        reason: Name of the error.
+        joint: Name of the joint, if known.
+    """
 
     def __init__(self, *, id: int, register: str, code: int, reason: str, joint: str = "") -> None:
-        self.id, self.register, self.code, self.reason, self.joint = id, register, code, reason, joint
+        self.id = id
+        self.register = register
+        self.code = code
+        self.reason = reason
+        self.joint = joint
         super().__init__(f"{_servo(id, joint)} refused {register}: {reason} (error {code})")
 
 
 class ServoMismatchError(HardwareError):
-    """The servos found (id -> model) are not those that the arm file, or another ``source``, names."""
+    """The servos on a bus are not the servos that the arm file names.
+
+    Attributes:
+        expected: Model of each id in the arm file.
+        found: Model of each id on the bus.
+        port: The port.
+    """
 
     def __init__(
-        self, expected: Mapping[int, str], found: Mapping[int, str], *, port: str, hint: str = "",
+        self,
+        expected: Mapping[int, str],
+        found: Mapping[int, str],
+        *,
+        port: str,
+        hint: str = "",
         source: str = "the arm file",
-    ) -> None:  # fmt: skip
-        self.expected, self.found, self.port = dict(expected), dict(found), port
+    ) -> None:
+        self.expected = dict(expected)
+        self.found = dict(found)
+        self.port = port
         ids = sorted({*expected, *found})
-        width = max([len(expected.get(i, "")) for i in ids] + [8])
+        width = max([len(expected.get(id, "")) for id in ids] + [len("expected")])
         rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
-        rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
-        text = f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows)
-        usual = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
-        super().__init__(text, hint=hint or usual)
+        for id in ids:
+            model = expected.get(id, "-")
+            rows.append(f"  {id:>3}  {model:<{width}}  {found.get(id, 'missing')}")
+        text = f"the servos on {port} are not those of {source}; nothing was switched on"
+        usual = (
+            "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
+        )
+        super().__init__("\n".join((text, *rows)), hint=hint or usual)
 
 
 class MotorFaultError(HardwareError):
-    """A servo has shut down or the arm has latched a fault; ``status``: decoded hardware error names."""
+    """A servo has shut down, or the arm has latched a fault.
+
+    Attributes:
+        joint: Name of the joint.
+        status: Names of the hardware errors.
+    """
 
     def __init__(self, joint: str, status: Sequence[str], *, hint: str = "") -> None:
-        self.joint, self.status = joint, tuple(status)
+        self.joint = joint
+        self.status = tuple(status)
         super().__init__(f"joint {joint!r} is in fault: {', '.join(status)}", hint=hint)
 
 
 class StopRequestedError(HardwareError):
-    """Somebody asked the arm to stop: ``robot-ik stop``, a key, another thread."""
+    """A stop of the arm was requested by ``robot-ik stop``, a key or another thread."""
 
 
 class UnsafeCommandError(HardwareError, ValueError):
-    """A command that must not be obeyed even in part; nothing was sent."""
+    """A command was refused. Nothing was sent to any servo.
+
+    Attributes:
+        asked: The command.
+        allowed: What is allowed.
+    """
 
     def __init__(self, asked: str, allowed: str) -> None:
         self.asked = asked
@@ -209,84 +397,118 @@ class UnsafeCommandError(HardwareError, ValueError):
 
 
 class ArmStateError(HardwareError):
-    """The arm is not in a state in which this can be done."""
+    """The operation is not possible in the state of the arm."""
 
 
 class ModelError(RobotIkError):
-    """A robot model cannot be found, read or used; ``reason`` is what the reader (usually MuJoCo) said."""
+    """A robot model cannot be found, read or used.
+
+    Attributes:
+        path: The model file, if there is one.
+        reason: Message of the reader, usually MuJoCo.
+    """
 
     def __init__(
-        self, message: str, *, path: Path | str | None = None, reason: str = "", hint: str = ""
+        self,
+        message: str,
+        *,
+        path: Path | str | None = None,
+        reason: str = "",
+        hint: str = "",
     ) -> None:
         super().__init__(message, hint=hint)
-        self.path, self.reason = path, reason
+        self.path = path
+        self.reason = reason
 
 
 class InvalidModelError(ModelError, ValueError):
-    """No model can be made of these values, or what was given as a robot is no name, path, text or spec."""
+    """A model cannot be built from the given values, or a value is not a name, path, text or spec."""
 
 
 class InvalidPoseError(RobotIkError, ValueError):
-    """A pose of the wrong shape, of numbers that are not finite, or of no orientation."""
+    """A pose has a wrong shape, a number that is not finite, or a zero quaternion."""
 
 
 class _UnknownName(RobotIkError, LookupError):
+    """A name does not exist.
+
+    Attributes:
+        name: The unknown name.
+        known: The names that exist.
+        close: The known names that ``name`` may be a typing error of.
+    """
+
     kind = "name"
 
     def __init__(self, name: str, known: Iterable[str], *, hint: str = "") -> None:
-        self.name, self.known = name, tuple(known)
+        self.name = name
+        self.known = tuple(known)
         self.close = tuple(close_matches(name, self.known))
         super().__init__(unknown_name_text(self.kind, name, self.known), hint=hint)
 
 
 class UnknownRobotError(_UnknownName, ModelError, ValueError):
-    """No robot of that name in the catalogue."""
+    """The catalogue has no robot of this name."""
 
     kind = "robot"
 
 
 class UnknownFrameError(_UnknownName, ModelError):
-    """The robot has no frame (tool, site or body) of that name."""
+    """The robot has no frame (tool, site or body) of this name."""
 
     kind = "frame"
 
 
 class UnknownJointError(_UnknownName, ModelError):
-    """The robot has no joint of that name."""
+    """The robot has no joint of this name."""
 
     kind = "joint"
 
 
 def require_joints(joints: Iterable[str], names: Sequence[str], source: str = "") -> None:
-    """Raises ``UnknownJointError`` unless all are among ``names``; ``source`` is what names them."""
+    """Raise ``UnknownJointError`` for the first joint that is not among ``names``.
+
+    Args:
+        joints: Names to check.
+        names: Names that exist.
+        source: What names the joints, for the message.
+    """
     for joint in joints:
         if joint not in names:
             raise UnknownJointError(joint, names, hint=f"named by {source}" if source else "")
 
 
 class UnsupportedJointError(ModelError):
-    """A joint exists but cannot be used in the way asked."""
+    """A joint exists but cannot be used for the requested purpose."""
 
 
 class GoalError(RobotIkError, ValueError):
-    """Something is wrong with what was asked of the robot."""
+    """Root of the errors of goals."""
 
 
 class InvalidGoalError(GoalError):
-    """The goal itself is malformed: shape, NaN, zero quaternion, negative weight."""
+    """A goal is malformed: wrong shape, NaN, zero quaternion, negative weight."""
 
 
 class UnsupportedGoalError(GoalError):
-    """The solver cannot serve this kind of goal; the message names the ones that can."""
+    """A solver does not support a kind of goal. The hint names the solvers that do.
+
+    Attributes:
+        solver: Name of the solver.
+        goal: The goal in words.
+        able: Names of the solvers that support the goal.
+    """
 
     def __init__(self, solver: str, goal: str, able: Iterable[str]) -> None:
-        self.solver, self.goal, self.able = solver, goal, tuple(able)
+        self.solver = solver
+        self.goal = goal
+        self.able = tuple(able)
         hint = f"these can: {', '.join(self.able)}" if self.able else "no solver can yet"
         super().__init__(f"solver {solver!r} cannot serve {goal}", hint=hint)
 
 
 class ProblemInUseError(RobotIkError):
-    """A call on a ``Problem`` began while another thread's had not ended; nothing was changed."""
+    """Two threads called a ``Problem`` at the same time. Nothing was changed."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -296,13 +518,17 @@ class ProblemInUseError(RobotIkError):
 
 
 class UnknownSolverError(_UnknownName):
-    """No solver of that name in the ``SOLVERS`` table."""
+    """``SOLVERS`` has no solver of this name."""
 
     kind = "solver"
 
 
 class NotConvergedError(RobotIkError):
-    """Raised only by ``Solution.require()``; carries the solution that was found."""
+    """A solve did not converge. Only ``Solution.require()`` raises it.
+
+    Attributes:
+        solution: The solution with its status.
+    """
 
     def __init__(self, message: str, solution: Solution) -> None:
         super().__init__(message)
@@ -310,8 +536,8 @@ class NotConvergedError(RobotIkError):
 
 
 class TrajectoryError(RobotIkError):
-    """No path within the limits joins the given configurations or poses."""
+    """No path within the limits connects the given configurations or poses."""
 
 
 NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
-"""Errors that mean "tried, not achieved"; every other one is wrong input or environment."""
+"""Errors that mean "tried and not achieved". All others mean wrong input or environment."""

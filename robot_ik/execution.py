@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import RobotIkError, TrajectoryError, apart
+from robot_ik.errors import RobotIkError, TrajectoryError, distinct_texts
 from robot_ik.geometry import is_real
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.motion.sources import Goals
@@ -312,7 +312,7 @@ def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
     away = np.abs(q - first)
     k = int(np.argmax(away))
     if away[k] > tolerance:
-        planned, measured = apart(first[k], q[k], digits=4)
+        planned, measured = distinct_texts(first[k], q[k], digits=4)
         raise TrajectoryError(
             f"the trajectory begins with {planned} of joint {trajectory.joints[k]!r}, but the arm "
             f"measures {measured}; at most {tolerance:g} apart is allowed; nothing was sent",

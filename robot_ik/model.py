@@ -17,17 +17,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.config import LARGEST_NUMBER, read_text, shown
 from robot_ik.errors import (
     ConfigError,
     ModelError,
     UnknownFrameError,
     UnknownJointError,
-    apart,
+    distinct_texts,
     require_joints,
 )
 from robot_ik.geometry import Array, Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
-from robot_ik.reading import LARGEST_NUMBER, read_text, shown
 from robot_ik.robot_file import RobotFile
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def read_model(
     _refuse_numbers(model, path)
     _refuse_ranges(model, path)
     _hint_at_radians(model, spec, path)
-    return model, {} if urdf is None else urdf.velocity
+    return model, {} if urdf is None else urdf.velocity_limits
 
 
 def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjSpec, Urdf | None]:
@@ -258,7 +258,7 @@ def _refuse_home(model: mujoco.MjModel, file: RobotFile, home: tuple[float, ...]
         unit = {HINGE: "rad", SLIDE: "m"}.get(_KIND_OF[int(model.jnt_type[joint])])
         value, (low, high) = home[model.jnt_qposadr[joint]], model.jnt_range[joint].tolist()
         if unit and model.jnt_limited[joint] and not low - _ROUNDED <= value <= high + _ROUNDED:
-            asked, lower, upper = apart(value, low, high, digits=4, form="g")
+            asked, lower, upper = distinct_texts(value, low, high, digits=4, form="g")
             raise ConfigError(
                 f"joint {name!r} at {asked} {unit} is outside its limits", file=where, key="home",
                 allowed=f"{lower} to {upper} {unit}",
@@ -331,8 +331,8 @@ def motion_limits(
                 allowed=f"its limits in velocity_{unit} and acceleration_{unit}",
                 hint=f"such as velocity_mm = {{ {joint} = 100.0 }}" if unit == "mm" else "",
             )  # fmt: skip
-    speed = {joint: file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds.items()}
-    acceleration = [file.acceleration.get(joint, speed[joint] * _SPEED_TO_ACCELERATION) for joint in joints]
+    speed = {joint: file.velocity_limits.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds.items()}
+    acceleration = [file.acceleration_limits.get(joint, speed[joint] * _SPEED_TO_ACCELERATION) for joint in joints]
     return np.array(list(speed.values()))[tree.dof_node], np.array(acceleration)[tree.dof_node]
 
 

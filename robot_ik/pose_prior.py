@@ -138,7 +138,7 @@ class PosePrior:
             if colon + part not in _PARTS_OF.get(kind, ("",)):
                 raise InvalidGoalError(
                     f"the prior has {name!r}, but joint {joint!r} of {robot.name!r} is of another kind",
-                    hint=f"learn one from motions of {robot.name!r}: robot_ik.motion.pose_prior",
+                    hint=f"learn one from motions of {robot.name!r}: robot_ik.figure.motion.pose_prior",
                 )
             rows.append((_PARTS[colon + part], int(robot.tree.qadr[k]) + (3 if kind == FREE else 0), k))
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
@@ -205,7 +205,7 @@ class PosePrior:
         if not file.is_file():
             raise ModelError(
                 f"no pose prior ships with {robot.name!r}", path=robot.path,
-                hint="learn one from its motions: robot_ik.motion.pose_prior.fit_pose_prior",
+                hint="learn one from its motions: robot_ik.figure.motion.pose_prior.fit_pose_prior",
             )  # fmt: skip
         return cls.load(file)
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik import model as mjcf
-from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
+from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, distinct_texts
 from robot_ik.geometry import Array, Pose, vector
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Tree
@@ -263,7 +263,7 @@ class Robot:
         low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
         for v in np.flatnonzero(low > high):
             other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
-            one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
+            one, two, three, four = distinct_texts(self.lower[v], self.upper[v], *other, digits=4)
             raise ModelError(
                 f"no range is left for joint {self.joints[self.tree.dof_node[v]]!r}: "
                 f"the model allows {one} … {two}, the other side {three} … {four}",
@@ -338,7 +338,7 @@ def load_robot(
         path, file = find_robot(name)
         model, velocity = mjcf.read_model(path, path)
     if velocity:
-        file = file.model_copy(update={"velocity": velocity | file.velocity})
+        file = file.model_copy(update={"velocity": velocity | file.velocity_limits})
     names = mjcf.joint_names(model)
     rest = mjcf.home_qpos(model, path, file)
     tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from robot_ik.config import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, InvalidModelError, ModelError, UnknownRobotError, close_matches
-from robot_ik.tables import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""
@@ -113,8 +113,8 @@ class RobotFile(_Keys):
 
     name: str
     path: Path | None = None
-    velocity: dict[str, float] = Field(default={})  # per joint, rad/s (m/s for slides)
-    acceleration: dict[str, float] = Field(default={})  # … and rad/s²
+    velocity_limits: dict[str, float] = Field(default={})  # per joint, rad/s (m/s for slides)
+    acceleration_limits: dict[str, float] = Field(default={})  # … and rad/s²
     slides: tuple[str, ...] = ()  # joints with limits of motion in mm
     hinges: tuple[str, ...] = ()  # … and in degrees
     # Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
@@ -151,9 +151,9 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
         **{key: getattr(parsed, key) for key in _Keys.model_fields},
         name=path.resolve().parent.name,
         path=path,
-        velocity=_per_joint(path, "motion.velocity_deg", motion.velocity_deg, order)
+        velocity_limits=_per_joint(path, "motion.velocity_deg", motion.velocity_deg, order)
         | {joint: 1e-3 * value for joint, value in motion.velocity_mm.items()},
-        acceleration=_per_joint(path, "motion.acceleration_deg", motion.acceleration_deg, order)
+        acceleration_limits=_per_joint(path, "motion.acceleration_deg", motion.acceleration_deg, order)
         | {joint: 1e-3 * value for joint, value in motion.acceleration_mm.items()},
         slides=slides,
         hinges=order if motion.velocity_deg or motion.acceleration_deg else (),

@@ -104,7 +104,7 @@ class Urdf:
         return None
 
     @property
-    def velocity(self) -> dict[str, float]:
+    def velocity_limits(self) -> dict[str, float]:
         """Joint -> rad/s or m/s, where the file limits it."""
         found = {}
         for joint in self._root.iter("joint"):

@@ -49,8 +49,8 @@ def test_everything_said_is_heard(folder, monkeypatch):
     for asked in (folder, folder / "robot.toml", folder / "arm.xml", "."):
         robot = load_robot(asked)
         assert robot.name == "small" and robot.joints == ("one", "two") and robot.tool == "grip"
-        np.testing.assert_allclose(robot.velocity, np.radians([90, 180]))
-        np.testing.assert_allclose(robot.acceleration, np.radians([360, 720]))
+        np.testing.assert_allclose(robot.velocity_limits, np.radians([90, 180]))
+        np.testing.assert_allclose(robot.acceleration_limits, np.radians([360, 720]))
         np.testing.assert_allclose(robot.home, [0.1, 0.2])
         assert robot.qpos(robot.home)[2] == 0.3
         assert robot.frames[:2] == ("grip", "wrist") and robot.file.solver == "dls"
@@ -120,8 +120,8 @@ def test_slides_have_limits_of_motion_in_millimetres(folder):
     )
     (folder / "robot.toml").write_text(asked)
     robot = load_robot(folder)
-    np.testing.assert_allclose(robot.velocity, [np.radians(90), np.radians(180), 0.02])
-    np.testing.assert_allclose(robot.acceleration, [np.radians(360), np.radians(720), 0.08])
+    np.testing.assert_allclose(robot.velocity_limits, [np.radians(90), np.radians(180), 0.02])
+    np.testing.assert_allclose(robot.acceleration_limits, [np.radians(360), np.radians(720), 0.08])
     (folder / "robot.toml").write_text(asked.replace("finger = 20", "fingr = 20"))
     with pytest.raises(UnknownJointError, match="did you mean 'finger'"):
         load_robot(folder)

@@ -40,12 +40,53 @@ def test_a_wrong_name_lists_the_close_ones_then_the_known():
     assert "unknown joint 'joint_1'; did you mean 'joint1'" in text and "gripper" in text
     far = str(errors.UnknownRobotError("zzz", ["puma560"]))
     assert "did you mean" not in far and "known: puma560" in far
-    assert "no frame at all" in str(errors.UnknownFrameError("x", []))
+    assert "there is no frame" in str(errors.UnknownFrameError("x", []))
     assert "…" in str(errors.UnknownFrameError("x", [f"name{i}" for i in range(99)]))
 
 
 def test_close_names_ignore_case():
     assert errors.close_matches("PUMA560", ["puma560", "ur5e"]) == ["puma560"]
+
+
+@pytest.mark.parametrize(
+    ("given", "known", "close"),
+    [
+        ("puma650", ["puma560", "panda"], ["puma560"]),  # exchanged digits
+        ("gripr", ["gripper", "wrist"], ["gripper"]),
+        ("dampign", ["damping", "patience"], ["damping"]),
+        ("elbow", ["shoulder_pan_joint", "elbow_joint"], ["elbow_joint"]),
+        ("puma", ["panda", "puma560"], ["puma560"]),
+        ("joint_1", ["joint2", "joint1"], ["joint1"]),
+        (7, ["seven"], []),
+        (None, ["none"], ["none"]),
+    ],
+)
+def test_a_typing_error_has_close_names(given, known, close):
+    assert errors.close_matches(given, known) == close
+
+
+@pytest.mark.parametrize(
+    ("given", "known"),
+    [
+        ("joint9", ["joint1", "joint2"]),  # another number is another joint
+        ("restarts", ["tolerances", "streets"]),
+        ("tool", ["elbow", "wheel"]),
+        ("q0", ["q", "dq", "lm"]),
+        ("method", ["methylene", "weather"]),
+        ("x" * 200, ["x" * 201]),
+        ("", ["a", "b"]),
+    ],
+)
+def test_another_word_has_no_close_names(given, known):
+    assert errors.close_matches(given, known) == []
+    assert errors.did_you_mean(given, known) == ""
+
+
+def test_an_option_error_names_the_option_and_its_owner():
+    error = errors.OptionError("damping", "-1 is not allowed", "0 to 1", owner="solver lm")
+    assert str(error) == "solver lm: damping: -1 is not allowed; allowed: 0 to 1"
+    assert (error.option, error.allowed, error.owner) == ("damping", "0 to 1", "solver lm")
+    assert str(errors.OptionError("seed", "'x' is not allowed")) == "seed: 'x' is not allowed"
 
 
 def test_the_hint_comes_last_and_only_once():
@@ -76,9 +117,9 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
 
 
 def test_numbers_that_differ_look_different():
-    assert errors.apart(200.0, -160.0, 160.0) == ["200.0", "-160.0", "160.0"]
-    assert errors.apart(160.04, -160.0, 160.0) == ["160.04", "-160.00", "160.00"]
-    assert errors.apart(160.0 + 3e-14, 160.0)[0] != "160.0"
-    assert errors.apart(1.0, 1.0, digits=2) == ["1.00", "1.00"]
-    assert errors.apart(1.25, -1.0, 1.0, digits=6, form="g") == ["1.25", "-1", "1"]
-    assert errors.apart(1.0000001, 1.0, digits=6, form="g") == ["1.0000001", "1"]
+    assert errors.distinct_texts(200.0, -160.0, 160.0) == ["200.0", "-160.0", "160.0"]
+    assert errors.distinct_texts(160.04, -160.0, 160.0) == ["160.04", "-160.00", "160.00"]
+    assert errors.distinct_texts(160.0 + 3e-14, 160.0)[0] != "160.0"
+    assert errors.distinct_texts(1.0, 1.0, digits=2) == ["1.00", "1.00"]
+    assert errors.distinct_texts(1.25, -1.0, 1.0, digits=6, form="g") == ["1.25", "-1", "1"]
+    assert errors.distinct_texts(1.0000001, 1.0, digits=6, form="g") == ["1.0000001", "1"]

@@ -1,11 +1,15 @@
 """Poses: against SciPy's rotations and by the laws of a group."""
 
+import itertools
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from robot_ik.errors import InvalidPoseError
 from robot_ik.geometry import (
     Pose,
     matrix_to_quat,
@@ -17,7 +21,9 @@ from robot_ik.geometry import (
 
 NUMBER = st.floats(-10, 10)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER).map(np.array)
-QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(lambda q: sum(x * x for x in q) > 1e-3)
+QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(
+    lambda q: sum(x * x for x in q) > 1e-3
+)
 POSE = st.builds(Pose, VECTOR, QUATERNION)
 ROTATION_VECTOR = st.builds(
     lambda axis, angle: angle * axis / np.linalg.norm(axis),
@@ -48,7 +54,9 @@ def test_a_pose_and_its_inverse_undo_each_other(pose):
 def test_rotations_are_scipys(a, b):
     np.testing.assert_allclose(a.rotation, scipy_rotation(a.wxyz).as_matrix(), atol=1e-12)
     both = scipy_rotation(a.wxyz) * scipy_rotation(b.wxyz)
-    np.testing.assert_allclose(quat_to_matrix(quat_multiply(a.wxyz, b.wxyz)), both.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        quat_to_matrix(quat_multiply(a.wxyz, b.wxyz)), both.as_matrix(), atol=1e-12
+    )
     metres, radians = a.distance(b)
     assert metres == pytest.approx(np.linalg.norm(a.position - b.position))
     assert radians == pytest.approx(
@@ -58,8 +66,8 @@ def test_rotations_are_scipys(a, b):
 
 @given(POSE, POSE)
 def test_a_change_is_that_from_one_pose_to_the_other(a, b):
-    change = a.change_from(b)
-    np.testing.assert_allclose(b.moved(change).matrix, a.matrix, atol=1e-9)
+    change = a.minus(b)
+    np.testing.assert_allclose(b.plus(change).matrix, a.matrix, atol=1e-9)
     rotation = scipy_rotation(a.wxyz) * scipy_rotation(b.wxyz).inv()
     np.testing.assert_allclose(
         scipy_rotation(rotation_exp(change[3:])).as_matrix(), rotation.as_matrix(), atol=1e-9
@@ -81,15 +89,108 @@ def test_half_turns_survive_the_matrix(axis):
 
 @given(ROTATION_VECTOR, VECTOR)
 def test_log_undoes_exp_from_nothing_to_half_a_turn(rotation_vector, position):
-    np.testing.assert_allclose(rotation_log(rotation_exp(rotation_vector)), rotation_vector, atol=1e-12)
-    np.testing.assert_allclose(rotation_log(-rotation_exp(rotation_vector)), rotation_vector, atol=1e-12)
+    np.testing.assert_allclose(
+        rotation_log(rotation_exp(rotation_vector)), rotation_vector, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        rotation_log(-rotation_exp(rotation_vector)), rotation_vector, atol=1e-12
+    )
     np.testing.assert_allclose(
         quat_to_matrix(rotation_exp(rotation_vector)),
         Rotation.from_rotvec(rotation_vector).as_matrix(),
         atol=1e-12,
     )
     twist = np.concatenate([position, rotation_vector])
-    np.testing.assert_allclose(Pose().moved(twist).change_from(Pose()), twist, atol=1e-12)
+    np.testing.assert_allclose(Pose().plus(twist).minus(Pose()), twist, atol=1e-12)
+
+
+def twist_matrix(twist):
+    """Return the element (4, 4) of se(3) of a twist."""
+    x, y, z = twist[3:]
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = ((0, -z, y), (z, 0, -x), (-y, x, 0))
+    matrix[:3, 3] = twist[:3]
+    return matrix
+
+
+@given(VECTOR, ROTATION_VECTOR)
+def test_exp_is_the_matrix_exponential_and_log_is_its_inverse(linear, rotation_vector):
+    twist = np.concatenate([linear, rotation_vector])
+    pose = Pose.exp(twist)
+    np.testing.assert_allclose(pose.matrix, expm(twist_matrix(twist)), atol=1e-11)
+    np.testing.assert_allclose(pose.log(), twist, atol=1e-8)
+    np.testing.assert_allclose(Pose.exp(-twist).matrix, pose.inverse().matrix, atol=1e-11)
+    np.testing.assert_allclose(
+        (Pose.exp(0.3 * twist) @ Pose.exp(0.7 * twist)).matrix, pose.matrix, atol=1e-10
+    )
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.0999, 0.1001, 0.5])
+def test_the_series_and_the_formulas_of_exp_and_log_agree(angle):
+    twist = np.array([1.0, -2.0, 3.0, 0.0, 0.6 * angle, 0.8 * angle])
+    pose = Pose.exp(twist)
+    np.testing.assert_allclose(pose.matrix, expm(twist_matrix(twist)), atol=1e-13)
+    np.testing.assert_allclose(pose.log(), twist, atol=1e-13)
+
+
+@given(POSE)
+def test_a_pose_is_the_exp_of_its_log(pose):
+    np.testing.assert_allclose(Pose.exp(pose.log()).matrix, pose.matrix, atol=1e-7)
+    assert np.linalg.norm(pose.log()[3:]) <= np.pi + 1e-12
+
+
+def test_the_identity_changes_nothing():
+    pose = Pose((1, 2, 3), (0.5, 0.1, -0.7, 0.2))
+    assert Pose.identity() == Pose()
+    np.testing.assert_allclose((Pose.identity() @ pose).matrix, pose.matrix, atol=1e-15)
+    assert not Pose.identity().log().any()
+
+
+AXES = st.text("xyz", min_size=1, max_size=3).filter(
+    lambda axes: all(a != b for a, b in itertools.pairwise(axes))
+)
+
+
+@given(AXES, st.booleans(), st.data())
+def test_euler_angles_are_scipys(axes, rotated, data):
+    axes = axes.upper() if rotated else axes
+    angles = data.draw(st.lists(st.floats(-7, 7), min_size=len(axes), max_size=len(axes)))
+    pose = Pose.from_euler(axes, angles, position=(1, 2, 3))
+    expected = Rotation.from_euler(axes, angles).as_matrix().reshape(3, 3)
+    np.testing.assert_allclose(pose.rotation, expected, atol=1e-12)
+    assert pose.position.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("axes", "angles", "message"),
+    [
+        ("xYz", (0, 0, 0), "not 'xYz'"),
+        ("abc", (0, 0, 0), "not 'abc'"),
+        ("", (), "not ''"),
+        (None, (0, 0, 0), "not None"),
+        ("xyz", (0, 0), "Euler angles must be 3 numbers, not 2"),
+        ("x", np.nan, "finite"),
+    ],
+)
+def test_wrong_euler_angles_are_refused(axes, angles, message):
+    with pytest.raises(InvalidPoseError, match=message):
+        Pose.from_euler(axes, angles)
+
+
+@given(st.tuples(*[st.floats(-2, 2)] * 3), st.tuples(*[st.floats(-2, 2)] * 3))
+def test_look_at_puts_the_target_in_the_middle_and_up_upwards(position, target):
+    view = np.array(target) - position
+    assume(np.linalg.norm(view) > 0.05 and np.linalg.norm(view[:2]) > 0.02)
+    inverse = Pose.look_at(position, target).inverse()
+    assert inverse.apply(target) == pytest.approx([0, 0, np.linalg.norm(view)], abs=1e-9)
+    higher = inverse.apply(np.array(target) + np.array([0, 0, 0.01]))
+    assert higher[1] < 0 and higher[0] == pytest.approx(0, abs=1e-9), "picture y points down"
+
+
+@pytest.mark.parametrize("target", [(0.0, 0.0, 1.0), (0.0, 0.0, 0.0)])
+def test_look_at_refuses_views_without_an_up(target):
+    with pytest.raises(InvalidPoseError, match="cannot look"):
+        Pose.look_at((0, 0, 1), target)
 
 
 @given(POSE)
@@ -132,8 +233,14 @@ def test_poses_are_equal_by_their_numbers_and_can_be_keys():
     pose = Pose((1, 2, 3), (0.5, 0.5, 0.5, 0.5))
     same = Pose([1.0, 2.0, 3.0], np.array([1.0, 1, 1, 1]))
     assert pose == same and hash(pose) == hash(same) and len({pose, same}) == 1
-    assert Pose((0.0, 0, 0)) == Pose((-0.0, 0, 0)) and hash(Pose((0.0, 0, 0))) == hash(Pose((-0.0, 0, 0)))
-    for other in (Pose((1, 2, 3.0000001), pose.wxyz), Pose(pose.position), Pose(pose.position, -pose.wxyz)):
+    assert Pose((0.0, 0, 0)) == Pose((-0.0, 0, 0)) and hash(Pose((0.0, 0, 0))) == hash(
+        Pose((-0.0, 0, 0))
+    )
+    for other in (
+        Pose((1, 2, 3.0000001), pose.wxyz),
+        Pose(pose.position),
+        Pose(pose.position, -pose.wxyz),
+    ):
         assert pose != other
     assert pose != "pose" and pose != pose.matrix.tolist()
     with pytest.raises(ValueError, match="read-only"):

@@ -97,7 +97,7 @@ def test_a_urdf_keeps_its_fixed_frames_and_speed_limits_and_needs_no_inertia(
     with caplog.at_level(logging.WARNING):
         robot = rik.load_robot(urdf)
     assert robot.tool == "tool0" and {"base", "upper", "fore"} <= set(robot.frames)
-    assert robot.velocity.tolist() == [0.7, 1.3]
+    assert robot.velocity_limits.tolist() == [0.7, 1.3]
     np.testing.assert_allclose(robot.forward([0.0, np.pi / 2]).position, [0.25, 0, 0.3], atol=1e-12)
     assert "meshes left out" in caplog.text and ": 1 (" in caplog.text and "fore.dae)" in caplog.text
     with pytest.raises(ModelError, match="no mass"):

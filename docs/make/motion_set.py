@@ -31,11 +31,11 @@ from robot_ik.figure.figure import RATE as FIGURE_RATE
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.gait import WALK, prints_of, walk, walk_prints
 from robot_ik.figure.jump import jump
+from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored
 from robot_ik.figure.poses import BEND, REACH, find_pose
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
-from robot_ik.motion.pose_prior import fit_pose_prior, mirrored
 from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver

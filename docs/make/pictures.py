@@ -29,10 +29,9 @@ from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
 from robot_ik.camera.synthetic.photograph import QUALITIES
-from robot_ik.geometry import rotation_exp
+from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
@@ -162,7 +161,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
     """A photograph of the table with a drawn robot of this height in metres, turned by degrees."""
     still = BoardMotion((0.0, 0.0), np.radians(20.0) if objects is None else 0.0, middle=(0.0, 0.0))
     source, clock = synthetic_scene(640, 420, motion=still, occluders=objects)
-    near = look_at((0.12, -0.66, 0.46), (0.0, 0.05, 0.13))
+    near = Pose.look_at((0.12, -0.66, 0.46), (0.0, 0.05, 0.13))
     source.scene, source.quality = replace(source.scene, pose_world_camera=near), QUALITIES["full"]
     clock.sleep_until(1.0)
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)

@@ -74,8 +74,8 @@ def loads(robot: rik.Robot, model: mujoco.MjModel, poses: int = POSES, seed: int
         data.qpos[:] = robot.qpos(robot.sample(rng))
         signs = rng.choice([-1.0, 1.0], size=(2, robot.nv))
         for share, row in ((0.0, still), (1.0, moving)):
-            data.qvel[dofs] = share * signs[0] * robot.velocity
-            data.qacc[dofs] = share * signs[1] * robot.acceleration
+            data.qvel[dofs] = share * signs[0] * robot.velocity_limits
+            data.qacc[dofs] = share * signs[1] * robot.acceleration_limits
             mujoco.mj_inverse(model, data)
             row[k] = np.abs(data.qfrc_inverse[dofs])
     return Loads(still, moving)
@@ -99,7 +99,7 @@ def strength(robot: rik.Robot, arm: ArmConfig) -> Strength:
     """By the manual's figures at its recommended voltages."""
     stall = np.array([joint.table.motor.stall_torque * joint.ratio for joint in arm.joints])
     free = np.array([joint.table.motor.no_load_speed / joint.ratio for joint in arm.joints])
-    return Strength(stall, CONTINUOUS_SHARE * stall, stall * (1.0 - robot.velocity / free))
+    return Strength(stall, CONTINUOUS_SHARE * stall, stall * (1.0 - robot.velocity_limits / free))
 
 
 def _times(number: float) -> str:

@@ -16,6 +16,7 @@ from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
+from robot_ik.config import KeyProblem, SchemaVersion, Table, check_table, keys_of, parse_toml, read_text
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
@@ -28,8 +29,6 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.joint_map import JointMap, ServoId
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.wire import SPOILS
-from robot_ik.reading import WrongKey, parse_toml, read_text
-from robot_ik.tables import SchemaVersion, Table, check_table, keys_of
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -68,14 +67,14 @@ class Kind:
         return "" if self.low is None or self.high is None else f"{whole}{self.low:.10g}..{self.high:.10g}"
 
     def require(self, value: float | None) -> None:
-        """Raises ``WrongKey`` for a value that is missing, out of range, or none of its own."""
+        """Raises ``KeyProblem`` for a value that is missing, out of range, or none of its own."""
         if not self.span:
             if value is not None:
-                raise WrongKey(f"{value:g} is given to a fault that takes no value", "value", "nothing")
+                raise KeyProblem(f"{value:g} is given to a fault that takes no value", "value", "nothing")
         elif value is None:
-            raise WrongKey("this key is missing", "value", self.span)
+            raise KeyProblem("this key is missing", "value", self.span)
         elif not (self.low or 0.0) <= value <= (self.high or 0.0) or (self.whole and value != round(value)):
-            raise WrongKey(f"{value:g} is not right", "value", self.span)
+            raise KeyProblem(f"{value:g} is not right", "value", self.span)
 
 
 _Seconds = Annotated[float | None, Field(ge=0.0)]
@@ -94,7 +93,7 @@ class Fault:
         for_s: Seconds until it is taken back; ``for_packets``: instead, so many packets; neither: for good.
 
     Raises:
-        WrongKey: No such kind, a value that it does not take, or two keys that say the same.
+        KeyProblem: No such kind, a value that it does not take, or two keys that say the same.
     """
 
     kind: str
@@ -108,23 +107,23 @@ class Fault:
 
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:
-            raise WrongKey.unknown("fault", self.kind, FAULTS, "kind")
+            raise KeyProblem.unknown("fault", self.kind, FAULTS, "kind")
         for one, other in (("joint", "id"), ("at_s", "at_packet"), ("for_s", "for_packets")):
             if getattr(self, one) is not None and getattr(self, other) is not None:
-                raise WrongKey(f"{one} and {other} say the same", other, f"{one} or {other}")
+                raise KeyProblem(f"{one} and {other} say the same", other, f"{one} or {other}")
         kind = FAULTS[self.kind]
         whom = next((key for key in ("joint", "id") if getattr(self, key) is not None), None)
         if whom is not None and not kind.servo:
-            raise WrongKey(f"{self.kind} is not of one servo", whom, "no joint and no id")
+            raise KeyProblem(f"{self.kind} is not of one servo", whom, "no joint and no id")
         kind.require(self.value)
 
     def require_servo(self, config: ArmConfig) -> None:
-        """Raises ``WrongKey`` where the arm has no such servo."""
+        """Raises ``KeyProblem`` where the arm has no such servo."""
         names, ids = config.whole.names, config.servo_ids
         if self.joint is not None and self.joint not in names:
-            raise WrongKey.unknown("joint", self.joint, names, "joint")
+            raise KeyProblem.unknown("joint", self.joint, names, "joint")
         if self.id is not None and self.id not in ids:
-            raise WrongKey(f"no servo has the id {self.id}", "id", ", ".join(map(str, ids)))
+            raise KeyProblem(f"no servo has the id {self.id}", "id", ", ".join(map(str, ids)))
 
 
 def joint_offset(joint: JointMap, degrees: float) -> Fault:
@@ -347,6 +346,6 @@ def make_fault(config: ArmConfig, file: Path | str = "<text>", at: str = "fault"
     try:
         fault = Fault(**{name: value for name, value in keys.items() if value is not None})
         fault.require_servo(config)
-    except WrongKey as wrong:
+    except KeyProblem as wrong:
         raise wrong.within((), at).in_file(file) from None
     return fault

@@ -17,10 +17,9 @@ from pydantic import Field, model_validator
 
 from robot_ik.camera.image import dictionary_size
 from robot_ik.camera.observations import marker_points
+from robot_ik.config import KeyProblem, Position, Several, Table, Wxyz, read_table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.reading import WrongKey
-from robot_ik.tables import Position, Several, Table, Wxyz, read_table
 
 _CUBE_SIDES = 6
 
@@ -136,7 +135,7 @@ def cube_body(ids: Sequence[int], size: float, edge: float) -> MarkerBody:
         )
     quarter = np.pi / 2
     rotations = [(0.0, k * quarter, 0.0) for k in range(4)] + [(-quarter, 0.0, 0.0), (quarter, 0.0, 0.0)]
-    sides = [Pose().moved((0.0, 0.0, 0.0, *rotation)) for rotation in rotations]
+    sides = [Pose().plus((0.0, 0.0, 0.0, *rotation)) for rotation in rotations]
     out = Pose((0.0, 0.0, 0.5 * edge))
     return MarkerBody("cube", {i: (size, side.compose(out)) for i, side in zip(ids, sides, strict=False)})
 
@@ -161,17 +160,17 @@ class _BodyTable(Table):
         """The body that is described.
 
         Raises:
-            WrongKey: It cannot be.
+            KeyProblem: It cannot be.
         """
         numbers = [marker.id for marker in self.markers]
         for k, number in enumerate(numbers):
             if number in numbers[:k]:
-                raise WrongKey(f"marker {number} comes twice", f"markers[{k}]", "each id once")
+                raise KeyProblem(f"marker {number} comes twice", f"markers[{k}]", "each id once")
         sides = {m.id: (m.size, Pose(m.position, m.wxyz)) for m in self.markers}
         try:
             return MarkerBody(self.name, sides, self.dictionary)
         except CameraError as error:
-            raise WrongKey(str(error.args[0]), hint=error.hint) from None
+            raise KeyProblem(str(error.args[0]), hint=error.hint) from None
 
     @model_validator(mode="after")
     def _can_be(self) -> _BodyTable:
@@ -187,12 +186,12 @@ class _BodiesFile(Table):
         owner: dict[tuple[str | None, int], str] = {}
         for k, row in enumerate(self.body):
             if row.name in [other.name for other in self.body[:k]]:
-                raise WrongKey(f"two bodies are named {row.name!r}", f"body[{k}].name", "every name once")
+                raise KeyProblem(f"two bodies are named {row.name!r}", f"body[{k}].name", "every name once")
             for marker in row.markers:
                 other = owner.setdefault((row.dictionary, marker.id), row.name)
                 if other != row.name:
                     problem = f"marker {marker.id} is on {other!r} and on {row.name!r}"
-                    raise WrongKey(problem, f"body[{k}].markers", "each id once")
+                    raise KeyProblem(problem, f"body[{k}].markers", "each id once")
         return self
 
 

@@ -21,10 +21,10 @@ import yaml
 from numpy.typing import ArrayLike
 
 from robot_ik.camera import lens
+from robot_ik.config import LARGEST_NUMBER, parse, read_text, shown
 from robot_ik.errors import CalibrationError, ConfigError
 from robot_ik.files import write_atomically
 from robot_ik.ports import Array
-from robot_ik.reading import LARGEST_NUMBER, NESTED, parse, read_text, shown
 
 # A focal length of 0.3 widths sees 118 degrees, one of 5 widths 11 degrees: what arms are watched with.
 _FOCAL_RANGE = (0.3, 5.0)
@@ -293,7 +293,15 @@ _MODEL_NAMES = {
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML plus OpenCV's tag for matrices."""
+    """Plain YAML plus OpenCV's tag for matrices, without aliases.
+
+    No calibration program writes aliases. A few lines of them can expand to gigabytes.
+    """
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases are not supported")
+        return super().compose_node(parent, index)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", partial(_Loader.construct_mapping, deep=True))
@@ -306,8 +314,6 @@ _HINT = (
 
 
 def _yaml(text: str) -> Any:
-    if NESTED.search(text):
-        raise RecursionError  # PyYAML takes a second to find that out
     return yaml.load(text, Loader=_Loader)
 
 

@@ -146,7 +146,7 @@ class MotionFilter:
         if time - self.time > _RESTART_AFTER:
             return self._begin(time, pose, noise, Update.RESTARTED)
         predicted, spreads = self._advanced(time - self.time)
-        innovation = pose.change_from(predicted)
+        innovation = pose.minus(predicted)
         spread = spreads[0, _POSE]
         weighted = np.linalg.solve(
             spread[:, _POSE] + noise, np.concatenate([spread, innovation[:, None]], axis=1)
@@ -161,10 +161,10 @@ class MotionFilter:
         keep = np.eye(12)
         keep[:, _POSE] -= gain
         # How the observation was met by prediction and by holding.
-        missed = np.stack([innovation, pose.change_from(self._pose)]).reshape(2, 2, 3)
+        missed = np.stack([innovation, pose.minus(self._pose)]).reshape(2, 2, 3)
         self._misses += _NEW_SHARE * (np.sum(missed**2, axis=2) - self._misses)
         self._spreads = _symmetric(keep @ spreads @ keep.T + gain @ noise @ gain.T)  # Joseph's form
-        self._pose, self._rate = predicted.moved(change[_POSE]), self._rate + change[_RATE]
+        self._pose, self._rate = predicted.plus(change[_POSE]), self._rate + change[_RATE]
         self.time, self._rejected, self._rejected_at = time, 0, -np.inf
         self.moving = self._how_much_moving()
         return Update.TAKEN
@@ -185,7 +185,7 @@ class MotionFilter:
         span = min(max(time - self.time, 0.0), _LONGEST_PREDICTION)
         shares = np.repeat(self.moving, 3)
         horizon = span * shares
-        pose = self._pose.moved(horizon * self._rate)
+        pose = self._pose.plus(horizon * self._rate)
         p = self._spreads[0]
         cross = p[_POSE, _RATE] * horizon
         spread = p[_POSE, _POSE] + cross + cross.T + p[_RATE, _RATE] * np.outer(horizon, horizon)
@@ -230,7 +230,7 @@ class MotionFilter:
         spread[_POSE, _RATE] += gained * span / 2.0
         spread[_RATE, _POSE] += gained * span / 2.0
         spread[_RATE, _RATE] += gained
-        return self._pose.moved(span * self._rate), spreads
+        return self._pose.plus(span * self._rate), spreads
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -274,13 +274,13 @@ class OneEuro:
         span = time - self._time
         if not span > 0.0:
             return self._shown
-        self._rate += _share(_RATE_CUTOFF, span) * (pose.change_from(self._raw) / span - self._rate)
+        self._rate += _share(_RATE_CUTOFF, span) * (pose.minus(self._raw) / span - self._rate)
         speeds = np.linalg.norm(self._rate.reshape(2, 3), axis=1)
         shares = [
             _share(self._cutoff + k * float(speed), span)
             for k, speed in zip(_MORE_CUTOFF, speeds, strict=True)
         ]
-        self._shown = self._shown.moved(np.repeat(shares, 3) * pose.change_from(self._shown))
+        self._shown = self._shown.plus(np.repeat(shares, 3) * pose.minus(self._shown))
         self._time, self._raw = time, pose
         return self._shown
 

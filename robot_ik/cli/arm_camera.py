@@ -35,7 +35,8 @@ from robot_ik.cli.arguments import (
     single,
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
-from robot_ik.files import claimed, make_folder, write_atomically
+from robot_ik.files import make_folder, write_atomically
+from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.kinematic import PoseError

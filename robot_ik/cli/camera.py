@@ -30,8 +30,9 @@ from robot_ik.cli.arguments import (
     single,
 )
 from robot_ik.errors import CalibrationError, CameraError, FrameTimeoutError, OutputError
-from robot_ik.files import claimed, claimed_folder, timestamp, write_atomically
+from robot_ik.files import timestamp, write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.jobs.results import claimed, claimed_folder
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.intrinsic import CalibrationResult
@@ -55,7 +56,7 @@ class CameraListOptions:
 def run_list(options: CameraListOptions) -> int:
     """Prints the cameras; 1 when there is none."""
     from robot_ik.camera.device import CAN_LIST, find_cameras
-    from robot_ik.environment import named_users_of, permission_hint
+    from robot_ik.hardware.checks import named_users_of, permission_hint
 
     found = []
     for camera in find_cameras():

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, Range, Speed, positive, require, several, single, wrong
 from robot_ik.errors import TrajectoryError, did_you_mean
-from robot_ik.files import claimed
+from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
     from robot_ik.motion import Keyframes, KeyPoses
@@ -198,7 +198,7 @@ def run_play(options: PosesPlayOptions) -> int:
 
 def run_export(options: PosesExportOptions) -> int:
     """Writes it."""
-    from robot_ik.motion.bvh import export_bvh
+    from robot_ik.figure.motion.bvh import export_bvh
 
     out = _out(options.out, ".csv", ".bvh")
     with claimed(out, overwrite=options.overwrite):
@@ -213,8 +213,8 @@ def run_export(options: PosesExportOptions) -> int:
 
 def run_import(options: PosesImportOptions) -> int:
     """Takes it over."""
-    from robot_ik.motion.bvh import Bvh
-    from robot_ik.motion.retarget import SkeletonMap, retarget
+    from robot_ik.figure.motion.bvh import Bvh
+    from robot_ik.figure.motion.retarget import SkeletonMap, retarget
 
     out = _out(options.out, ".csv")
     with claimed(out, overwrite=options.overwrite):

@@ -14,7 +14,8 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, require, single
-from robot_ik.environment import NOTE, OK, PROBLEM, import_mujoco
+from robot_ik.hardware.checks import NOTE, OK, PROBLEM
+from robot_ik.jobs.environment import import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
@@ -132,8 +133,8 @@ def robot_facts(robot: Robot) -> dict[str, Any]:
         "lower": robot.lower,
         "upper": robot.upper,
         "home": robot.home,
-        "velocity": robot.velocity,
-        "acceleration": robot.acceleration,
+        "velocity_limits": robot.velocity_limits,
+        "acceleration_limits": robot.acceleration_limits,
         "sources": robot.file.sources,
     }
 
@@ -165,7 +166,7 @@ def _print_robot(robot: Robot) -> None:
     for name, kind, at_q, at_v in zip(robot.joints, joint_kinds(robot), tree.qadr, tree.vadr, strict=True):
         rotary = kind in ("hinge", "ball")
         limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
-        speeds = [_number(values[at_v], rotary) for values in (robot.velocity, robot.acceleration)]
+        speeds = [_number(values[at_v], rotary) for values in (robot.velocity_limits, robot.acceleration_limits)]
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
         rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))

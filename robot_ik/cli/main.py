@@ -221,7 +221,7 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
     from robot_ik.cli.arguments import parse
-    from robot_ik.environment import import_mujoco
+    from robot_ik.jobs.environment import import_mujoco
 
     module = importlib.import_module(command.module)
     options: Any = parse(getattr(module, command.options), f"robot-ik {name}", arguments)
@@ -279,7 +279,7 @@ def _print_help() -> None:
 
 
 def _print_versions() -> None:
-    from robot_ik.environment import installed_versions
+    from robot_ik.jobs.environment import installed_versions
 
     rows = [(name, version or "not installed") for name, version in installed_versions().items()]
     console.show(console.table("package", "version", rows=[*rows, ("python", sys.version.split()[0])]))

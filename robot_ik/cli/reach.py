@@ -32,8 +32,8 @@ from robot_ik.cli.arguments import (
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
-from robot_ik.errors import apart
-from robot_ik.files import claimed
+from robot_ik.errors import distinct_texts
+from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:
@@ -341,6 +341,6 @@ def _mm(position: Any) -> str:
 
 
 def _judged(judged: Any) -> str:
-    mm, most_mm = apart(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
-    deg, most_deg = apart(math.degrees(judged.angle), math.degrees(judged.allowed.angle), digits=2)
+    mm, most_mm = distinct_texts(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
+    deg, most_deg = distinct_texts(math.degrees(judged.angle), math.degrees(judged.allowed.angle), digits=2)
     return f"{mm} mm, {deg}°; allowed {most_mm} mm, {most_deg}°"

@@ -13,7 +13,7 @@ from tyro.conf import Positional
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Overwrite, RecordFile, robot_argument, single, wrong
 from robot_ik.cli.connection import bus_argument
-from robot_ik.files import claimed
+from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
     from robot_ik.jobs.script import Script, ScriptReport

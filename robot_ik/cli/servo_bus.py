@@ -17,7 +17,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, Range, positive, require, several, single
 from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_serial_port
-from robot_ik.files import claimed
+from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
     from robot_ik.hardware.discovery import FoundServo

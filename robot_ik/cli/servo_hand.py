@@ -21,7 +21,7 @@ from robot_ik.cli.arguments import OnExit, Overwrite, RecordFile, positive, seve
 from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, model_limits
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
-from robot_ik.files import claimed
+from robot_ik.jobs.results import claimed
 from robot_ik.ports import Clock, JointSink
 
 if TYPE_CHECKING:

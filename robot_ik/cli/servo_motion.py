@@ -15,8 +15,8 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
-from robot_ik.errors import apart
-from robot_ik.reading import is_number
+from robot_ik.config import is_number
+from robot_ik.errors import distinct_texts
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -98,7 +98,7 @@ def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
         joint = config.joint(name)
         lower, upper = joint.limits
         if not lower - 1e-9 <= q <= upper + 1e-9:
-            asked, low, high = apart(*(value / joint.per_unit for value in (q, lower, upper)))
+            asked, low, high = distinct_texts(*(value / joint.per_unit for value in (q, lower, upper)))
             unit = joint.unit
             raise wrong(name, f"{asked} {unit} is outside its limits", f"{low} to {high} {unit}")
 

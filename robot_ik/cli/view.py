@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from robot_ik.camera.drawing.probe import probe_display
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
     ArmFile,
@@ -27,9 +28,8 @@ from robot_ik.cli.arguments import (
     wrong,
 )
 from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
-from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
-from robot_ik.files import claimed
+from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from robot_ik.figure.figure import GRAVITY, Figure, once_each, rotation_points
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
+from robot_ik.figure.motion.pose_prior import mirrored, other_side
 from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
 from robot_ik.files import write_atomically
 from robot_ik.kernels.jit import cache_folder
-from robot_ik.motion.pose_prior import mirrored, other_side
 from robot_ik.ports import Array
 
 _GRID = 0.15  # m

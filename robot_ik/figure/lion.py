@@ -121,7 +121,7 @@ class Lion:
         lean = self._posed(self.paws, position, self._mass(paw), [])
         keys = [self.relaxed, lean, end, end, lean, self.relaxed]
         plan = Keyframes.through(
-            self.robot, keys, durations=(LEAN, REACH, HOLD, REACH, LEAN), velocity=_SPEED
+            self.robot, keys, durations=(LEAN, REACH, HOLD, REACH, LEAN), velocity_limits=_SPEED
         )
         return self._standing(plan, paw, rate)
 

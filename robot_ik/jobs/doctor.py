@@ -17,9 +17,10 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 
-from robot_ik import environment
-from robot_ik.environment import NOTE, OK, OPENCV_WHEELS, PROBLEM, CheckRow, permission_hint, version_of
+from robot_ik.camera.drawing import probe as drawing_probe
+from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow, permission_hint
 from robot_ik.hardware.ports import serial_ports, serial_row
+from robot_ik.jobs.environment import GL_PACKAGES, OPENCV_WHEELS, graphics_error, version_of
 
 #: Seconds that the whole doctor may take: each child process gets what is left of them.
 WHOLE_LIMIT = 9.0
@@ -38,7 +39,7 @@ class LateError(Exception):
     """A check ran out of time, which is no proof of anything being broken."""
 
 
-def in_time(probe: environment.Probe) -> environment.Probe:
+def in_time(probe: drawing_probe.Probe) -> drawing_probe.Probe:
     """What a child process found; raises ``LateError`` where it was stopped."""
     if probe.late:
         raise LateError(probe.text.splitlines()[-1])
@@ -50,8 +51,8 @@ def time_left(until: float) -> float:
     return max(0.2, until - time.monotonic())
 
 
-def _run(code: str, until: float, environ: Mapping[str, str] | None = None) -> environment.Probe:
-    return in_time(environment.run_probe(code, timeout=time_left(until), environment=environ))
+def _run(code: str, until: float, environ: Mapping[str, str] | None = None) -> drawing_probe.Probe:
+    return in_time(drawing_probe.run_probe(code, timeout=time_left(until), environment=environ))
 
 
 def check_python(until: float) -> CheckFinding:
@@ -101,13 +102,13 @@ def check_user_gl(until: float) -> CheckFinding:
     value = os.environ.get("MUJOCO_GL", "")
     if not value:
         return OK, "not set; robot_ik needs no OpenGL", ""
-    if value.lower().strip() in environment.GL_OFF:
+    if value.lower().strip() in drawing_probe.GL_OFF:
         return OK, f"{value}: OpenGL is switched off", ""
     probe = _run("import mujoco", until)
     if not probe.ok:
-        error = environment.graphics_error(value, probe.text)
+        error = graphics_error(value, probe.text)
         return PROBLEM, str(error.args[0]), "; ".join(error.hint.splitlines()[:2])
-    drawn = environment.probe_gl(value, timeout=time_left(until))
+    drawn = drawing_probe.probe_gl(value, timeout=time_left(until))
     if not drawn.ok:
         return NOTE, f"{value} cannot draw: {drawn.text}", "unset MUJOCO_GL"
     return OK, f"{value}: {drawn.text}", ""
@@ -115,16 +116,16 @@ def check_user_gl(until: float) -> CheckFinding:
 
 def check_gl(backend: str, until: float) -> CheckFinding:
     """Whether ``mujoco.Renderer`` could draw with this back end (nothing in robot_ik must)."""
-    probe = in_time(environment.probe_gl(backend, timeout=time_left(until)))
+    probe = in_time(drawing_probe.probe_gl(backend, timeout=time_left(until)))
     if probe.ok:
         return OK, probe.text, ""
-    packages = environment.GL_PACKAGES[backend]
+    packages = GL_PACKAGES[backend]
     return NOTE, f"not usable: {probe.text}", f"only for mujoco.Renderer: sudo apt-get install {packages}"
 
 
 def check_display(until: float) -> CheckFinding:
     """Whether the viewer window (--view) can open."""
-    probe = in_time(environment.probe_display(timeout=time_left(until)))
+    probe = in_time(drawing_probe.probe_display(timeout=time_left(until)))
     if not probe.ok:
         return NOTE, probe.text, "only --view needs one; pictures are written without it"
     do = "run through mjpython to use --view" if sys.platform == "darwin" else ""
@@ -218,7 +219,7 @@ def check_cameras(until: float) -> CheckFinding | list[CheckRow]:
     ]
     results = {}
     if usable:
-        probe = environment.run_probe(_CAMERA_CODE.format(paths=usable), timeout=time_left(until))
+        probe = drawing_probe.run_probe(_CAMERA_CODE.format(paths=usable), timeout=time_left(until))
         results = dict(line.split("=", 1) for line in probe.text.splitlines() if "=" in line)
     for path in usable:
         result = results.get(path, "no answer in time")

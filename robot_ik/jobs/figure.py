@@ -17,7 +17,7 @@ from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
-from robot_ik.camera.synthetic.camera import look_at
+from robot_ik.config import is_number, read_csv, shown
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Decision
@@ -25,14 +25,13 @@ from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession
-from robot_ik.geometry import axis_rotations
+from robot_ik.geometry import Pose, axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
 from robot_ik.model import compiled, read_spec
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
-from robot_ik.reading import is_number, read_csv, shown
 from robot_ik.robot import Robot
 
 FRAMES_SCHEMA = 1
@@ -322,7 +321,7 @@ class Painter:
             offset = frame.ball - to
             to = to + 0.3 * offset * min(1.0, 2.0 / max(float(np.linalg.norm(offset)), 1e-9)) * [1, 1, 0]
         self._at = to if self._at is None else self._at + (to - self._at) * min(1.0, _FOLLOW / RATE)
-        camera = look_at(self._at + self._tall * _FROM, self._at)
+        camera = Pose.look_at(self._at + self._tall * _FROM, self._at)
         ball = frame.ball if np.isfinite(frame.ball).all() else np.array([0.0, 0.0, -9.0])
         width, height = self._optics.size
         empty = np.full((height, width, 3), _PAPER, dtype=np.uint8)

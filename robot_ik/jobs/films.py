@@ -20,7 +20,7 @@ import numpy as np
 
 from robot_ik.camera.image import write_image
 from robot_ik.errors import MissingExtraError, OutputError
-from robot_ik.files import claimed, claimed_folder
+from robot_ik.jobs.results import claimed, claimed_folder
 from robot_ik.ports import Image
 
 FILMS = (".mp4", ".mkv", ".mov", ".gif")

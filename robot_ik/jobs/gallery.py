@@ -17,7 +17,6 @@ from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.raycast import RayField, ray_field
 from robot_ik.camera.image import write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.photograph import Photographer, Quality
 from robot_ik.camera.synthetic.scene import Lights, StillPicture
 from robot_ik.errors import ModelError
@@ -77,7 +76,7 @@ def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: Came
     back = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )
-    rotation = look_at(back, np.zeros(3)).rotation
+    rotation = Pose.look_at(back, np.zeros(3)).rotation
     seen = points @ rotation  # camera axes, origin in the world's
     low, high = seen.min(axis=0), seen.max(axis=0)
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))

@@ -34,8 +34,9 @@ from robot_ik.hardware.calibration_file import Calibration, calibration_beside, 
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.joint_map import JointMap, Sign
-from robot_ik.motion.trajectory import Trajectory, approach, playable
+from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import JointSink
+from robot_ik.workcell.guided_motion import approach, playable
 
 STILL_SAMPLES = 10
 """At 20 Hz: a hand that only passes through the pose is noticed."""

@@ -18,7 +18,6 @@ from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
 from robot_ik.ports import Closing
@@ -90,7 +89,7 @@ def compile_overlay() -> None:
     That is all of the compiled code in the order in which it is needed.
     """
     lens = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
-    camera = look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))
+    camera = Pose.look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))
     board, there = MarkerBoard({0: (0.05, Pose())}), camera.inverse()
     corners = lens.project(there.apply(marker_points(0.05)))
     estimate_body({0: corners}, board.layout, lens)

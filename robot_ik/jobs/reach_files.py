@@ -22,7 +22,7 @@ from robot_ik.camera.drawing.overlay import (
 from robot_ik.camera.image import write_image
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.errors import apart
+from robot_ik.errors import distinct_texts
 from robot_ik.files import plain, timestamp, write_atomically
 from robot_ik.jobs.films import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
@@ -110,7 +110,7 @@ def _seen_text(report: ReachReport) -> str:
 def _outcome(report: ReachReport) -> str:
     if report.by_camera is not None:
         judged = report.by_camera
-        off, allowed = apart(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
+        off, allowed = distinct_texts(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
         return (
             f"{'reached' if report.reached else 'NOT reached'}\nthe camera sees the {report.frame} "
             f"{off} mm from the goal, {allowed} mm allowed"

@@ -163,7 +163,11 @@ class RobotSetup:
         shared = {"rate": self.rate, "speed": speed}
         if self.config is None:
             return shared
-        return {"velocity": self.config.velocity, "acceleration": self.config.acceleration, **shared}
+        return {
+            "velocity_limits": self.config.velocity,
+            "acceleration_limits": self.config.acceleration,
+            **shared,
+        }
 
     @property
     def rate(self) -> float:
@@ -335,7 +339,7 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
                 )
         return robot, ArmConfig.generic(
             robot.name, robot.joints, robot.lower, robot.upper,
-            _HEADROOM * robot.velocity, _HEADROOM * robot.acceleration,
+            _HEADROOM * robot.velocity_limits, _HEADROOM * robot.acceleration_limits,
         )  # fmt: skip
     config = ArmConfig.load(path)
     if set(config.names) != set(robot.joints):  # without some, or beyond the group `arm`: a gripper's

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, look_at
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene
 from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.config import Pair, Position, Several, Table, check_table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
-from robot_ik.tables import Pair, Position, Several, Table, check_table
 
 # The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
@@ -182,7 +182,7 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
     }
     return Scene(
         intrinsics=intrinsics,
-        pose_world_camera=look_at(camera.position, camera.look_at),
+        pose_world_camera=Pose.look_at(camera.position, camera.look_at),
         marker_id=marker.id,
         dictionary=marker.dictionary,
         marker_size=marker.size,
@@ -284,7 +284,7 @@ def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
             direction = np.array(
                 [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
             )
-            found.append(look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
+            found.append(Pose.look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
     return found
 
 

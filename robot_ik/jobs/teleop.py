@@ -28,10 +28,10 @@ from robot_ik.hardware.watchdogs import stale_time
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.motion.timing import minimum_jerk
-from robot_ik.motion.trajectory import approach_profile
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
 from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
+from robot_ik.workcell.guided_motion import approach_profile
 
 LOST = 0.2
 """s without a good sample of the leader after which it counts as lost; a wire loses a packet now and then."""
@@ -269,7 +269,7 @@ class Jog(Operator):
 
     def move_hand(self, along: Array, about: Array) -> None:
         """The hand ``along`` (3,), metres, and ``about`` (3,), radians, the axes of the world."""
-        rotation = Pose().moved(np.concatenate([np.zeros(3), about])).rotation
+        rotation = Pose().plus(np.concatenate([np.zeros(3), about])).rotation
         pose = self._hand.pose
         pose = Pose.from_rotation(rotation @ pose.rotation, pose.position + along)
         self.angles |= self._hand.go(pose, exactly=True)

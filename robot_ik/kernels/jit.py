@@ -24,16 +24,14 @@ from typing import Any, TypeVar
 
 import numba
 from llvmlite import binding as llvm  # type: ignore[import-untyped]
-from numba import types
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, CompileResult
+from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.types.functions import BaseFunction
-from numba.core.typing import Context as TypingContext
 
 from robot_ik.errors import ConfigError
+from robot_ik.kernels.typing_memory import KernelCompiler
 
 # Made while numba is imported, from the environment: no type checker can see what is in it.
 numba_config: Any = numba.core.config
@@ -46,48 +44,40 @@ if numba_config.DISABLE_JIT:
 logger = logging.getLogger("robot_ik.kernels")
 
 
-# Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start: numba imports it
-# only to see that it is there, and once more when code that calls it is compiled.
+# Import numba's arrays without SciPy's BLAS, which is a fifth of a program's start (0.15 s): numba
+# imports it only to see that it is installed. The function is back in its place afterwards.
 if "numba.np.arraymath" not in sys.modules and importlib.util.find_spec("scipy") is not None:
     _linalg: Any = importlib.import_module("numba.np.linalg")
-    _ensure_blas, _linalg.ensure_blas = _linalg.ensure_blas, lambda: None
+    _ensure_blas = _linalg.ensure_blas
+    _linalg.ensure_blas = lambda: None
     try:
         importlib.import_module("numba.np.arraymath")
     finally:
         _linalg.ensure_blas = _ensure_blas
 
 
-class _TunedCompiler(event.Listener):
-    """Makes numba compile faster.  Most processes load what is compiled, and never load ``numba_tuning``.
-
-    Garbage collection rests meanwhile: a tenth of the time, for what nothing is freed.
-    """
+class _ExitGuard(event.Listener):
+    """Stops a thread that compiles when the process exits: LLVM crashes if it ends under a thread."""
 
     exiting = False
 
-    def __init__(self) -> None:
-        self._collected: list[bool] = []  # before each compilation that is under way; numba has one lock
-
-    def stop_at_exit(self) -> None:
-        """Has a thread that compiles stop at its next function: LLVM crashes if it ends under a thread."""
+    def stop_compiling(self) -> None:
+        """Make the compiling thread stop at its next function, and take numba's lock for good."""
         self.exiting = True
-        global_compiler_lock.acquire()  # and keeps it
+        global_compiler_lock.acquire()
 
     def on_start(self, event: Any) -> None:
+        """Stop here if the process exits."""
         if self.exiting:
             raise SystemExit
-        if os.environ.get("S1_TUNE"):
-            from robot_ik.kernels import numba_tuning
-
-            numba_tuning.tune()
 
     def on_end(self, event: Any) -> None:
-        """Does nothing."""
+        """Do nothing."""
 
 
-_compiler = _TunedCompiler()
-event.register("numba:compile", _compiler)
-atexit.register(_compiler.stop_at_exit)
+_exit_guard = _ExitGuard()
+event.register("numba:compile", _exit_guard)
+atexit.register(_exit_guard.stop_compiling)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -102,7 +92,9 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 # What compiled code of one file takes from another lies in these.
 _WITH_COMPILED_CODE = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
-_IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
+_IMPORT = re.compile(
+    r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE
+)
 
 
 def _file_of(module: str) -> Path | None:
@@ -118,7 +110,10 @@ def _imported(path: Path) -> tuple[bytes, tuple[Path, ...]]:
     found: list[Path | None] = []
     for module, names in _IMPORT.findall(text.decode()):
         if module.split(".")[0] in _WITH_COMPILED_CODE:
-            found += [_file_of(module), *(_file_of(f"{module}.{name}") for name in re.findall(r"\w+", names))]
+            found += [
+                _file_of(module),
+                *(_file_of(f"{module}.{name}") for name in re.findall(r"\w+", names)),
+            ]
     return text, tuple(dict.fromkeys(other for other in found if other is not None))
 
 
@@ -152,7 +147,9 @@ def cache_folder(module: str = __name__) -> Path:
         digest.update(source.name.encode())
         digest.update(_imported(source)[0])
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
-    candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
+    candidates = [
+        Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"
+    ]
     with contextlib.suppress(RuntimeError):  # no home folder at all
         candidates.insert(0, _user_cache())
     for base in candidates:
@@ -208,55 +205,7 @@ class _InnerLibrary(JITCodeLibrary):
         return library
 
 
-class _RememberingContext(TypingContext):
-    """numba's typing context, with a memory for the signatures of built-in functions.
-
-    numba tries up to thirty templates for each operation of each function, and formats an error message for
-    every template that does not fit: a third of a first compile. The signature for numbers and arrays depends
-    on nothing else, so one search is enough. Only the functions of this package are compiled with it.
-    """
-
-    __slots__ = ("remembered",)  # not in ``__dict__``, which is numba's
-
-    def __init__(self, context: TypingContext, remembered: dict[Any, Any]) -> None:
-        self.__dict__ = context.__dict__  # a twin of numba's context: it shares all state
-        self.remembered = remembered
-
-    def resolve_function_type(self, function: Any, arguments: Any, keywords: Any) -> Any:
-        """Return the signature of a function for these types of arguments."""
-        # Operators come as Python functions, such as ``operator.getitem``.
-        builtin = not isinstance(function, types.Type) or isinstance(function, BaseFunction)
-        builtin = builtin and not keywords
-        if not (builtin and all(map(_is_plain, arguments))):
-            return super().resolve_function_type(function, arguments, keywords)
-        key = function, tuple(arguments)
-        signature = self.remembered.get(key)
-        if signature is None:
-            signature = super().resolve_function_type(function, arguments, keywords)
-            self.remembered[key] = signature
-        return signature
-
-
-# Signatures by the flags under which they were found.
-_REMEMBERED: dict[str, dict[Any, Any]] = {}
-_PLAIN_TYPES = (types.Number, types.Boolean, types.Array, types.SliceType, types.NoneType)
-
-
-def _is_plain(kind: Any) -> bool:
-    """Return whether a type tells all that a signature depends on; functions and lists do not."""
-    if isinstance(kind, types.UniTuple | types.Tuple):
-        return all(map(_is_plain, kind.types))
-    return isinstance(kind, _PLAIN_TYPES)
-
-
-class _KernelCompiler(Compiler):
-    def compile_extra(self, function: Any) -> Any:
-        remembered = _REMEMBERED.setdefault(str(self.state.flags.fastmath), {})
-        self.state.typingctx = _RememberingContext(self.state.typingctx, remembered)
-        return super().compile_extra(function)
-
-
-class _InnerCompiler(_KernelCompiler):
+class _InnerCompiler(KernelCompiler):
     def compile_extra(self, function: Any) -> Any:
         self.state.library = _InnerLibrary(self.state.targetctx.codegen(), function.__qualname__)
         return super().compile_extra(function)
@@ -294,7 +243,10 @@ class _InnerCache(FunctionCache):
 @contextlib.contextmanager
 def _cache_of(function: Any) -> Iterator[None]:
     """What is compiled inside is cached in the folder of the function's module."""
-    previous, numba_config.CACHE_DIR = numba_config.CACHE_DIR, str(cache_folder(function.__module__))
+    previous, numba_config.CACHE_DIR = (
+        numba_config.CACHE_DIR,
+        str(cache_folder(function.__module__)),
+    )
     try:
         yield
     finally:
@@ -302,7 +254,12 @@ def _cache_of(function: Any) -> Iterator[None]:
 
 
 def _compile_inner(function: F, **options: Any) -> F:
-    options |= {"cache": False, "pipeline_class": _InnerCompiler, "no_cpython_wrapper": True, "_nrt": False}
+    options |= {
+        "cache": False,
+        "pipeline_class": _InnerCompiler,
+        "no_cpython_wrapper": True,
+        "_nrt": False,
+    }
     with _cache_of(function):
         compiled: Any = numba.njit(**(_OPTIONS | options))(function)
         compiled._cache = _InnerCache(function)
@@ -316,7 +273,7 @@ def kernel(function: F) -> F:
     Entry points may allocate; what loops calls ``pure`` functions.
     """
     with _cache_of(function):
-        compiled: F = numba.njit(**_OPTIONS, pipeline_class=_KernelCompiler)(function)
+        compiled: F = numba.njit(**_OPTIONS, pipeline_class=KernelCompiler)(function)
     return compiled
 
 

@@ -9,8 +9,8 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import kernel, literal, outlined, pure
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree_block
+from robot_ik.kernels.jit import inlined, kernel, literal, outlined
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
 # Sine and cosine of an angle at once, in a third of the time of a library's two calls: Cody & Waite's
 # reduction to [−π/4, π/4] and the polynomials of fdlibm's ``__kernel_sin`` and ``__kernel_cos`` (Sun
@@ -60,7 +60,7 @@ def follow(tree, q):
         q[qadr[coupled[c, 0]]] = law[c, 0] + law[c, 2] + value
 
 
-@pure
+@inlined
 def slope_of(tree, c, q):
     """How far coupling ``c`` moves its joint per unit of the leader."""
     law = tree.law
@@ -72,7 +72,7 @@ def slope_of(tree, c, q):
 _ZERO_QUATERNION = 1e-15
 
 
-@pure
+@inlined
 def quat_rotation(q, a, out, o):
     """Rotation matrix of the quaternion q[a:a+4] (normalised here; zero: identity) into out[o, 3:12]."""
     w, x, y, z = q[a], q[a + 1], q[a + 2], q[a + 3]
@@ -92,7 +92,7 @@ def quat_rotation(q, a, out, o):
     out[o, 11] = 1 - 2 * (x * x + y * y)
 
 
-@pure
+@inlined
 def compose(a, i, b, j, out, o):
     """out[o] = a[i] · b[j] for tables of pose rows (n, 12); out[o] must be neither of them."""
     b0, b1, b2 = b[j, 0], b[j, 1], b[j, 2]
@@ -107,7 +107,7 @@ def compose(a, i, b, j, out, o):
         out[o, 5 + 3 * k] = r0 * b5 + r1 * b8 + r2 * b11
 
 
-@pure
+@inlined
 def hinge_pose(world, parent, constant, k, s, c):
     """world[k] = world[parent] · constant[k] · (rotation about z with that sine and cosine)."""
     x0, x1, x2 = constant[k, 0], constant[k, 1], constant[k, 2]
@@ -168,7 +168,7 @@ def forward(tree, nodes, q, world, scratch):
             compose(scratch, before, scratch, rotation, world, k)
 
 
-@pure
+@inlined
 def frame_pose(world, node, local, index, out):
     """Pose of a frame fixed to ``node`` (-1: the world) at local[index] into out[index]."""
     if node >= 0:
@@ -178,19 +178,19 @@ def frame_pose(world, node, local, index, out):
             out[index, i] = local[index, i]
 
 
-@pure
+@inlined
 def width_of(joint):
     """Degrees of freedom of a kind of joint."""
     return 1 if joint < BALL else 3 if joint == BALL else 6
 
 
-@pure
+@inlined
 def unit(i):
     """Unit vector along coordinate ``i``; zero beyond the third."""
     return 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
 
 
-@pure
+@inlined
 def dof_axis(kind, world, node, index):
     """World axis x, y, z of the ``index``-th degree of freedom of ``node``, and whether it is rotational."""
     joint = kind[node]
@@ -201,7 +201,7 @@ def dof_axis(kind, world, node, index):
     return world[node, 3 + column], world[node, 6 + column], world[node, 9 + column], joint != SLIDE
 
 
-@pure
+@inlined
 def point_velocity(world, node, ax, ay, az, rotational, px, py, pz):
     """Velocity of a point per unit of a degree of freedom with that axis."""
     if not rotational:
@@ -210,7 +210,7 @@ def point_velocity(world, node, ax, ay, az, rotational, px, py, pz):
     return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
 
 
-@pure
+@inlined
 def velocity_of(tree, world, v, point):
     """Return the velocity of a point and the angular velocity, per unit of degree of freedom ``v``."""
     node = tree.dof_node[v]
@@ -259,7 +259,7 @@ def integrate(tree, nodes, q, dq):
             rotate_quat(q, a + 3, dq[v + 3], dq[v + 4], dq[v + 5])
 
 
-@pure
+@inlined
 def rotation_back(q, a, rw, rx, ry, rz):
     """Rotation vector, body axes, that takes the quaternion q[a:a+4] to (rw, rx, ry, rz), the short way."""
     w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
@@ -273,7 +273,7 @@ def rotation_back(q, a, rw, rx, ry, rz):
     return scale * x, scale * y, scale * z
 
 
-@pure
+@inlined
 def perpendicular(axis):
     """A unit vector perpendicular to the unit vector ``axis``."""
     x, y, z = axis
@@ -329,35 +329,35 @@ def clip(tree, nodes, q):
 @kernel
 def tree_integrate(tree, nodes, q, dq):
     """``integrate`` for the block of a tree."""
-    integrate(open_tree_block(tree), nodes, q, dq)
+    integrate(open_tree(tree), nodes, q, dq)
 
 
 @kernel
 def tree_follow(tree, q):
     """``follow`` for the block of a tree."""
-    follow(open_tree_block(tree), q)
+    follow(open_tree(tree), q)
 
 
 @kernel
 def tree_clip(tree, nodes, q):
     """``clip`` for the block of a tree."""
-    clip(open_tree_block(tree), nodes, q)
+    clip(open_tree(tree), nodes, q)
 
 
 @kernel
 def tree_frame(tree, nodes, node, local, q, world, scratch, out):
     """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
-    forward(open_tree_block(tree), nodes, q, world, scratch)
+    forward(open_tree(tree), nodes, q, world, scratch)
     frame_pose(world, node, local, types.int64(0), out)
 
 
 @kernel
 def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """``frame_jacobian`` for the block of a tree."""
-    frame_jacobian(open_tree_block(tree), nodes, node, local, q, world, scratch, out, jacobian)
+    frame_jacobian(open_tree(tree), nodes, node, local, q, world, scratch, out, jacobian)
 
 
-@pure
+@inlined
 def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
     kind, vadr = tree.kind, tree.vadr

@@ -74,7 +74,7 @@ from robot_ik.kernels.search import (
     put_start,
     step_bounds,
 )
-from robot_ik.kernels.tree import TREE_BLOCK
+from robot_ik.kernels.tree import TREE
 
 # More values of search.phase.
 TOGETHER = 3
@@ -157,7 +157,7 @@ WORK = Layout(
     prior=PRIOR_WORK,
 )
 
-RUN = Layout("LevelRun", tree=TREE_BLOCK, goals=GOALS, search=SEARCH, work=WORK, options=OPTIONS)
+RUN = Layout("LevelRun", tree=TREE, goals=GOALS, search=SEARCH, work=WORK, options=OPTIONS)
 open_run = RUN.open
 
 

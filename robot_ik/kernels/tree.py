@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.kernels import block as blocks
-from robot_ik.kernels.bundle import Layout
+from robot_ik.kernels.block import Block, Layout
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -45,13 +44,11 @@ TREE = Layout(
     law="table",  # (c, 7) q₀ of the two, a₀ … a₄
 )
 open_tree = TREE.open
-TREE_BLOCK = blocks.Layout("Tree", **TREE.fields)
-open_tree_block = TREE_BLOCK.open
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree:
-    """Arrays of a kinematic tree (``TREE``), read-only, and ``handle``, the same for compiled code."""
+    """Arrays of a kinematic tree (``TREE``), read-only, and ``block``, the same for compiled code."""
 
     joint_ids: tuple[int, ...]  # (n,) MuJoCo joint of each node
     kind: Ints
@@ -69,22 +66,19 @@ class Tree:
     law: Array = field(default_factory=lambda: np.zeros((0, 7)))
     dof_node: Ints = field(init=False)
     every: Ints = field(init=False)
-    handle: Ints = field(init=False, repr=False)  # the packed table: good while this tree lives
-    block: blocks.Block = field(init=False, repr=False)
+    block: Block = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        n = len(self.kind)
         widths = [V_WIDTH[int(kind)] for kind in self.kind]
-        made = {"dof_node": np.repeat(np.arange(n), widths), "every": np.arange(n)}
-        arrays: dict[str, NDArray[Any]] = {
-            name: np.array(made.get(name, getattr(self, name, None)), np.int64 if "int" in kind else float)
-            for name, kind in TREE.fields.items()
-        }
-        for name, array in arrays.items():
+        object.__setattr__(self, "dof_node", np.repeat(np.arange(len(widths)), widths))
+        object.__setattr__(self, "every", np.arange(len(widths)))
+        arrays: dict[str, NDArray[Any]] = {}
+        for name, kind in TREE.kinds.items():
+            array = np.array(getattr(self, name), np.int64 if kind.startswith("int") else float)
             array.flags.writeable = False
+            arrays[name] = array
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "handle", TREE.pack(arrays))
-        object.__setattr__(self, "block", TREE_BLOCK.allocate(given=arrays))
+        object.__setattr__(self, "block", TREE.allocate(given=arrays))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A copy has arrays of its own, and so needs a table of its own.

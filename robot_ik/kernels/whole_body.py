@@ -28,7 +28,7 @@ from robot_ik.kernels.linalg import (
     solve_upper,
 )
 from robot_ik.kernels.search import copy
-from robot_ik.kernels.tree import FREE, HINGE, SLIDE, TREE_BLOCK
+from robot_ik.kernels.tree import FREE, HINGE, SLIDE, TREE
 
 # Kinds of groups of three rows: the origin of a frame, its rotation, the centre of mass, the
 # direction of the x axis of a frame, and the angular momentum about the centre of mass since the
@@ -99,7 +99,7 @@ WHOLE_BODY = Layout(
     hard_solved="table h nv",  # ``hard`` times L⁻ᵀ of the factors
     schur="table h h",
     multiplier="floats h",
-    tree=TREE_BLOCK,
+    tree=TREE,
 )
 open_body = WHOLE_BODY.open
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from robot_ik.body_goals import PostureGoal
+from robot_ik.config import SchemaVersion, Several, Table, keys_of, read_table, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -22,10 +23,8 @@ from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
-from robot_ik.reading import shown
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import SchemaVersion, Several, Table, keys_of, read_table
 
 
 @dataclass(frozen=True)
@@ -117,13 +116,13 @@ class KeyPoses:
             wanted = self.motions[name]
         except KeyError:
             raise _unknown("motion", name, [*self.motions, *self.poses]) from None
-        velocity = _stated_limits(self.robot) if wanted.durations else None
+        velocity_limits = _stated_limits(self.robot) if wanted.durations else None
         keys = [self[pose] for pose in wanted.poses]
         if wanted.loop:
             keys.append(keys[0])
         durations, loop = wanted.durations or 0.0, wanted.loop
         return Keyframes.through(
-            self.robot, keys, durations=durations, speed=speed, velocity=velocity, loop=loop
+            self.robot, keys, durations=durations, speed=speed, velocity_limits=velocity_limits, loop=loop
         )
 
     def save(self, path: Path | str) -> None:
@@ -195,8 +194,8 @@ class _KeyPosesFile(Table):
 
 def _stated_limits(robot: Robot) -> Array:
     """(nv,) the robot's speed limits, none for joints of which its file says nothing."""
-    stated = np.array([robot.joints[int(node)] in robot.file.velocity for node in robot.tree.dof_node])
-    return np.where(stated, robot.velocity, np.inf)
+    stated = np.array([robot.joints[int(node)] in robot.file.velocity_limits for node in robot.tree.dof_node])
+    return np.where(stated, robot.velocity_limits, np.inf)
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import TrajectoryError, apart
+from robot_ik.errors import TrajectoryError, distinct_texts
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
@@ -165,7 +165,7 @@ class Keyframes:
         *,
         durations: ArrayLike = 0.0,
         speed: float = 1.0,
-        velocity: ArrayLike | None = None,
+        velocity_limits: ArrayLike | None = None,
         loop: bool = False,
     ) -> Keyframes:
         """The motion through ``poses`` that is as fast as the joints' speed limits allow.
@@ -175,7 +175,7 @@ class Keyframes:
             poses: (nq,) each.
             durations: Seconds that each segment shall take at least: one number, or one for each.
             speed: Part of the speed limits to use, above 0 and up to 1.
-            velocity: (nv,) speed limits in place of the robot's, rad/s or m/s.
+            velocity_limits: (nv,) speed limits in place of the robot's, rad/s or m/s.
             loop: Come back to the first pose, which is added behind the last unless it stands there.
 
         Raises:
@@ -186,7 +186,7 @@ class Keyframes:
         keys = [robot.check_q(pose, f"pose {k}") for k, pose in enumerate(poses)]
         if loop and keys and not _closed(robot, keys[0], keys[-1]):
             keys.append(keys[0])
-        limits = robot.velocity if velocity is None else np.asarray(velocity, dtype=float)
+        limits = robot.velocity_limits if velocity_limits is None else np.asarray(velocity_limits, dtype=float)
         top = speed * np.broadcast_to(limits, robot.nv)
         wanted = np.broadcast_to(np.asarray(durations, dtype=float), max(len(keys) - 1, 0))
         least = np.maximum(wanted, _SHORTEST)
@@ -448,7 +448,7 @@ def _outside_text(robot: Robot, q: Array, joint: str) -> str:
         at, low = 2.0 * math.atan2(float(np.linalg.norm(q[a + 1 : a + 4])), abs(at)), 0.0
     unit, one = ("m", 1.0) if kind == SLIDE else ("deg", math.pi / 180.0)
     values = (value / one for value in (at, low, float(robot.upper[v])))
-    asked, lower, upper = apart(*values, digits=6, form="g")
+    asked, lower, upper = distinct_texts(*values, digits=6, form="g")
     return f"joint {joint!r} at {asked} {unit} is outside its limits; allowed: {lower} to {upper} {unit}"
 
 

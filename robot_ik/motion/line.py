@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import InvalidGoalError, TrajectoryError, apart
+from robot_ik.errors import InvalidGoalError, TrajectoryError, distinct_texts
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.motion.timing import Timing, fastest_timing
@@ -192,7 +192,7 @@ class _Tracer:
                 hint="shorten the line, start from another configuration, or use joint_move",
             )
         k = int(np.argmax(np.abs(beyond - q)))
-        jump, most = apart(abs(beyond[k] - q[k]), _MAX_JUMP, digits=3)
+        jump, most = distinct_texts(abs(beyond[k] - q[k]), _MAX_JUMP, digits=3)
         return TrajectoryError(
             f"{self.frame!r} can follow only {reached}: there joint {self.robot.joints[k]!r} would jump by "
             f"{jump}; at most {most} is allowed (rad, m for slides)",

@@ -1,8 +1,7 @@
-"""`Trajectory`: joint angles over time, and `joint_move`, the straight line between two of them."""
+"""``Trajectory``: joint angles over time, and ``joint_move``, the straight move in joint space."""
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import math
@@ -10,43 +9,53 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
+from robot_ik.config import LARGEST_NUMBER, is_number, read_csv, shown
+from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, distinct_texts
 from robot_ik.files import write_atomically
-from robot_ik.geometry import is_real, numbers
-from robot_ik.motion.timing import PROFILES, Profile, quintic
-from robot_ik.ports import Array
-from robot_ik.reading import LARGEST_NUMBER, read_csv, shown
+from robot_ik.geometry import Array, is_real, numbers
+from robot_ik.motion.timing import PROFILES
 from robot_ik.robot import Robot, require_robot
 
-if TYPE_CHECKING:
-    from robot_ik.hardware.config import ArmConfig
+LIMIT_ROUNDING = 1e-9
+"""rad or m. By rounding, a solution at a limit may be this far beyond it."""
 
-# ------------------------------------------------------------------------------------------
-# What a move may ask of a robot: the checks that every planner shares.
+MOST_SAMPLES = 10_000_000
+"""Samples of a move: more than a day at 100 Hz."""
+
+COUNT_ROUNDING = 1e-12
+"""Relative rounding error of a duration, which must not add a sample."""
+
+_TIME_COLUMNS = ("time_s", "t")
+_ROBOT_COLUMN = "robot"
+_COMMANDED = re.compile(r"commanded\.(.+)$|(.+)_commanded$")
+"""Columns of commands in a recording and in the table of a reach."""
 
 
-# A goal that a solver put onto a limit may miss it by rounding: rad or m.
-_LIMIT_ROUNDING = 1e-9
-# Of a move: a day at 100 Hz.
-_MOST_SAMPLES = 10_000_000
+def sample_count(duration: float, rate: float) -> int:
+    """Return the number of periods at ``rate`` Hz that cover ``duration`` seconds."""
+    return math.ceil(duration * rate * (1.0 - COUNT_ROUNDING))
 
 
 def joint_vector(robot: Robot, q: ArrayLike, what: str) -> Array:
-    """``q`` as a fresh (nq,) array.
+    """Return ``q`` as a new array (nq,).
+
+    Args:
+        robot: The robot.
+        q: Joint angles (nq,), rad or m.
+        what: Name of the vector, for the message.
 
     Raises:
-        TrajectoryError: Wrong length or a number that is not finite; names the joint.
+        TrajectoryError: Wrong length or a number that is not finite. The message names the joint.
         UnsupportedJointError: The robot has ball or free joints.
     """
     require_robot(robot)
     if robot.nq != robot.nv:
         raise UnsupportedJointError(
-            f"robot {robot.name!r} has ball or free joints; moves are planned for hinges and slides",
+            f"robot {robot.name!r} has ball or free joints; moves need hinges and slides",
             hint="keep only hinge and slide joints: load_robot(…, joints=[…])",
         )
     vector = numbers(q, f"the {what}", f"{robot.nq} numbers", TrajectoryError)
@@ -55,57 +64,77 @@ def joint_vector(robot: Robot, q: ArrayLike, what: str) -> Array:
             f"the {what} has shape {vector.shape}; {robot.name!r} has {robot.nq} joints",
             hint=f"give one number each for {', '.join(robot.joints)}",
         )
-    if not np.isfinite(vector).all():
-        k = int(np.argmin(np.isfinite(vector)))
+    finite = np.isfinite(vector)
+    if not finite.all():
+        k = int(np.argmin(finite))
         raise TrajectoryError(
-            f"the {what} asks {vector[k]} of joint {robot.joints[k]!r}", hint="give finite numbers, rad or m"
+            f"the {what} has {vector[k]} for joint {robot.joints[k]!r}",
+            hint="give finite numbers, rad or m",
         )
     return vector
 
 
 def motion_limits(
-    robot: Robot, speed: float, velocity: ArrayLike | None = None, acceleration: ArrayLike | None = None
+    robot: Robot,
+    speed: float,
+    velocity_limits: ArrayLike | None = None,
+    acceleration_limits: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
-    """Velocity and acceleration (nq,) to plan with.
+    """Return the velocity and acceleration limits (nv,) for planning.
 
-    ``speed`` times the lower of the robot's own limits and the given caps.
+    They are ``speed`` times the lower of the robot's limits and the given limits.
 
     Raises:
-        TrajectoryError: ``speed`` outside (0, 1], or a limit that is missing, zero, infinite or no number.
+        TrajectoryError: ``speed`` is outside (0, 1], or a limit is missing, zero, infinite or not a
+            number.
     """
     if not is_real(speed, math.ulp(0.0), 1.0):
-        raise TrajectoryError(f"asked for speed {speed!r}", hint="a part of the limits: above 0, at most 1")
-    limits = []
-    for what, own, cap in (
-        ("velocity", robot.velocity, velocity),
-        ("acceleration", robot.acceleration, acceleration),
-    ):
+        raise TrajectoryError(
+            f"speed is {speed!r}", hint="give a share of the limits: above 0, at most 1"
+        )
+    return (
+        speed * _lower_limits(robot, "velocity_limits", velocity_limits),
+        speed * _lower_limits(robot, "acceleration_limits", acceleration_limits),
+    )
+
+
+def _lower_limits(robot: Robot, what: str, caps: ArrayLike | None) -> Array:
+    """Return the lower (nv,) of the limits of the robot and of the caller."""
+    limits = getattr(robot, what)
+    if caps is not None:
         try:
-            lowest = np.minimum(own, np.inf if cap is None else np.asarray(cap, dtype=float))
+            limits = np.minimum(limits, np.asarray(caps, dtype=float))
         except (TypeError, ValueError, OverflowError) as error:
-            raise TrajectoryError(f"{what} is to be {robot.nv} numbers, or one, not {shown(cap)}") from error
-        if lowest.shape != (robot.nv,) or not (np.isfinite(lowest) & (lowest > 0.0)).all():
-            raise TrajectoryError(
-                f"the {what} limits of {robot.name!r} are {np.asarray(lowest).tolist()}",
-                hint="each joint needs one finite limit above zero: [motion] in robot.toml",
-            )
-        limits.append(speed * lowest)
-    return limits[0], limits[1]
+            problem = f"{what} must be {robot.nv} numbers or one number, not {shown(caps)}"
+            raise TrajectoryError(problem) from error
+    if limits.shape != (robot.nv,) or not (np.isfinite(limits) & (limits > 0.0)).all():
+        raise TrajectoryError(
+            f"the {what} of {robot.name!r} are {np.asarray(limits).tolist()}",
+            hint="each joint needs one finite limit above zero: [motion] in robot.toml",
+        )
+    return np.asarray(limits)
 
 
 def require_positive(what: str, value: float, unit: str) -> None:
-    """Raises `TrajectoryError` unless ``value`` is finite and above zero."""
+    """Raise ``TrajectoryError`` unless a value is finite and above zero."""
     if not is_real(value, math.ulp(0.0)):
-        raise TrajectoryError(f"asked for a {what} of {value!r} {unit}", hint=f"{what} must be above zero")
+        raise TrajectoryError(f"{what} is {value!r} {unit}", hint=f"{what} must be above zero")
 
 
 def checked_samples(
-    what: str, times: ArrayLike, q: ArrayLike, width: int, least: float = math.ulp(0.0)
+    what: str, times: ArrayLike, q: ArrayLike, width: int, shortest: float = math.ulp(0.0)
 ) -> tuple[Array, Array]:
-    """``times`` (n,), each ``least`` after the one before, and ``q`` (n, ``width``) as new arrays.
+    """Return times and joint angles as new arrays.
+
+    Args:
+        what: Name of the samples, for the message.
+        times: Seconds (n,), n >= 1.
+        q: Joint angles (n, ``width``).
+        width: Numbers in a row of ``q``.
+        shortest: Shortest allowed time between two samples, s.
 
     Raises:
-        TrajectoryError: They are not; ``what`` is for its message.
+        TrajectoryError: Another shape, a number that is not finite, or times that do not increase.
     """
     t = numbers(times, f"times of {what}", error=TrajectoryError)
     rows = numbers(q, f"q of {what}", error=TrajectoryError)
@@ -116,35 +145,30 @@ def checked_samples(
         )
     if not (np.isfinite(t).all() and np.isfinite(rows).all()):
         raise TrajectoryError(f"{what} got a number that is not finite", hint="look for NaN in q")
-    if (np.diff(t) < least).any():
-        k = int(np.argmax(np.diff(t) < least))
+    too_short = np.diff(t) < shortest
+    if too_short.any():
+        k = int(np.argmax(too_short))
         raise TrajectoryError(
             f"times must increase, but row {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
-            hint="sort the rows and drop those of equal time",
+            hint="sort the rows and drop rows of equal time",
         )
     return t, rows
 
 
-_TIME_COLUMNS, _ROBOT_COLUMN = ("time_s", "t"), "robot"
-_COMMANDED = re.compile(r"commanded\.(.+)$|(.+)_commanded$")
-"""A column of what ``jobs.recording`` and ``jobs.reach_files`` write, beside what was measured."""
-
-
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Joint vectors at increasing times; straight between the samples.
+    """Joint vectors at increasing times, with straight lines between the samples.
 
-    Straight lines keep what the samples have: they stay inside joint limits and never exceed the
-    largest velocity.  Their corners are as sharp as the sampling is coarse, so plan at the rate at
-    which you send.
+    Straight lines stay inside joint limits and never exceed the largest velocity. Their corners are
+    as sharp as the sampling is coarse, so plan at the rate at which you send.
 
     Attributes:
-        times: (n,) seconds, strictly increasing, n >= 1; read-only.
-        q: (n, nq) rad, m for slides; read-only.
-        joints: nq column names.
+        times: Seconds (n,), strictly increasing, n >= 1. Read-only.
+        q: Joint angles (n, nq), rad or m for slides. Read-only.
+        joints: Names of the nq columns.
 
     Raises:
-        TrajectoryError: Shapes that do not fit, times that do not increase, or numbers that are not finite.
+        TrajectoryError: Shapes do not fit, times do not increase, or a number is not finite.
     """
 
     times: Array
@@ -153,19 +177,25 @@ class Trajectory:
 
     def __init__(self, times: ArrayLike, q: ArrayLike, joints: Iterable[str]) -> None:
         given: object = joints
-        names = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+        is_list = isinstance(given, Iterable) and not isinstance(given, str)
+        names = tuple(joints) if is_list else (joints,)
         if not all(isinstance(name, str) for name in names):
-            raise TrajectoryError(f"joints are names, not {joints!r}", hint='joints=["joint1", "joint2"]')
-        t, samples = checked_samples(f"a trajectory of {len(names)} joints", times, q, len(names))
-        t.flags.writeable = samples.flags.writeable = False
-        for name, value in (("times", t), ("q", samples), ("joints", names)):
-            object.__setattr__(self, name, value)
+            hint = 'joints=["joint1", "joint2"]'
+            raise TrajectoryError(f"joints are names, not {joints!r}", hint=hint)
+        what = f"a trajectory of {len(names)} joints"
+        checked_times, checked_q = checked_samples(what, times, q, len(names))
+        checked_times.flags.writeable = False
+        checked_q.flags.writeable = False
+        object.__setattr__(self, "times", checked_times)
+        object.__setattr__(self, "q", checked_q)
+        object.__setattr__(self, "joints", names)
 
     def __len__(self) -> int:
         return len(self.times)
 
     def __repr__(self) -> str:
-        return f"Trajectory({len(self)} samples, {self.duration:.3f} s, joints {', '.join(self.joints)})"
+        names = ", ".join(self.joints)
+        return f"Trajectory({len(self)} samples, {self.duration:.3f} s, joints {names})"
 
     @property
     def duration(self) -> float:
@@ -173,46 +203,55 @@ class Trajectory:
         return float(self.times[-1] - self.times[0])
 
     def at(self, t: float) -> Array:
-        """``q`` (nq,) at ``t`` in seconds; exact at samples, held before the first and after the last."""
+        """Return ``q`` (nq,) at ``t`` seconds.
+
+        The result is exact at samples. Before the first and after the last sample it is constant.
+        """
         if not is_real(t):
-            raise TrajectoryError(f"asked for the time {t!r}", hint="ask for a finite time in seconds")
+            raise TrajectoryError(f"the time is {t!r}", hint="give a finite time in seconds")
         k = int(np.searchsorted(self.times, t, side="right")) - 1
         if k < 0:
             return np.array(self.q[0])
         if k >= len(self) - 1 or self.times[k] == t:
             return np.array(self.q[k])
-        part = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
-        return np.asarray(self.q[k] * (1.0 - part) + self.q[k + 1] * part)
+        share = (t - self.times[k]) / (self.times[k + 1] - self.times[k])
+        return np.asarray(self.q[k] * (1.0 - share) + self.q[k + 1] * share)
 
     def resampled(self, rate: float) -> Trajectory:
-        """The same motion at ``rate`` Hz from time 0; the last sample is kept (the last gap may be short)."""
+        """Return the same motion at ``rate`` Hz from time 0.
+
+        The last sample is kept, so the last gap may be shorter than the others.
+        """
         require_positive("rate", rate, "Hz")
-        count = int(np.ceil(self.duration * rate * (1.0 - 1e-12)))
+        count = sample_count(self.duration, rate)
         times = np.minimum(np.arange(count + 1) / rate, self.duration)
         times[-1] = self.duration
-        return Trajectory(times, [self.at(self.times[0] + t) for t in times[:-1]] + [self.q[-1]], self.joints)
+        rows = [self.at(self.times[0] + t) for t in times[:-1]]
+        return Trajectory(times, [*rows, self.q[-1]], self.joints)
 
     @property
     def peak_velocity(self) -> Array:
-        """(nq,) largest speed of each joint between two samples, rad/s or m/s."""
+        """Largest speed (nq,) of each joint between two samples, rad/s or m/s."""
         return np.asarray(np.abs(self._slopes()).max(axis=0, initial=0.0))
 
     @property
     def peak_acceleration(self) -> Array:
-        """(nq,) largest acceleration of each joint, rad/s^2 or m/s^2, from rest before and to rest after."""
+        """Largest acceleration (nq,) of each joint, from rest to rest, rad/s² or m/s²."""
         if len(self) < 2:
             return np.zeros(len(self.joints))
         gaps = np.diff(self.times)
-        between = 0.5 * (np.concatenate([gaps[:1], gaps]) + np.concatenate([gaps, gaps[-1:]]))
+        gap_before = np.concatenate([gaps[:1], gaps])
+        gap_after = np.concatenate([gaps, gaps[-1:]])
         rest = np.zeros((1, len(self.joints)))
         change = np.diff(np.concatenate([rest, self._slopes(), rest]), axis=0)
-        return np.asarray(np.abs(change / between[:, None]).max(axis=0, initial=0.0))
+        acceleration = change / (0.5 * (gap_before + gap_after))[:, None]
+        return np.asarray(np.abs(acceleration).max(axis=0, initial=0.0))
 
     def _slopes(self) -> Array:
         return np.asarray(np.diff(self.q, axis=0) / np.diff(self.times)[:, None])
 
     def save_csv(self, path: Path | str) -> None:
-        """Writes a header (time_s, joint names) and one row a sample, in full precision; whole or not at all.
+        """Write a header (time_s, joint names) and one row a sample, in full precision.
 
         Raises:
             OutputError: The folder is missing or not writable.
@@ -220,45 +259,51 @@ class Trajectory:
         write_atomically(Path(path), self.csv_text())
 
     def csv_text(self) -> str:
-        """What ``save_csv`` writes."""
-        return csv_table([_TIME_COLUMNS[0], *self.joints], np.column_stack([self.times, self.q]).tolist())
+        """Return the text that ``save_csv`` writes."""
+        rows = np.column_stack([self.times, self.q]).tolist()
+        return csv_table([_TIME_COLUMNS[0], *self.joints], rows)
 
     @classmethod
     def load_csv(cls, path: Path | str, joints: Sequence[str] = ()) -> Trajectory:
-        """Reads what `save_csv` wrote; lines that begin with # are passed over.
+        """Read a file of ``save_csv``, a recording, or the table of a reach.
 
-        Of a recording, or of the table of a reach, what was commanded (``commanded.JOINT``,
-        ``JOINT_commanded``), without the rows in which nothing was.
+        Lines that begin with # are skipped. If the file has columns of commands
+        (``commanded.JOINT``, ``JOINT_commanded``), only these are read, without the rows in which
+        they are empty.
 
         Args:
-            path: Of the file.
-            joints: Names of columns, in the wanted order, if there are others, too.
+            path: The file.
+            joints: Names of the columns to read, in this order. Empty for all.
 
         Raises:
-            ConfigError: The file is missing or is not such a table; names the line.
+            ConfigError: The file is missing or is not such a table. The message names the line.
         """
         source = Path(path)
         rows = [(k, row) for k, row in enumerate(read_csv(source, "the motion"), 1) if row]
         rows = [(k, row) for k, row in rows if not row[0].startswith("#")]
         head = [cell.strip() for cell in rows[0][1]] if rows else []
-        if not head or head[0] not in _TIME_COLUMNS or len(head) < 2:
-            raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")
-        names = {k: found[1] or found[2] for k, name in enumerate(head) if (found := _COMMANDED.match(name))}
-        width, columns = len(head), names or dict(enumerate(head[1:], 1))
+        if len(head) < 2 or head[0] not in _TIME_COLUMNS:
+            allowed = "time_s,joint names"
+            raise ConfigError("is not a trajectory", file=source, key="line 1", allowed=allowed)
+        matches = {k: _COMMANDED.match(name) for k, name in enumerate(head)}
+        commanded = {k: match[1] or match[2] for k, match in matches.items() if match}
         if joints:
-            if missing := [name for name in joints if name not in head]:
-                more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-                raise ConfigError(f"no column {missing[0]!r}{more}", file=source, key="line 1")
-            names, columns = {}, {head.index(name): name for name in joints}
+            commanded = {}
+            columns = _named_columns(head, joints, source)
+        else:
+            columns = commanded or dict(enumerate(head[1:], 1))
         kept = [
-            (k, row) for k, row in rows[1:]
-            if not names or len(row) != width or any(row[c] for c in names)
-        ]  # fmt: skip
-        samples = [_numbers(row, [0, *columns], width, source, k) for k, row in kept]
+            (k, row)
+            for k, row in rows[1:]
+            if not commanded or len(row) != len(head) or any(row[c] for c in commanded)
+        ]
+        samples = [_numbers(row, [0, *columns], len(head), source, k) for k, row in kept]
         if not samples:
-            raise ConfigError("has no samples", file=source, key="line 2", allowed="a row of numbers")
-        if names and head[1] == _ROBOT_COLUMN and len({row[1] for _, row in kept}) > 1:
-            raise ConfigError("is of several robots", file=source, key=_ROBOT_COLUMN, allowed="of one robot")
+            allowed = "a row of numbers"
+            raise ConfigError("has no samples", file=source, key="line 2", allowed=allowed)
+        if commanded and head[1] == _ROBOT_COLUMN and len({row[1] for _, row in kept}) > 1:
+            problem = "is of several robots"
+            raise ConfigError(problem, file=source, key=_ROBOT_COLUMN, allowed="of one robot")
         table = np.array(samples)
         try:
             return cls(table[:, 0], table[:, 1:], columns.values())
@@ -266,25 +311,33 @@ class Trajectory:
             raise ConfigError(str(error), file=source) from error
 
 
+def _named_columns(head: Sequence[str], joints: Sequence[str], file: Path) -> dict[int, str]:
+    """Return the columns of joints by their index, or raise ``ConfigError`` for missing ones."""
+    missing = [name for name in joints if name not in head]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise ConfigError(f"no column {missing[0]!r}{more}", file=file, key="line 1")
+    return {head.index(name): name for name in joints}
+
+
 def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A header and rows of text and numbers, these in full precision, as CSV."""
+    """Return a header and rows of text and numbers as CSV, with numbers in full precision."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows([head, *rows])
     return stream.getvalue()
 
 
-def _numbers(row: list[str], columns: Sequence[int], width: int, file: Path, line: int) -> list[float]:
-    """The numbers in columns of a row that shall be so wide, or ``ConfigError``."""
-    with contextlib.suppress(ValueError):
-        numbers = [float(row[k]) for k in columns] if len(row) == width else None
-        if numbers and all(abs(number) <= LARGEST_NUMBER for number in numbers):  # NaN is not
-            return numbers
+def _numbers(
+    row: list[str], columns: Sequence[int], width: int, file: Path, line: int
+) -> list[float]:
+    """Return the numbers in columns of a row of ``width`` cells, or raise ``ConfigError``."""
+    if len(row) == width and all(is_number(row[k]) for k in columns):
+        values = [float(row[k]) for k in columns]
+        if all(abs(value) <= LARGEST_NUMBER for value in values):  # not NaN
+            return values
     allowed = f"{width} cells, joints as numbers up to {LARGEST_NUMBER:g}"
-    got = f"got {shown(','.join(row), str)}"
-    raise ConfigError(got, file=file, key=f"line {line}", allowed=allowed)
-
-
-# ------------------------------------------------------------------------------ joint move
+    problem = f"got {shown(','.join(row))}"
+    raise ConfigError(problem, file=file, key=f"line {line}", allowed=allowed)
 
 
 def joint_move(
@@ -295,65 +348,72 @@ def joint_move(
     speed: float = 1.0,
     rate: float = 100.0,
     profile: str = "trapezoid",
-    velocity: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
+    velocity_limits: ArrayLike | None = None,
+    acceleration_limits: ArrayLike | None = None,
 ) -> Trajectory:
-    """Straight line in joint space; all joints start together and stop together.
+    """Return a straight line in joint space on which all joints start and stop together.
 
-    The slowest joint sets the time.  ``start`` may lie outside the limits (the arm walks in).
+    The slowest joint decides the time. ``start`` may be outside the limits.
 
     Args:
-        robot: Its limits count.
-        start: (nq,) rad, m for slides.
-        goal_q: (nq,) rad, m for slides.
-        speed: Part of the robot's velocity and acceleration limits to use, above 0 and up to 1.
-        rate: Samples a second, Hz; the duration is rounded up to whole periods.
-        profile: "trapezoid" (time-optimal) or "quintic" (smooth: no step of acceleration).
-        velocity: (nq,) further cap in rad/s, such as that of the arm file; the lower one counts.
-        acceleration: (nq,) likewise, rad/s^2.
+        robot: The robot, whose limits count.
+        start: Joint angles (nq,), rad or m for slides.
+        goal_q: Joint angles (nq,), rad or m for slides.
+        speed: Share of the velocity and acceleration limits to use, above 0 and up to 1.
+        rate: Samples a second, Hz. The duration is rounded up to whole periods.
+        profile: "trapezoid" (time-optimal) or "quintic" (continuous acceleration).
+        velocity_limits: Further limits (nq,), such as those of an arm file, rad/s or m/s. The lower
+            limit counts.
+        acceleration_limits: Further limits (nq,), rad/s² or m/s².
 
     Raises:
         TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
         UnsupportedJointError: The robot has ball or free joints.
     """
-    first, last = joint_vector(robot, start, "start"), joint_vector(robot, goal_q, "goal")
-    outside = np.maximum(robot.lower - last, last - robot.upper)
-    k = int(np.argmax(outside))
-    if outside[k] > _LIMIT_ROUNDING:
-        asked, low, high = apart(last[k], robot.lower[k], robot.upper[k], digits=6, form="g")
-        raise TrajectoryError(
-            f"the goal asks {asked} of joint {robot.joints[k]!r}; "
-            f"allowed: {low} to {high} (rad, m for slides)",
-            hint="solve within the limits, or widen them with robot.with_limits",
-        )
-    top, push = motion_limits(robot, speed, velocity, acceleration)
+    first = joint_vector(robot, start, "start")
+    last = joint_vector(robot, goal_q, "goal")
+    _require_inside(robot, last)
+    limits = motion_limits(robot, speed, velocity_limits, acceleration_limits)
     require_positive("rate", rate, "Hz")
     if str(profile) not in PROFILES:
         raise TrajectoryError(f"unknown profile {profile!r}", hint=f"known: {', '.join(PROFILES)}")
     distance = np.abs(last - first)
-    if not distance.any():
-        return Trajectory([0.0], [first], robot.joints)
     moving = distance > 0.0
-    with np.errstate(over="ignore"):  # a distance of 1e-300 rad: the bounds are infinite, which is right
-        bounds = np.min(top[moving] / distance[moving]), np.min(push[moving] / distance[moving])
-    if np.isfinite(bounds[1]):
-        plan = PROFILES[profile](float(bounds[0]), float(bounds[1]))
-        samples = np.ceil(plan.duration * rate * (1.0 - 1e-12))
-        if samples > _MOST_SAMPLES:
-            raise TrajectoryError(
-                f"the move takes {plan.duration:.3g} s, which are {samples:.3g} samples at {rate:g} Hz",
-                hint="a higher speed or velocity, or a lower rate",
-            )
-        count = max(1, int(samples))
-        progress = plan.progress(np.arange(count + 1) / count)[:, None]
-        q = first * (1.0 - progress) + last * progress
-    else:
-        count, q = 1, np.stack([first, last])
+    if not moving.any():
+        return Trajectory([0.0], [first], robot.joints)
+    with np.errstate(over="ignore"):  # for a distance of 1e-300 rad the bounds are infinite
+        velocity, acceleration = (np.min(side[moving] / distance[moving]) for side in limits)
+    if not np.isfinite(acceleration):
+        return Trajectory([0.0, 1.0 / rate], [first, last], robot.joints)
+    plan = PROFILES[profile](float(velocity), float(acceleration))
+    if not plan.duration * rate <= MOST_SAMPLES:
+        samples = plan.duration * rate
+        raise TrajectoryError(
+            f"the move takes {plan.duration:.3g} s, which are {samples:.3g} samples at {rate:g} Hz",
+            hint="give a higher speed, higher velocity_limits or a lower rate",
+        )
+    count = max(1, sample_count(plan.duration, rate))
+    progress = plan.progress(np.arange(count + 1) / count)[:, None]
+    q = first * (1.0 - progress) + last * progress
     return Trajectory(np.arange(count + 1) / rate, q, robot.joints)
 
 
+def _require_inside(robot: Robot, q: Array) -> None:
+    """Raise ``TrajectoryError`` for a goal (nq,) outside the joint limits."""
+    outside = np.maximum(robot.lower - q, q - robot.upper)
+    k = int(np.argmax(outside))
+    if outside[k] > LIMIT_ROUNDING:
+        values = (q[k], robot.lower[k], robot.upper[k])
+        given, lower, upper = distinct_texts(*values, digits=6, form="g")
+        raise TrajectoryError(
+            f"the goal has {given} for joint {robot.joints[k]!r}; "
+            f"allowed: {lower} to {upper} (rad, m for slides)",
+            hint="solve within the limits, or widen them with robot.with_limits",
+        )
+
+
 class RecorderSink:
-    """A `JointSink` that remembers every vector (nq,) of the named joints, and its time."""
+    """A ``JointSink`` that records every vector (nq,) of the named joints with its time."""
 
     def __init__(self, joints: Iterable[str]) -> None:
         self.joints = tuple(joints)
@@ -364,10 +424,12 @@ class RecorderSink:
         return len(self._times)
 
     def send(self, q: Array, now: float) -> None:
-        """Keeps a copy of ``q`` (nq,) for ``now`` in seconds; a second one for that time replaces it.
+        """Record a copy of ``q`` (nq,) for the time ``now`` in seconds.
+
+        A second vector for the same time replaces the first.
 
         Raises:
-            TrajectoryError: ``now`` is earlier than the last one, or ``q`` has the wrong length.
+            TrajectoryError: ``now`` is earlier than the last time, or ``q`` has another length.
         """
         if np.shape(q) != (len(self.joints),):
             raise TrajectoryError(
@@ -376,71 +438,29 @@ class RecorderSink:
             )
         if self._times and now < self._times[-1]:
             raise TrajectoryError(
-                f"recorder got {now:.6g} s after {self._times[-1]:.6g} s", hint="clear() it before a new run"
+                f"recorder got {now:.6g} s after {self._times[-1]:.6g} s",
+                hint="clear() it before a new run",
             )
-        if not self._times or now != self._times[-1]:
+        sample = np.array(q, dtype=float)
+        if self._times and now == self._times[-1]:
+            self._q[-1] = sample
+        else:
             self._times.append(float(now))
-            self._q.append(np.empty(0))
-        self._q[-1] = np.array(q, dtype=float)
+            self._q.append(sample)
 
     def clear(self) -> None:
-        """Forgets everything."""
+        """Delete all samples."""
         self._times.clear()
         self._q.clear()
 
     def trajectory(self) -> Trajectory:
-        """What was recorded, with times counted from the first sample.
+        """Return the samples, with times counted from the first.
 
         Raises:
             TrajectoryError: Nothing was recorded.
         """
         if not self._times:
-            raise TrajectoryError("nothing was recorded", hint="pass the recorder to execute() or follow()")
+            hint = "pass the recorder to execute() or follow()"
+            raise TrajectoryError("nothing was recorded", hint=hint)
         times = np.array(self._times)
         return Trajectory(times - times[0], np.stack(self._q), self.joints)
-
-
-# ------------------------------------------------------------------------------------------
-# A motion that a hand has shown, made such that an arm can repeat it: whole ticks read at uneven times have
-# steps in them that no hand has made, and a hand keeps no velocity caps.
-
-
-APPROACH = 0.25
-"""Share of the caps on the approach to where a recording begins."""
-
-SMOOTHING = 0.1
-"""s over which a recording is averaged before it is played."""
-
-
-def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Trajectory, float]:
-    """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
-    smooth = smoothed(motion, caps.rate_hz)
-    q = np.clip(smooth.q, caps.lower, caps.upper)
-    needed = float((Trajectory(smooth.times, q, motion.joints).peak_velocity / caps.velocity).max())
-    stretch = max(1.0 / speed, needed)
-    return Trajectory(stretch * smooth.times, q, motion.joints).resampled(caps.rate_hz), stretch
-
-
-def smoothed(motion: Trajectory, rate: float) -> Trajectory:
-    """The running mean over ``SMOOTHING``, at ``rate`` Hz; it begins and ends where the motion does."""
-    width = max(round(SMOOTHING * rate), 1)
-    padded = np.pad(motion.resampled(rate).q, ((width - 1, width - 1), (0, 0)), "edge")
-    mean = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
-    return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
-
-
-def approach_profile(distance: Array, caps: ArmConfig) -> Profile:
-    """A quintic over (n,) distances at ``APPROACH`` of the caps; of no duration where all are zero."""
-    with np.errstate(divide="ignore"):  # a joint that stands still needs no time
-        fast, soft = np.min(
-            APPROACH * np.array([caps.velocity, caps.acceleration]) / np.abs(distance), axis=1
-        )
-    return quintic(float(fast), float(soft))
-
-
-def approach(here: Array, there: Array, caps: ArmConfig) -> Trajectory:
-    """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
-    shape = approach_profile(there - here, caps)
-    seconds = max(shape.duration, 2.0 / caps.rate_hz)
-    t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
-    return Trajectory(t, here + np.outer(shape.progress(t / seconds), there - here), caps.names)

@@ -17,10 +17,11 @@ from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.health import ServoState, read_states
 from robot_ik.hardware.watchdogs import ExitGuard
-from robot_ik.motion.trajectory import RecorderSink, Trajectory, approach, playable
+from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 from robot_ik.testbed.commands import ArmMode
+from robot_ik.workcell.guided_motion import approach, playable
 
 STALE = 0.5
 """Seconds without new joint angles after which the arm holds."""

@@ -16,11 +16,9 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.alias_generators import to_snake
 
 import robot_ik as rik
+from robot_ik.config import Wxyz, config_error, keys_of, parse_json, read_text, shown
 from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.files import write_atomically
-from robot_ik.reading import parse_json, read_text, shown
-from robot_ik.table_errors import config_error
-from robot_ik.tables import Wxyz, keys_of
 
 if TYPE_CHECKING:
     from robot_ik.testbed.session import View

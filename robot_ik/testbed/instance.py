@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import RobotIkError
+from robot_ik.figure.motion.drag import Drag
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, Tolerance
-from robot_ik.motion.drag import Drag
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot

@@ -20,11 +20,11 @@ from robot_ik.direction_goals import AimGoal, LineGoal, PlaneGoal
 from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
+from robot_ik.figure.motion.drag import Drag
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-from robot_ik.motion.drag import Drag
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem

@@ -50,7 +50,7 @@ class Measured:
     @property
     def pose_error(self) -> Array:
         """(6,) truth minus seen, along the camera's axes."""
-        return self.view.pose.change_from(self.seen.pose)
+        return self.view.pose.minus(self.seen.pose)
 
 
 def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1) -> list[Measured]:

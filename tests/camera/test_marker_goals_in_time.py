@@ -114,7 +114,7 @@ def test_stamps_of_another_clock_are_not_compared_with_now() -> None:
 
 def test_a_resting_marker_gives_one_goal_that_may_be_calmed() -> None:
     rng = np.random.default_rng(5)
-    shaken = [marker_at(0.0, 0.0, 0.4).moved(rng.normal(0, [3e-4] * 3 + [2e-3] * 3)) for _ in range(60)]
+    shaken = [marker_at(0.0, 0.0, 0.4).plus(rng.normal(0, [3e-4] * 3 + [2e-3] * 3)) for _ in range(60)]
     noise = {}
     for name, calm in (("as seen", None), ("calmed", OneEuro())):
         goals, places = reported(list(shaken), sigma=(3e-4, 2e-3), calm=calm), []
@@ -151,7 +151,7 @@ def test_goals_carry_the_weights_of_their_covariance_at_the_tool() -> None:
 
 def test_a_single_wild_pose_is_no_goal() -> None:
     poses = sideways(20, speed=0.0)
-    poses[12] = marker_at(0.0, 0.0, 0.4).moved(np.array([0.0, 0.0, 0.1, 0.0, 1.5, 0.0]))
+    poses[12] = marker_at(0.0, 0.0, 0.4).plus(np.array([0.0, 0.0, 0.1, 0.0, 1.5, 0.0]))
     goals = reported(poses)
     seen = [goals.poll(k / 30) for k in range(20)]
     places = np.array([goal.target.position for goal in seen if goal is not None])

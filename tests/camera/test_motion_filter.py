@@ -21,7 +21,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def noisy(pose: Pose, rng: np.random.Generator) -> Pose:
-    return pose.moved(rng.normal(0.0, [SIGMA_M] * 3 + [SIGMA_RAD] * 3))
+    return pose.plus(rng.normal(0.0, [SIGMA_M] * 3 + [SIGMA_RAD] * 3))
 
 
 @settings(max_examples=8)
@@ -40,14 +40,14 @@ def test_a_still_target_gives_the_mean_and_is_not_predicted(
         seen.append(noisy(truth, rng))
         still.update(k * PERIOD, seen[-1], NOISE)
         usual.update(k * PERIOD, seen[-1], NOISE)
-    mean = np.mean([pose.change_from(truth) for pose in seen], axis=0)
+    mean = np.mean([pose.minus(truth) for pose in seen], axis=0)
     found, covariance, _ = still.predict(39 * PERIOD)
-    np.testing.assert_allclose(found.change_from(truth), mean, atol=2e-6)
+    np.testing.assert_allclose(found.minus(truth), mean, atol=2e-6)
     np.testing.assert_allclose(covariance, NOISE / 40, rtol=1e-3, atol=1e-12)
     # Seen with the usual options: the prediction of a thing at rest is where it is, at any horizon.
     now, later = usual.predict(39 * PERIOD), usual.predict(39 * PERIOD + 0.1)
     np.testing.assert_array_equal(now.pose.position, later.pose.position)
-    assert not later.velocity.any() and np.abs(later.pose.change_from(truth)[:3]).max() < 5 * SIGMA_M
+    assert not later.velocity.any() and np.abs(later.pose.minus(truth)[:3]).max() < 5 * SIGMA_M
 
 
 @settings(max_examples=8)
@@ -63,7 +63,7 @@ def test_constant_velocity_is_tracked_and_predicted_without_lag(
         tracked.update(t, Pose(velocity * t, rotation_exp(rate * t)), NOISE)
     t = 59 * PERIOD + ahead
     found = tracked.predict(t)
-    off = found.pose.change_from(Pose(velocity * t, rotation_exp(rate * t)))
+    off = found.pose.minus(Pose(velocity * t, rotation_exp(rate * t)))
     assert np.linalg.norm(off[:3]) < 1e-5 and np.linalg.norm(off[3:]) < 1e-3
     np.testing.assert_allclose(found.velocity, [*velocity, *rate], atol=5e-3)
 
@@ -75,14 +75,14 @@ def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(seed: int, gaps
     kept, time, truth = MotionFilter(), 0.0, Pose()
     for gap in gaps:
         time += gap
-        truth = truth.moved(rng.normal(0.0, 0.02, 6))
+        truth = truth.plus(rng.normal(0.0, 0.02, 6))
         root = rng.normal(0.0, 1e-3, (6, 6))
         kept.update(time, noisy(truth, rng), root @ root.T)
         for later in (0.0, gap):
             covariance = kept.predict(time + later).covariance
             np.testing.assert_array_equal(covariance, covariance.T)
             assert np.linalg.eigvalsh(covariance)[0] > 0.0
-    assert np.isfinite(kept.predict(time + 9.0).pose.change_from(truth)).all()
+    assert np.isfinite(kept.predict(time + 9.0).pose.minus(truth)).all()
 
 
 def test_the_covariance_is_honest() -> None:
@@ -94,10 +94,10 @@ def test_the_covariance_is_honest() -> None:
         for k in range(60):
             tracked.update(k * PERIOD, noisy(truth, rng), NOISE)
             found = tracked.predict(k * PERIOD)
-            off = found.pose.change_from(truth)
+            off = found.pose.minus(truth)
             squares.append(off @ np.linalg.solve(found.covariance, off))
             change = rng.normal(0.0, np.repeat(options.process_noise, 3)) * np.sqrt(PERIOD)
-            truth, rate = truth.moved(PERIOD * (rate + 0.5 * change)), rate + change
+            truth, rate = truth.plus(PERIOD * (rate + 0.5 * change)), rate + change
     assert 5.0 < np.mean(squares) < 7.0
 
 
@@ -123,7 +123,7 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
     assert tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN  # counts anew
     said = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
     assert said == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
-    assert np.abs(tracked.predict(15 * PERIOD).pose.change_from(away)).max() < 1e-9
+    assert np.abs(tracked.predict(15 * PERIOD).pose.minus(away)).max() < 1e-9
 
 
 def test_what_is_too_quick_to_be_predicted_is_not() -> None:
@@ -193,6 +193,6 @@ def test_the_calm_filter_starts_where_it_is_put_and_follows() -> None:
     assert calm.update(4.0, Pose()) is pose  # no later: nothing changes
     for k in range(90):
         shown = calm.update(5.0 + (k + 1) * PERIOD, Pose())
-    assert np.abs(shown.change_from(Pose())).max() < 1e-3
+    assert np.abs(shown.minus(Pose())).max() < 1e-3
     with pytest.raises(CameraError, match="cut-off"):
         OneEuro(cutoff=0.0)

@@ -139,7 +139,7 @@ def test_covariance_is_the_scatter_of_repeated_trials(tilt_deg: float, distance:
     for _ in range(150):
         seen = observed(unrefined(exact + rng.normal(0, sigma, (4, 2)), CAMERA, sigma), 0.05)
         assert seen is not None
-        errors.append(pose.change_from(seen.pose))
+        errors.append(pose.minus(seen.pose))
         stated.append(np.diag(seen.covariance))
     ratio = np.std(errors, axis=0) / np.sqrt(np.mean(stated, axis=0))
     assert ratio == pytest.approx(np.ones(6), abs=0.5), ratio
@@ -185,7 +185,7 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
         start = Pose(pose.position * 1.05, quat_multiply(rotation_exp([0.05, -0.05, 0.1]), pose.wxyz))
         best = least_squares(
             lambda v, d=data: whitened(d, Pose(v[:3], rotation_exp(v[3:]))),
-            start.change_from(Pose()),
+            start.minus(Pose()),
             x_scale=[0.1] * 3 + [1.0] * 3,
             xtol=1e-14, ftol=1e-14, gtol=1e-14,
         )  # fmt: skip
@@ -260,7 +260,7 @@ def test_a_board_is_better_than_one_marker_and_knows_how_good() -> None:
         body = estimate_body(seen, BOARD, CAMERA)
         assert body is not None
         assert len(body.ids) == 4
-        error = pose.change_from(body.pose_camera_body)
+        error = pose.minus(body.pose_camera_body)
         chi.append(error @ np.linalg.solve(body.covariance, error) / 6)
         board.append(body.pose_camera_body.distance(pose)[0])
         alone = estimate_body({0: seen[0]}, BOARD, CAMERA)

@@ -25,14 +25,13 @@ from robot_ik.camera.drawing.renderers import (
 )
 from robot_ik.camera.registration import BoardWatcher, Registrar, optical_motion
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot
 
 BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, "DICT_4X4_50")
-EYE = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
+EYE = Pose.look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
 
 
 def standing(scale: float = 0.3, **more: object) -> tuple[DrawnRobot, np.ndarray]:
@@ -92,7 +91,7 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
     # as high as the lens: points of it are millions of pixels away
     drawn, qpos = standing(1.0)
     for height in (0.3, 0.6, 0.9):
-        PainterArtist().draw(drawn, qpos, BENT, look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
+        PainterArtist().draw(drawn, qpos, BENT, Pose.look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
     assert len(softness) == 3
     assert max(softness) <= 3.0
 

@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ from robot_ik.cli.main import main
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
-from robot_ik.reading import FORMER
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,12 +122,3 @@ def test_the_self_test_judges(
     facts = json.loads(capsys.readouterr().out)
     assert facts["good"] is (code == 0) and facts["rows"]["gl"]["figures"][0]["missing"] == "no OpenGL here"
     assert list(facts["rows"]) == ["projection", "gl", "overlay", "latency"]
-
-
-@pytest.mark.parametrize(
-    "arguments", [("--phantoms", "boxes.toml"), ("--phantom-geoms", "link1"), ("--place", "place.toml")]
-)
-def test_an_old_option_is_answered_with_its_new_name(robot_ik: Any, arguments: tuple[str, ...]) -> None:
-    run = robot_ik("ar", *arguments)
-    run.assert_one_screen_error()
-    assert f"{arguments[0]}: this option is called {FORMER[arguments[0]]} now" in run.err

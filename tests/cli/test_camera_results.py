@@ -15,11 +15,12 @@ from robot_ik.camera import sources
 from robot_ik.camera.sheets import sheets
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
-from robot_ik.files import claimed, make_folder, write_atomically
+from robot_ik.files import make_folder, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs import locate
 from robot_ik.jobs.ar import job
 from robot_ik.jobs.arm_camera import handeye, verify
+from robot_ik.jobs.results import claimed
 
 LOCATE = ("locate", "photo.png", "--intrinsics", "lens.yaml", "--board", "marker:7:50")
 SEEN = Pose((0.0, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
@@ -120,13 +121,13 @@ def test_why_nothing_can_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "photo.png").touch()
     file, missing = tmp_path / "photo.png", tmp_path / "no"
     for make, place, why in (
-        (make_folder, file, f"{file} is a file, and a folder is wanted"),
-        (make_folder, file / "in", f"{file} is a file, and a folder is wanted"),
-        (lambda path: write_atomically(path, ""), file / "in", f"{file} is a file, and a folder is wanted"),
+        (make_folder, file, f"{file} is a file, not a folder"),
+        (make_folder, file / "in", f"{file} is a file, not a folder"),
+        (lambda path: write_atomically(path, ""), file / "in", f"{file} is a file, not a folder"),
         (
             lambda path: write_atomically(path, ""),
             missing / "a",
-            f"there is no folder {missing}(.|\n)*make it",
+            f"there is no folder {missing}(.|\n)*make the folder",
         ),
         (lambda path: claimed(path).__enter__(), tmp_path, "it is a folder(.|\n)*name of a file"),
     ):

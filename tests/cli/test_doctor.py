@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
-from robot_ik import environment
 from robot_ik.camera import device
 from robot_ik.camera.device import CameraDevice
-from robot_ik.environment import Probe
-from robot_ik.hardware import ports
+from robot_ik.camera.drawing import probe as drawing_probe
+from robot_ik.camera.drawing.probe import Probe
+from robot_ik.hardware import checks, ports
 from robot_ik.jobs import doctor
 
 SOON = time.monotonic() + 1e6  # a moment that never comes in a test
@@ -32,10 +32,10 @@ def test_report_on_this_machine(robot_ik: Any) -> None:
     names = [row["what"] for row in report["rows"]]
     for name in ("python", "packages", "mujoco", "opencv", "MUJOCO_GL", "display", "kernels", "terminal"):
         assert name in names
-    assert {row["status"] for row in report["rows"]} <= {environment.OK, environment.NOTE}
+    assert {row["status"] for row in report["rows"]} <= {checks.OK, checks.NOTE}
     for row in report["rows"]:
         assert row["found"]
-        assert row["status"] == environment.OK or row["do"], row
+        assert row["status"] == checks.OK or row["do"], row
 
 
 @linux
@@ -58,15 +58,15 @@ def test_the_terminal_is_seen_behind_a_progress_bar() -> None:
     assert b"not a terminal" not in shown and b"PYTHONIOENCODING=utf-8" in shown
 
 
-def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: environment.CheckRow) -> None:
+def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: checks.CheckRow) -> None:
     monkeypatch.setattr(doctor, "CHECKS", {"all": lambda until: list(rows)})
 
 
 def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     fake_checks(
         monkeypatch,
-        environment.CheckRow("mujoco", environment.PROBLEM, "gone", "pip install [mujoco]"),
-        environment.CheckRow("x", "ok", "y"),
+        checks.CheckRow("mujoco", checks.PROBLEM, "gone", "pip install [mujoco]"),
+        checks.CheckRow("x", "ok", "y"),
     )
     run = robot_ik("doctor")
     assert run.code == 2 and "pip install [mujoco]" in run.out and "1 problem" in run.out
@@ -75,30 +75,30 @@ def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pyt
 
 
 def test_notes_are_no_failure(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_checks(monkeypatch, environment.CheckRow("display", environment.NOTE, "none", "only for --view"))
+    fake_checks(monkeypatch, checks.CheckRow("display", checks.NOTE, "none", "only for --view"))
     assert robot_ik("doctor").code == 0
 
 
 def test_a_check_that_crashes_becomes_a_row() -> None:
-    def check_ill(until: float) -> list[environment.CheckRow]:
+    def check_ill(until: float) -> list[checks.CheckRow]:
         raise RuntimeError("oops")
 
     rows = doctor.run_checks({"ill": check_ill, "python": doctor.check_python})
-    assert rows[0].status == environment.NOTE and "oops" in rows[0].found and rows[0].what == "ill"
-    assert rows[1].status == environment.OK
+    assert rows[0].status == checks.NOTE and "oops" in rows[0].found and rows[0].what == "ill"
+    assert rows[1].status == checks.OK
 
 
 def test_it_never_takes_longer_than_it_may() -> None:
     """Ten children that would sleep for ten minutes each: the later ones get what time is left."""
 
     def slow(until: float) -> doctor.CheckFinding:
-        doctor.in_time(environment.run_probe("import time; time.sleep(600)", timeout=doctor.time_left(until)))
-        return environment.OK, "not late", ""
+        doctor.in_time(drawing_probe.run_probe("import time; time.sleep(600)", timeout=doctor.time_left(until)))
+        return checks.OK, "not late", ""
 
     started = time.monotonic()
     rows = doctor.run_checks({f"slow {k}": slow for k in range(10)}, limit=3.0)
     assert len(rows) == 10 and time.monotonic() - started < 300  # one after the other: 6000 s
-    assert {row.status for row in rows} == {environment.NOTE}
+    assert {row.status for row in rows} == {checks.NOTE}
 
 
 @pytest.mark.parametrize("name", ["mujoco", "opencv", "kernels", "MUJOCO_GL", "display"])
@@ -107,12 +107,12 @@ def test_a_late_answer_is_no_problem(name: str, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("DISPLAY", ":0")
     probes(monkeypatch, Probe(False, "something\nno answer within 7.0 s", late=True))
     (row,) = doctor.run_checks({name: doctor.CHECKS[name]})
-    assert row.what == name and row.status == environment.NOTE and "not checked: no answer" in row.found
+    assert row.what == name and row.status == checks.NOTE and "not checked: no answer" in row.found
     assert row.do
 
 
 def probes(monkeypatch: pytest.MonkeyPatch, probe: Probe) -> None:
-    monkeypatch.setattr(environment, "run_probe", lambda *a, **k: probe)
+    monkeypatch.setattr(drawing_probe, "run_probe", lambda *a, **k: probe)
 
 
 def versions(monkeypatch: pytest.MonkeyPatch, **known: str) -> None:
@@ -122,21 +122,21 @@ def versions(monkeypatch: pytest.MonkeyPatch, **known: str) -> None:
 def test_an_empty_mujoco_shell(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(False, "AttributeError: module 'mujoco' has no attribute 'MjModel'"))
     status, _, do = doctor.check_mujoco(SOON)
-    assert status == environment.PROBLEM and "uninstall" in do
+    assert status == checks.PROBLEM and "uninstall" in do
 
 
 def test_mixed_mujoco_versions(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(True, "4.0.0"))
     versions(monkeypatch, mujoco="4.0.0", mujoco_core="4.0.1")
     status, found, do = doctor.check_mujoco(SOON)
-    assert status == environment.NOTE and "4.0.1" in found and "uninstall" in do
+    assert status == checks.NOTE and "4.0.1" in found and "uninstall" in do
 
 
 def test_two_opencv_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(True, "5.0.0"))
     versions(monkeypatch, opencv_python="5.0", opencv_contrib_python_headless="5.0")
     status, _, do = doctor.check_opencv(SOON)
-    assert status == environment.NOTE
+    assert status == checks.NOTE
     assert "pip uninstall -y opencv-contrib-python-headless opencv-python &&" in do
 
 
@@ -144,25 +144,25 @@ def test_opencv_that_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(False, "ImportError: libGL.so.1"))
     versions(monkeypatch, opencv_python="5.0")
     status, found, do = doctor.check_opencv(SOON)
-    assert status == environment.PROBLEM and "libGL.so.1" in found and "headless" in do
+    assert status == checks.PROBLEM and "libGL.so.1" in found and "headless" in do
 
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     real = doctor.version_of
     monkeypatch.setattr(doctor, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name))
     status, found, _ = doctor.check_packages(SOON)
-    assert status == environment.PROBLEM and found == "missing: dynamixel-sdk"
+    assert status == checks.PROBLEM and found == "missing: dynamixel-sdk"
 
 
 def test_broken_mujoco_gl_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "bogus")
     status, found, do = doctor.check_user_gl(SOON)
-    assert status == environment.PROBLEM and "unset MUJOCO_GL" in do and "bogus" in found
+    assert status == checks.PROBLEM and "unset MUJOCO_GL" in do and "bogus" in found
 
 
 def test_gl_switched_off_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert doctor.check_user_gl(SOON)[0] == environment.OK
+    assert doctor.check_user_gl(SOON)[0] == checks.OK
 
 
 # ----------------------------------------------------------------------------------- devices
@@ -175,12 +175,12 @@ def test_free_port_then_used_port() -> None:
     client = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         used = ports.serial_row(path, "a pty")
-        assert used.status == environment.NOTE and f"({os.getpid()})" in used.found
+        assert used.status == checks.NOTE and f"({os.getpid()})" in used.found
     finally:
         os.close(client)
     try:  # who serves the terminal has both of its ends open and is no user of it
-        assert environment.named_users_of(path) == []
-        assert ports.serial_row(path, "a pty").status == environment.OK
+        assert checks.named_users_of(path) == []
+        assert ports.serial_row(path, "a pty").status == checks.OK
     finally:
         os.close(master)
         os.close(slave)
@@ -188,7 +188,7 @@ def test_free_port_then_used_port() -> None:
 
 @linux
 @pytest.mark.parametrize(
-    ("text", "status"), [("16\n", environment.NOTE), ("1\n", environment.OK), ("?", environment.OK)]
+    ("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)]
 )
 def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = tmp_path / "ttyUSB7"
@@ -199,14 +199,14 @@ def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pyte
     timer.write_text(text)
     row = ports.serial_row(str(port), "FTDI")
     assert row.status == status
-    assert ("ttyUSB7/latency_timer" in row.do) == (status == environment.NOTE)
+    assert ("ttyUSB7/latency_timer" in row.do) == (status == checks.NOTE)
 
 
 def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *a, **k: False)
     monkeypatch.setattr(Path, "group", lambda path: "dialout")
     row = ports.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
-    assert row.status == environment.NOTE and "usermod -aG dialout" in row.do
+    assert row.status == checks.NOTE and "usermod -aG dialout" in row.do
     monkeypatch.setattr(Path, "group", lambda path: "root")
     assert "usermod" not in ports.serial_row("x", "y").do  # nobody should join the group root
 
@@ -221,8 +221,8 @@ def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tm
     monkeypatch.setattr(device, "find_cameras", lambda: (*cameras, metadata))
     probes(monkeypatch, Probe(False, f"{nodes[0]}=640x480\nno answer within 7 s"))
     first, second = doctor.check_cameras(SOON)
-    assert first.status == environment.OK and first.found == "Webcam: 640x480"
-    assert second.status == environment.NOTE and "no answer" in second.found
+    assert first.status == checks.OK and first.found == "Webcam: 640x480"
+    assert second.status == checks.NOTE and "no answer" in second.found
 
 
 @linux
@@ -231,4 +231,4 @@ def test_camera_probe_with_real_opencv(monkeypatch: pytest.MonkeyPatch, tmp_path
     node.write_text("not a camera")
     monkeypatch.setattr(device, "find_cameras", lambda: (CameraDevice(0, str(node), "", "", True, True),))
     (row,) = doctor.check_cameras(SOON)
-    assert row.status == environment.NOTE and "no picture" in row.found
+    assert row.status == checks.NOTE and "no picture" in row.found

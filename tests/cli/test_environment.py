@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from robot_ik import environment
+from robot_ik.camera.drawing.probe import Probe, probe_display, probe_gl, run_probe
 from robot_ik.errors import RobotIkError
+from robot_ik.jobs.environment import import_mujoco
 from tests.waiting import LONG
 
 # The very failure of a missing OSMesa or EGL library, without having to remove one (camera.md, 3.1).
@@ -19,25 +20,25 @@ _NO_LIBRARY = "raise AttributeError(\"'NoneType' object has no attribute 'glGetE
 
 
 def test_probe_returns_what_the_child_prints() -> None:
-    assert environment.run_probe("print('yes')", timeout=LONG) == environment.Probe(True, "yes")
+    assert run_probe("print('yes')", timeout=LONG) == Probe(True, "yes")
 
 
 def test_probe_returns_the_last_line_of_a_failure() -> None:
-    probe = environment.run_probe("raise AttributeError('no glGetError')", timeout=LONG)
+    probe = run_probe("raise AttributeError('no glGetError')", timeout=LONG)
     assert not probe.ok and probe.text == "AttributeError: no glGetError"
-    probe = environment.run_probe("assert False, 'no display'", timeout=LONG)
+    probe = run_probe("assert False, 'no display'", timeout=LONG)
     assert not probe.ok and probe.text == "no display"
 
 
 def test_probe_survives_an_abort() -> None:
-    probe = environment.run_probe("import os; os.abort()", timeout=LONG)
+    probe = run_probe("import os; os.abort()", timeout=LONG)
     assert not probe.ok and "signal 6" in probe.text
 
 
 def test_probe_does_not_wait_for_ever_and_keeps_what_was_said(real_time: None) -> None:
     started = time.monotonic()
     code = "import time; print('first', flush=True); time.sleep(600)"
-    probe = environment.run_probe(code, timeout=2.0)
+    probe = run_probe(code, timeout=2.0)
     assert not probe.ok and probe.text.startswith("first") and "no answer" in probe.text
     assert time.monotonic() - started < 300
 
@@ -47,19 +48,19 @@ def test_probe_takes_no_package_from_the_current_folder(
 ) -> None:
     (tmp_path / "mujoco.py").write_text("raise SystemExit('shadowed')")
     monkeypatch.chdir(tmp_path)
-    assert environment.run_probe("import mujoco; mujoco.MjModel", timeout=LONG).ok
+    assert run_probe("import mujoco; mujoco.MjModel", timeout=LONG).ok
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="DISPLAY is how X11 says it")
 def test_no_display_is_seen_without_trying(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    probe = environment.probe_display()
+    probe = probe_display()
     assert not probe.ok and "DISPLAY" in probe.text
 
 
 def test_mujoco_imports_here() -> None:
-    assert environment.import_mujoco().MjModel is not None
+    assert import_mujoco().MjModel is not None
 
 
 @pytest.mark.parametrize("command", [["solve", "--goal", "0", "0", "1"], ["robots", "puma560"]])
@@ -97,10 +98,10 @@ def test_an_empty_mujoco_shell_is_named(tmp_path: Path, monkeypatch: pytest.Monk
     shell = type(sys)("mujoco")
     monkeypatch.setitem(sys.modules, "mujoco", shell)
     with pytest.raises(RobotIkError, match="empty shell"):
-        environment.import_mujoco()
+        import_mujoco()
 
 
 def test_probing_leaves_this_process_alone() -> None:
     before = dict(os.environ)
-    environment.probe_gl("bogus", timeout=LONG)
+    probe_gl("bogus", timeout=LONG)
     assert dict(os.environ) == before

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot_ik.figure.motion.bvh import Bvh, own_motion
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.bvh import Bvh, own_motion
 from robot_ik.robot import load_robot
 
 

@@ -67,7 +67,7 @@ def test_one_robot_in_degrees(robot_ik: Any) -> None:
 def test_one_robot_as_json_keeps_every_digit(robot_ik: Any) -> None:
     robot = load_robot("puma560")
     facts = json.loads(robot_ik("robots", "puma560", "--json").out)
-    for name in ("lower", "upper", "home", "velocity", "acceleration"):
+    for name in ("lower", "upper", "home", "velocity_limits", "acceleration_limits"):
         assert facts[name] == list(getattr(robot, name))
     assert set(facts["frames"]) == set(robot.frames)
     assert facts["schema"] == 1

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik import environment
+from robot_ik.hardware import checks
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.jobs import doctor
@@ -48,7 +48,7 @@ def rows(robot_ik: Any, desk: Any) -> Callable[[], Any]:
 
 def test_healthy_servos(rows: Any) -> None:
     code, found = rows()
-    assert code == 0 and [row["status"] for row in found.values()] == [environment.OK] * 3
+    assert code == 0 and [row["status"] for row in found.values()] == [checks.OK] * 3
     assert "12.0 V" in found[1]["found"] and "firmware 48" in found[1]["found"]
 
 
@@ -61,22 +61,22 @@ def memory(name: str, value: int) -> Callable[[Any], object]:
     [
         (
             lambda d: setattr(d.servo(2), "silent", True),
-            environment.PROBLEM,
+            checks.PROBLEM,
             "no XL430-W250 answers",
             "cable",
         ),
-        (memory("baud_rate", 1), environment.PROBLEM, "talks at 57600", "setup --joint joint2"),
-        (memory("model_number", 1020), environment.PROBLEM, "says XL430-W250", "arm file"),
-        (lambda d: d.servo(2).set_supply(5.0), environment.PROBLEM, "6.0 to 14.0 V", "power supply"),
-        (lambda d: d.servo(2).inject_error("overload"), environment.PROBLEM, "overload", "reset-fault"),
-        (memory("firmware_version", 37), environment.PROBLEM, "Bus Watchdog", "Wizard"),
-        (memory("firmware_version", 42), environment.NOTE, "fast reads", "update"),
-        (memory("status_return_level", 0), environment.NOTE, "pings only", "sets 2"),
-        (memory("return_delay_time", 250), environment.NOTE, "500 us", "sets 0"),
-        (memory("torque_enable", 1), environment.NOTE, "torque is on", "torque off"),
+        (memory("baud_rate", 1), checks.PROBLEM, "talks at 57600", "setup --joint joint2"),
+        (memory("model_number", 1020), checks.PROBLEM, "says XL430-W250", "arm file"),
+        (lambda d: d.servo(2).set_supply(5.0), checks.PROBLEM, "6.0 to 14.0 V", "power supply"),
+        (lambda d: d.servo(2).inject_error("overload"), checks.PROBLEM, "overload", "reset-fault"),
+        (memory("firmware_version", 37), checks.PROBLEM, "Bus Watchdog", "Wizard"),
+        (memory("firmware_version", 42), checks.NOTE, "fast reads", "update"),
+        (memory("status_return_level", 0), checks.NOTE, "pings only", "sets 2"),
+        (memory("return_delay_time", 250), checks.NOTE, "500 us", "sets 0"),
+        (memory("torque_enable", 1), checks.NOTE, "torque is on", "torque off"),
         (
             lambda d: d.bus.add(VirtualServo("XL430-W250", 2, RealClock())),
-            environment.PROBLEM,
+            checks.PROBLEM,
             "two",
             "--id N",
         ),
@@ -87,24 +87,24 @@ def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: 
     code, seen = rows()
     row = seen[2]
     assert row["status"] == status and found in row["found"] and cure in row["do"], row
-    assert code == (2 if status == environment.PROBLEM else 0)
-    assert seen[1]["status"] == seen[3]["status"] == environment.OK
+    assert code == (2 if status == checks.PROBLEM else 0)
+    assert seen[1]["status"] == seen[3]["status"] == checks.OK
 
 
-@pytest.mark.parametrize(("late_ms", "status"), [(0.0, environment.OK), (16.0, environment.NOTE)])
+@pytest.mark.parametrize(("late_ms", "status"), [(0.0, checks.OK), (16.0, checks.NOTE)])
 def test_the_latency_of_an_adapter_is_measured(late_ms: float, status: str, desk: Any, robot_ik: Any) -> None:
     desk.bus.inject(Fault("latency", value=late_ms))
     run = robot_ik("doctor", *desk.at, "--json")
     (row,) = [row for row in json.loads(run.out)["rows"] if row["what"] == "servo speed"]
     late = float(row["found"].split()[3])
     assert late_ms <= late + 0.1 and (row["status"] == status or late > late_ms + 3.0), row  # a busy machine
-    assert run.code == 0 and ("latency timer" in row["do"]) == (row["status"] == environment.NOTE)
+    assert run.code == 0 and ("latency timer" in row["do"]) == (row["status"] == checks.NOTE)
 
 
 def test_a_stranger_on_the_bus(rows: Any, desk: Any) -> None:
     desk.bus.add(VirtualServo("XM540-W270", 7, RealClock()))
     code, found = rows()
-    assert code == 0 and "XM540-W270" in found[7]["found"] and found[7]["status"] == environment.NOTE
+    assert code == 0 and "XM540-W270" in found[7]["found"] and found[7]["status"] == checks.NOTE
 
 
 def test_no_such_port_and_no_such_arm(robot_ik: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,8 @@ import pytest
 
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import hand_guiding
-from robot_ik.motion import Trajectory, trajectory
+from robot_ik.motion import Trajectory
+from robot_ik.workcell import guided_motion
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -83,8 +84,9 @@ def test_what_leaves_the_limits_is_refused(robot_ik: Any, desk: Any, tmp_path: P
 
 def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
     motion = Trajectory([0.0, 1.0], np.radians([[0, 0, 0], [100.5, 0, 0]]), JOINTS)
-    played, stretch = trajectory.playable(motion, desk.config, 0.5)
-    assert stretch == 2.0 and played.duration == pytest.approx(2.0 * (1.0 + trajectory.SMOOTHING), abs=0.03)
+    played, stretch = guided_motion.playable(motion, desk.config, 0.5)
+    assert stretch == 2.0
+    assert played.duration == pytest.approx(2.0 * (1.0 + guided_motion.SMOOTHING), abs=0.03)
     assert np.degrees(played.q.max()) == pytest.approx(100.0)
 
 
@@ -107,15 +109,15 @@ def test_steps_that_no_hand_has_made_do_not_slow_it_down(desk: Any) -> None:
     degrees = np.outer(np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0])  # 50 deg/s in steps of a degree
     motion = Trajectory(times, np.radians(degrees), JOINTS)
     assert motion.peak_velocity.max() > 4.0 * desk.config.velocity.max()
-    played, stretch = trajectory.playable(motion, desk.config, 1.0)
+    played, stretch = guided_motion.playable(motion, desk.config, 1.0)
     assert stretch == 1.0
     assert played.q[0] == pytest.approx(motion.q[0]) and played.q[-1] == pytest.approx(motion.q[-1])
     assert np.degrees(played.at(1.05)) == pytest.approx([49.0, 0.0, -49.0], abs=1.5)
 
 
 def test_the_way_to_the_beginning_keeps_its_share_of_the_caps(desk: Any) -> None:
-    way = trajectory.approach(np.zeros(3), np.array([1.0, -0.4, 0.0]), desk.config)
-    share = trajectory.APPROACH * 1.01
+    way = guided_motion.approach(np.zeros(3), np.array([1.0, -0.4, 0.0]), desk.config)
+    share = guided_motion.APPROACH * 1.01
     assert (way.peak_velocity <= share * desk.config.velocity).all()
     assert (way.peak_acceleration <= share * desk.config.acceleration).all()
     assert way.q[-1] == pytest.approx([1.0, -0.4, 0.0])

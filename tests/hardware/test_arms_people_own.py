@@ -200,7 +200,7 @@ def run_once(name: str, servos: VirtualBus) -> None:
         assert np.abs(arm.read().q - begin).max() < 0.01
         move = rik.joint_move(
             robot(name), arm.read().q, robot(name).home,
-            velocity=config.velocity, acceleration=config.acceleration,
+            velocity_limits=config.velocity, acceleration_limits=config.acceleration,
         )  # fmt: skip
         rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
         assert np.abs(arm.read().q - robot(name).home).max() < 0.01

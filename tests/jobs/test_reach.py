@@ -59,7 +59,7 @@ def test_the_motion_is_timed_and_capped(healthy: ReachReport) -> None:
     assert run is not None and run.measured is not None
     assert run.rate == pytest.approx(100.0, rel=0.01) and run.overruns == 0
     speed = np.abs(np.diff(run.commanded, axis=0)) * run.rate
-    assert (speed <= setup.caps(1.0)["velocity"] * 1.01).all()
+    assert (speed <= setup.caps(1.0)["velocity_limits"] * 1.01).all()
     np.testing.assert_allclose(run.measured[-1], run.commanded[-1], atol=setup.resolution.max())
     assert healthy.counters["cycles"] >= len(run.times) and healthy.counters["timeouts"] == 0
     np.testing.assert_allclose(setup.shown, healthy.q_end, atol=setup.resolution.max())

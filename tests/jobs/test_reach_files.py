@@ -14,11 +14,11 @@ import pytest
 
 from robot_ik.camera.drawing.overlay import draw_robot
 from robot_ik.errors import OutputError
-from robot_ik.files import folder_for_results, plain
+from robot_ik.files import plain
 from robot_ik.jobs import scene
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.reach_files import FILES, reach_picture, reach_summary, save_reach
-from robot_ik.jobs.results import results_folder
+from robot_ik.jobs.results import folder_for_results, results_folder
 
 # Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
 DOCUMENTED = {

@@ -126,7 +126,7 @@ def test_robot_toml_names_what_the_model_has(arm: Arm) -> None:
     assert robot.home == pytest.approx(model.key(settings["home"]).qpos)
     assert tuple(settings["groups"]["arm"]) == robot.joints
     assert all(joint in robot.joints for group in settings["groups"].values() for joint in group)
-    assert np.degrees(robot.velocity) == pytest.approx(settings["motion"]["velocity_deg"])
+    assert np.degrees(robot.velocity_limits) == pytest.approx(settings["motion"]["velocity_deg"])
     assert len(settings["motion"]["acceleration_deg"]) == robot.nv and robot.file.sources
 
 

@@ -144,7 +144,7 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
         for names, servo, turns, free, used in rows("| joint | servo | turns")[:5]
         for joint in names.split(", ")
     }
-    for joint, speed in zip(arm().joints, robot().velocity, strict=True):
+    for joint, speed in zip(arm().joints, robot().velocity_limits, strict=True):
         servo, ratio, free, used = reported[joint.name.removeprefix("joint")]
         assert (joint.model, joint.ratio) == (servo, ratio)
         assert math.degrees(speed) == pytest.approx(used)
@@ -156,7 +156,7 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
         force = load().actuator(joint.name).forcerange[1]
         assert force == pytest.approx(joint.table.motor.stall_torque * ratio)
         assert joint.velocity >= speed
-    assert np.all(arm().acceleration >= robot().acceleration)
+    assert np.all(arm().acceleration >= robot().acceleration_limits)
 
 
 def test_the_torque_table_of_the_readme_is_up_to_date() -> None:

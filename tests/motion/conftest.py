@@ -15,8 +15,8 @@ class NumberRobot:
     joints: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
+    velocity_limits: np.ndarray
+    acceleration_limits: np.ndarray
     name: str = "numbers"
     nq: int = field(default=0)
     nv: int = field(default=0)
@@ -28,8 +28,8 @@ def make_number_robot(velocity, acceleration, lower=None, upper=None, extra_q=0)
         joints=tuple(f"j{k}" for k in range(n)),
         lower=np.full(n, -3.0) if lower is None else np.array(lower, dtype=float),
         upper=np.full(n, 3.0) if upper is None else np.array(upper, dtype=float),
-        velocity=np.array(velocity, dtype=float),
-        acceleration=np.array(acceleration, dtype=float),
+        velocity_limits=np.array(velocity, dtype=float),
+        acceleration_limits=np.array(acceleration, dtype=float),
         nq=n + extra_q,
         nv=n,
     )

@@ -43,8 +43,8 @@ def test_no_goal_means_hold_and_the_command_is_repeated(puma):
 def test_a_goal_is_reached_within_the_velocity_limits_and_held(puma):
     goal = beside(puma, (0.05, -0.2, 0.1))
     report, path = run(puma, ManualSource(goal), duration=3.0)
-    assert (report.largest_step <= puma.velocity / 100.0 * (1 + 1e-9)).all()
-    assert (path.peak_velocity <= puma.velocity * (1 + 1e-6)).all()
+    assert (report.largest_step <= puma.velocity_limits / 100.0 * (1 + 1e-9)).all()
+    assert (path.peak_velocity <= puma.velocity_limits * (1 + 1e-6)).all()
     assert 0 < report.capped < 300 and report.solved == 300
     np.testing.assert_allclose(site_position(puma, report.q), goal.position, atol=2e-3)
     assert path.q[-1].tolist() == path.q[-2].tolist() == report.q.tolist()
@@ -53,7 +53,7 @@ def test_a_goal_is_reached_within_the_velocity_limits_and_held(puma):
 def test_a_slower_follower_takes_smaller_steps(puma):
     goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     report, _ = run(puma, goal, speed=0.5, rate=50.0)
-    assert (report.largest_step <= 0.5 * puma.velocity / 50.0 * (1 + 1e-9)).all()
+    assert (report.largest_step <= 0.5 * puma.velocity_limits / 50.0 * (1 + 1e-9)).all()
     assert report.ticks == 50 and report.rate == pytest.approx(50.0)
 
 
@@ -78,7 +78,7 @@ def test_the_tool_stays_on_a_moving_goal(puma):
     for tick in late[::20]:
         np.testing.assert_allclose(site_position(puma, tick.q), tick.goal.position, atol=2e-3)
     assert report.statuses["CONVERGED"] == report.solved >= len(late)
-    assert np.abs(np.diff(path.q, axis=0)).max() <= max(puma.velocity) / 100.0 * (1 + 1e-9)
+    assert np.abs(np.diff(path.q, axis=0)).max() <= max(puma.velocity_limits) / 100.0 * (1 + 1e-9)
 
 
 def test_goals_may_change_kind_and_go_away_on_the_way(puma):
@@ -154,7 +154,7 @@ def test_it_starts_where_the_arm_is_unclipped(puma):
     goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
     follow(goal, puma, "lm", [arm], clock=clock, source=arm, duration=0.1, on_tick=seen.append)
     first = seen[0].q - outside
-    assert (np.abs(first) <= puma.velocity / 100.0 * (1 + 1e-9)).all() and first[0] < 0.0
+    assert (np.abs(first) <= puma.velocity_limits / 100.0 * (1 + 1e-9)).all() and first[0] < 0.0
 
 
 def test_tracking_error_is_that_of_the_source(puma):

@@ -51,9 +51,9 @@ def test_a_motion_passes_through_its_keys_inside_limits_and_speed_limits(robot: 
     rows = np.array([motion.at(k / rate) for k in range(count + 1)])
     assert not [k for k, row in enumerate(rows) if robot.outside(row, 1e-6)]
     fastest = speeds(robot, rows, rate)
-    assert (fastest <= 0.5 * robot.velocity * (1 + 1e-6)).all()
+    assert (fastest <= 0.5 * robot.velocity_limits * (1 + 1e-6)).all()
     # Each way is as fast as its slowest joint allows, but for what balls spare (their bound is not tight).
-    assert motion.peak_velocity_of_segments().max(axis=1).max() > 0.49 * robot.velocity.min()
+    assert motion.peak_velocity_of_segments().max(axis=1).max() > 0.49 * robot.velocity_limits.min()
     # No corner at a key.
     for t in motion.times[1:-1].tolist():
         before = robot.difference(motion.at(t - 1e-5), motion.at(t)) / 1e-5
@@ -203,7 +203,7 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
     ("text", "message"),
     [
         ("schema = 2", "schema: 2 is not right; allowed: 1"),
-        ("schema = 1\n[poses.a]\njoint9 = 1.0", r"(?s)poses.a.joint9: unknown joint.*did you mean joint\d"),
+        ("schema = 1\n[poses.a]\njiont1 = 1.0", r"(?s)poses.a.jiont1: unknown joint.*did you mean joint1"),
         ("schema = 1\n[poses.a]\njoint1 = true", "poses.a.joint1: True is not right; allowed: a number"),
         (
             "schema = 1\n[poses.a]\njoint1 = 99.0",
@@ -234,7 +234,7 @@ def test_durations_hold_unless_a_stated_speed_limit_says_no(humanoid: rik.Robot)
     puma.record("two", two)
     puma.record_motion("quick", ["one", "two"], [0.01])
     motion = puma.motion("quick")
-    assert (motion.peak_velocity_of_segments() <= puma.robot.velocity * (1 + 1e-6)).all()
+    assert (motion.peak_velocity_of_segments() <= puma.robot.velocity_limits * (1 + 1e-6)).all()
     assert motion.duration > 0.2
 
 

@@ -69,8 +69,8 @@ def test_the_tool_runs_straight_within_every_limit(puma, shift, rotation):
     path = line_move(puma, puma.home, end)
     check_straight(puma, path, begin, end, "gripper")
     assert (path.q[0] == puma.home).all()
-    assert (path.peak_velocity <= puma.velocity * SLACK).all()
-    assert (path.peak_acceleration <= puma.acceleration * SLACK).all()
+    assert (path.peak_velocity <= puma.velocity_limits * SLACK).all()
+    assert (path.peak_acceleration <= puma.acceleration_limits * SLACK).all()
     assert (path.q >= puma.lower - 1e-9).all() and (path.q <= puma.upper + 1e-9).all()
     np.testing.assert_allclose(np.diff(path.times), 0.01, rtol=1e-9)
 
@@ -97,8 +97,8 @@ def test_a_part_of_the_speed_takes_longer(puma):
     fast = line_move(puma, puma.home, end, linear_speed=9.0)
     slow = line_move(puma, puma.home, end, linear_speed=9.0, speed=0.25)
     assert slow.duration > 1.9 * fast.duration
-    assert (slow.peak_velocity <= 0.25 * puma.velocity * SLACK).all()
-    assert (slow.peak_acceleration <= 0.25 * puma.acceleration * SLACK).all()
+    assert (slow.peak_velocity <= 0.25 * puma.velocity_limits * SLACK).all()
+    assert (slow.peak_acceleration <= 0.25 * puma.acceleration_limits * SLACK).all()
 
 
 def test_coarse_sampling_slows_down_rather_than_bulge(puma):
@@ -182,9 +182,9 @@ def test_random_lines_are_straight_or_refused(puma):
             continue
         planned += 1
         check_straight(puma, path, begin, end, "gripper")
-        assert (path.peak_velocity <= puma.velocity * SLACK).all()
-        assert (path.peak_acceleration <= puma.acceleration * SLACK).all()
-        assert np.abs(np.diff(path.q, axis=0)).max() <= np.max(puma.velocity) / 100.0 * SLACK
+        assert (path.peak_velocity <= puma.velocity_limits * SLACK).all()
+        assert (path.peak_acceleration <= puma.acceleration_limits * SLACK).all()
+        assert np.abs(np.diff(path.q, axis=0)).max() <= np.max(puma.velocity_limits) / 100.0 * SLACK
     assert planned >= 6
 
 

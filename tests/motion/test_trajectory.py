@@ -166,7 +166,7 @@ def test_a_start_outside_the_limits_walks_in(number_robot):
 
 def test_further_caps_count_when_lower(number_robot):
     robot = number_robot([1.0, 1.0], [2.0, 2.0])
-    path = joint_move(robot, [0, 0], [2, 2], velocity=[0.25, 5.0], acceleration=[0.5, 5.0])
+    path = joint_move(robot, [0, 0], [2, 2], velocity_limits=[0.25, 5.0], acceleration_limits=[0.5, 5.0])
     assert path.peak_velocity.max() == pytest.approx(0.25, rel=0.01)
     assert path.peak_acceleration.max() <= 0.5 * SLACK
 
@@ -308,9 +308,9 @@ def test_what_is_no_number_of_each_joint_and_a_move_without_end_are_refused_in_w
     robot = load_robot("puma560")
     end = robot.home + 0.1
     for asked, says in (
-        ({"velocity": np.ones(5)}, "velocity is to be 6 numbers"),
-        ({"acceleration": "fast"}, "acceleration is to be 6 numbers"),
-        ({"velocity": 1e-300}, "samples at 100 Hz"),
+        ({"velocity_limits": np.ones(5)}, "velocity_limits must be 6 numbers"),
+        ({"acceleration_limits": "fast"}, "acceleration_limits must be 6 numbers"),
+        ({"velocity_limits": 1e-300}, "samples at 100 Hz"),
     ):
         with pytest.raises(TrajectoryError, match=says):
             joint_move(robot, robot.home, end, **asked)

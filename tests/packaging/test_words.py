@@ -49,7 +49,7 @@ FOLDERS = ("robot_ik", "hardware", "models", "examples", "docs", "tests")
 
 
 def texts() -> Iterator[tuple[str, str]]:
-    """Code and docs; what things were called once is in CHANGELOG.md and in ``robot_ik.reading.FORMER``."""
+    """Code and docs; former names are in CHANGELOG.md."""
     found = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
     for folder in FOLDERS:
         found += [f for f in (ROOT / folder).rglob("*") if f.suffix in {".py", ".md", ".toml"}]

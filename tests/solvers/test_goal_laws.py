@@ -54,7 +54,7 @@ def outcome(solution):
 
 
 def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
-    # A pose prior is of one robot, always soft and never missed: tests/motion/test_pose_prior.py.
+    # A pose prior is of one robot, always soft and never missed: tests/figure/motion/test_pose_prior.py.
     tried = {type(goal) for goal in goals_near(robots["puma560"], 0).values()}
     assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_judge.py) has one of each"
     general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}
@@ -204,7 +204,7 @@ def test_following_goals_of_every_kind(robots, name, kind):
         start=robot.home, duration=1.6, rate=50.0, tolerance=TOLERANCE,
     )  # fmt: skip
     path = recorder.trajectory()
-    assert (report.largest_step <= robot.velocity / 50.0 * (1 + 1e-9)).all() and report.held == 0
+    assert (report.largest_step <= robot.velocity_limits / 50.0 * (1 + 1e-9)).all() and report.held == 0
     for goal, tick in zip(goals, (39, 79), strict=True):
         metres, radians = measured(robot, path.q[tick], goal)
         assert metres <= TOLERANCE.position and radians <= TOLERANCE.angle

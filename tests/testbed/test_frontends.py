@@ -236,8 +236,8 @@ def test_a_film_that_is_interrupted_says_what_is_kept(
 def test_the_viewer_is_chosen_and_said(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from robot_ik.camera.drawing.probe import Probe
     from robot_ik.cli import view
-    from robot_ik.environment import Probe
 
     monkeypatch.setattr(view, "find_spec", lambda name: name)
     assert view.choose_viewer("auto") == "browser"

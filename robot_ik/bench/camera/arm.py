@@ -27,7 +27,6 @@ from robot_ik.camera.calibration.kinematic import (
 )
 from robot_ik.camera.motion_filter import MotionFilter, OneEuro
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, rotation_exp
@@ -67,7 +66,7 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
     """
     robot = load_robot(_ROBOT)
     seen = robot.forward(robot.home).compose(_DRAWN)
-    eye = look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
+    eye = Pose.look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
     cameras: dict[str, list[float]] = {"camera by a sheet": [], "camera by the arm's views": []}
     zeros: dict[str, list[tuple[Array, Array]]] = {case: [] for case in _CASES}
     for seed in range(effort.count(_SEEDS)):
@@ -82,7 +81,7 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
             cameras.values(), (camera.pose, right.pose_parent_camera),
             (camera.covariance, right.covariance[:6, :6]), strict=True,
         ):  # fmt: skip
-            errors.append(_nees(found.change_from(eye), covariance))
+            errors.append(_nees(found.minus(eye), covariance))
         start = _handeye(robot, views, np.zeros(robot.nv))
         anywhere = KnownPose.within(start.pose_parent_camera, *ANYWHERE)
         held = KnownPose.within(start.pose_other_board, *ANYWHERE)
@@ -108,7 +107,7 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
 
 def _mounted(drawn: Pose, rng: np.random.Generator) -> Pose:
     """Where a board really sits: off its drawing by what its mount is made to."""
-    return drawn.moved(rng.normal(0.0, 1.0, 6) * np.repeat(_MOUNTED, 3))
+    return drawn.plus(rng.normal(0.0, 1.0, 6) * np.repeat(_MOUNTED, 3))
 
 
 def _handeye(robot: Robot, views: Sequence[CalibrationStation], offsets: Array) -> HandEye:

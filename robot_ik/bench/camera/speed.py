@@ -26,7 +26,6 @@ from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
@@ -123,7 +122,7 @@ def times(effort: Effort) -> Iterator[Quantity]:
 def _view_of(robot: Robot) -> Pose:
     """A camera that has all of a robot in view."""
     centre, extent = robot.model.stat.center, float(robot.model.stat.extent)
-    return look_at(centre + 1.6 * extent * np.array([0.7, -0.6, 0.4]), centre)
+    return Pose.look_at(centre + 1.6 * extent * np.array([0.7, -0.6, 0.4]), centre)
 
 
 def drawing(effort: Effort) -> Iterator[Quantity]:

@@ -18,7 +18,7 @@ from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
-from robot_ik.kernels.tree import open_tree_block
+from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
@@ -40,7 +40,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 @kernel
 def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
     """Forward kinematics of one frame for each row of ``qs`` (n, nq)."""
-    tree = open_tree_block(tree)
+    tree = open_tree(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]
@@ -51,7 +51,7 @@ def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
 @kernel
 def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian):
     """Forward kinematics and Jacobian of one frame for each row of ``qs`` (n, nq)."""
-    tree = open_tree_block(tree)
+    tree = open_tree(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
             q[i] = qs[row, i]

@@ -26,11 +26,11 @@ from robot_ik.camera.calibration.handeye import (
 )
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.config import Position, SchemaVersion, Table, Wxyz, read_table
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import plain, toml_value, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
-from robot_ik.tables import Position, SchemaVersion, Table, Wxyz, read_table
 
 logger = logging.getLogger("robot_ik.camera")
 

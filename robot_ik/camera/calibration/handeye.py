@@ -72,10 +72,10 @@ class Mount:
         if self.mounting not in MOUNTINGS:
             raise CalibrationError(f"unknown mounting {self.mounting!r}; known: {', '.join(MOUNTINGS)}")
 
-    def moved(self, step: Array) -> Mount:
+    def plus(self, step: Array) -> Mount:
         """Both poses moved by twists (12,): the camera's, then the board's."""
         return Mount(
-            self.pose_parent_camera.moved(step[:6]), self.pose_other_board.moved(step[6:]), self.mounting
+            self.pose_parent_camera.plus(step[:6]), self.pose_other_board.plus(step[6:]), self.mounting
         )
 
     def pose_camera_board(self, sample: HandEyeSample) -> Pose:
@@ -506,10 +506,10 @@ def corner_misses(left: Sequence[Array], scale: float) -> list[Array]:
 def _residual(
     mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics, without: LeftOut
 ) -> ViewResidual:
-    others, points = mount.moved(without.step), sample.view.points
+    others, points = mount.plus(without.step), sample.view.points
     # The pseudo-measurement moves the hand so that the board is where it was seen.
     expected = others.pose_camera_board(sample)
-    hand = sample.pose_world_hand.compose(Pose().moved(without.pseudo_measurement))
+    hand = sample.pose_world_hand.compose(Pose().plus(without.pseudo_measurement))
     found = others.pose_camera_board(HandEyeSample(hand, sample.view))
     deviation = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
     left_out = rms_distance(others.miss(sample, intrinsics))

@@ -94,10 +94,10 @@ class ArmEstimate:
     offsets: Array
     mount: Mount
 
-    def moved(self, step: Array) -> ArmEstimate:
+    def plus(self, step: Array) -> ArmEstimate:
         """Moved by offsets (nv,) and the two twists (12,)."""
         n = len(self.offsets)
-        return ArmEstimate(self.offsets + step[:n], self.mount.moved(step[n:]))
+        return ArmEstimate(self.offsets + step[:n], self.mount.plus(step[n:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +148,8 @@ class ArmModel:
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
-        off[n : n + 6] = state.mount.pose_parent_camera.change_from(self.camera.pose)
-        off[n + 6 :] = state.mount.pose_other_board.change_from(self.board.pose)
+        off[n : n + 6] = state.mount.pose_parent_camera.minus(self.camera.pose)
+        off[n + 6 :] = state.mount.pose_other_board.minus(self.board.pose)
         rows = np.concatenate([-by_joint, views.rows], axis=2)
         joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(left)
         views = LinearViews(views.pseudo_measurement, scale**2 * views.pixels, rows, joints[None], prior, off)
@@ -330,7 +330,7 @@ def _result(
     # How each view fits what all others say.
     others = [normal.left_out(k) for k in range(len(model.views))]
     errors = tuple(
-        pose_error(model, state.moved(without.step), k, without.covariance, contradicts=without.contradicts)
+        pose_error(model, state.plus(without.step), k, without.covariance, contradicts=without.contradicts)
         for k, without in enumerate(others)
     )
     mount = state.mount

@@ -177,7 +177,7 @@ def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64
 class State(Protocol):
     """Unknowns on a manifold."""
 
-    def moved(self, step: Array) -> Self:
+    def plus(self, step: Array) -> Self:
         """Moved by (m,) of all unknowns."""
         ...
 
@@ -207,7 +207,7 @@ def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, 
         noise = estimate_noise(views, free, noise)
         normal = normal_equations(views, noise, free)
         step, damping = _descent_step(linear, state, corners, normal, damping)
-        weighted, state, corners = corners is not None, state.moved(step), [cauchy_weight(m) for m in misses]
+        weighted, state, corners = corners is not None, state.plus(step), [cauchy_weight(m) for m in misses]
         # A start may be the solution with all corners alike.
         if weighted and np.abs(step).max() < _DONE:
             break
@@ -223,7 +223,7 @@ def _descent_step(
         step = normal.step(damping)
         if np.abs(step).max() < _SMALL:
             return step, damping
-        there, _ = linear(state.moved(step), corners)
+        there, _ = linear(state.plus(step), corners)
         if there.cost(normal.noise) < now:
             return step, max(0.1 * damping, _FIRST_DAMPING)
         damping = 10.0 * max(damping, 1e-6)

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
 from robot_ik.camera.drawing.painter import Layer
+from robot_ik.camera.drawing.probe import GL_OFF, probe_gl
 from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.drawing.renderers import ARTISTS, Artist, RobotView
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image

@@ -23,11 +23,11 @@ from robot_ik.camera.drawing.painter import EMPTY, Layer
 from robot_ik.camera.drawing.raycast import Caster, ray_field
 from robot_ik.camera.image import Box
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.config import Position, Positive, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.model import read_model
 from robot_ik.ports import Array, Mask
-from robot_ik.tables import Position, Positive, Several, Table, read_table
 
 # Shadows fall from the light that the robot is drawn with, at least so steeply (cosine to the vertical); they
 # are softened over so much of the robot's height in the picture, and take so much of the light.

@@ -67,27 +67,6 @@ _MARGIN_CELLS = 1.5
 _VIGNETTE = 0.10
 
 
-def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
-    """Where a camera is that looks from ``position`` at ``target``: ``pose_world_camera``.
-
-    OpenCV camera axes: x right, y down, z forward; ``up`` is upwards in the picture.
-
-    Raises:
-        CameraError: Position and target coincide, or ``up`` is along the view.
-    """
-    eye = np.asarray(position, dtype=float)
-    forward = np.asarray(target, dtype=float) - eye
-    right = np.cross(forward, np.asarray(up, dtype=float))
-    if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
-        raise CameraError(
-            f"a camera at {position!r} cannot look at {target!r} with {up!r} upwards",
-            hint="choose another target, or an up direction that is not along the view",
-        )
-    forward /= np.linalg.norm(forward)
-    right /= np.linalg.norm(right)
-    return Pose.from_rotation(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
-
-
 @dataclass(frozen=True)
 class SyntheticMarker:
     """A printed marker, either at a place in the world or carried by a frame of the robot.

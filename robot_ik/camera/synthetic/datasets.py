@@ -321,8 +321,8 @@ def handeye_set(
         position = (*rng.normal(0, 0.04, 2), rng.uniform(0.5, 0.9))
         seen = Pose(position, (0, 1, 0, 0)).compose(Pose(wxyz=rotation))  # facing the camera, then turned
         pixels = STANDARD_CAMERA.project(seen.apply(points)) + rng.normal(0, 1, (4, 2)) * pixel
-        said = Pose().moved(rng.normal(0, 1, 6) * np.repeat(arm, 3))
-        rough = Pose().moved(rng.normal(0, pixel, 6) * _ROUGH)
+        said = Pose().plus(rng.normal(0, 1, 6) * np.repeat(arm, 3))
+        rough = Pose().plus(rng.normal(0, pixel, 6) * _ROUGH)
         view = BoardView(points, pixels, seen.compose(rough), max(pixel, 0.01))
         samples.append(HandEyeSample(truth.pose_world_hand(seen).compose(said), view))
     return truth, samples

@@ -11,6 +11,7 @@ import numpy as np
 
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.registration import Seen
+from robot_ik.config import read_text, read_toml
 from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
 from robot_ik.hardware import open_arm
@@ -20,7 +21,6 @@ from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
 from robot_ik.problem import Problem
-from robot_ik.reading import read_text, read_toml
 from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS
 

@@ -11,7 +11,7 @@ import numpy as np
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
@@ -97,7 +97,7 @@ def synthetic_scene(
     scene = SyntheticScene(
         mujoco.MjSpec().compile() if occluders is None else occluders,
         lens(width, height),
-        look_at(_EYE, _TARGET),
+        Pose.look_at(_EYE, _TARGET),
         tuple(markers),
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )

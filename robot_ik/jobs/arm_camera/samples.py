@@ -15,15 +15,24 @@ from robot_ik.camera.calibration.extrinsics import Covariance, today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.config import (
+    Pair,
+    Position,
+    SchemaVersion,
+    Several,
+    Table,
+    Wxyz,
+    config_error,
+    parse_json,
+    read_text,
+    shown,
+)
 from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, RobotIkError
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.ports import Array
-from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
-from robot_ik.table_errors import config_error
-from robot_ik.tables import Pair, Position, SchemaVersion, Several, Table, Wxyz
 
 
 @dataclass(eq=False)
@@ -165,7 +174,7 @@ class VerifySamples(SampleSet):
     def _of_values(cls, data: Any) -> Self:
         job = data.get("job") if isinstance(data, dict) else None
         if isinstance(job, str) and job != "verify":
-            raise ValueError(f"they are of {shown(job, str)}, which does not know the camera's pose")
+            raise ValueError(f"they are of {shown(job)}, which does not know the camera's pose")
         file = _VerifyFile.model_validate(data)
         offsets = None if file.true_offsets is None else np.array(file.true_offsets, dtype=float)
         poses = {"camera": file.camera.known(), "board": file.board.known(), "by_arm": file.by_arm}

@@ -110,7 +110,7 @@ def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], cleara
     cost = np.zeros((len(configurations), len(configurations)))
     for i in range(len(configurations)):
         for j in range(i):
-            seconds = float(np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity))
+            seconds = float(np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity_limits))
             cost[i, j] = cost[j, i] = (
                 seconds if clearance.path_is_free(configurations[i], configurations[j]) else np.inf
             )

@@ -8,12 +8,24 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from robot_ik.config import (
+    KeyProblem,
+    Position,
+    Positive,
+    SchemaVersion,
+    Several,
+    Table,
+    Word,
+    check_table,
+    chosen,
+    parse_toml,
+    read_text,
+    shown,
+)
 from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
-from robot_ik.reading import WrongKey, parse_toml, read_text, shown
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import Position, Positive, SchemaVersion, Several, Table, Word, check_table, chosen
 
 
 class ObjectTable(Table):
@@ -56,14 +68,14 @@ class Script(Table):
     def _known_objects(self) -> Script:
         names = [one.name for one in self.objects]
         if names and not self.physics:
-            raise WrongKey("objects fall and are gripped in a world with physics only", "physics", "true")
+            raise KeyProblem("objects fall and are gripped in a world with physics only", "physics", "true")
         for k, name in enumerate(names):
             if name in names[:k]:
                 problem = f"there is an object {shown(name)} already"
-                raise WrongKey(problem, f"objects[{k}].name", "every name once")
+                raise KeyProblem(problem, f"objects[{k}].name", "every name once")
         for k, step in enumerate(self.steps):
             if isinstance(step, ExpectStep) and step.object is not None and step.object not in names:
-                raise WrongKey.unknown("object", step.object, names, f"steps[{k}].object")
+                raise KeyProblem.unknown("object", step.object, names, f"steps[{k}].object")
         return self
 
     @property

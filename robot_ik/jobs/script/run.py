@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.errors import RobotIkError, apart
+from robot_ik.config import KeyProblem
+from robot_ik.errors import RobotIkError, distinct_texts
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.inverse_kinematics import solve
@@ -26,7 +27,6 @@ from robot_ik.jobs.script.state import FAILED, PASSED, RunState, StepFailed, Ste
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.motion.keyframes import column_names
-from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.solvers import solver_name
 
@@ -127,7 +127,7 @@ class ScriptRun(RunState):
         for k, step in enumerate(script.steps):
             try:
                 step.check(self)
-            except WrongKey as wrong:
+            except KeyProblem as wrong:
                 raise wrong.within(("steps", k)).in_file(script.file) from None
         rows = [StepResult(step.title, step.do) for step in script.steps]
         virtual = bus_row(request.bus).virtual_time
@@ -227,5 +227,5 @@ class ScriptRun(RunState):
         late = limit is not None and result.seconds > limit + 0.5 / self.config.rate_hz
         if late and result.outcome == PASSED:
             result.outcome = FAILED
-            took, permitted = apart(result.seconds, limit or 0.0, digits=2)
+            took, permitted = distinct_texts(result.seconds, limit or 0.0, digits=2)
             result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_ik import errors
-from robot_ik.errors import RobotIkError, apart
+from robot_ik.errors import RobotIkError, distinct_texts
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import Trajectory
@@ -138,7 +138,7 @@ class RunState:
         result.trajectory = trajectory
         result.numbers["planned_s"] = round(trajectory.duration, 6)
         if limit is not None and trajectory.duration > limit:
-            planned, permitted = apart(trajectory.duration, limit, digits=2)
+            planned, permitted = distinct_texts(trajectory.duration, limit, digits=2)
             raise StepFailed(f"planned {planned} s, allowed {permitted} s; nothing was sent")
         allowed = trajectory.duration + GRACE if limit is None else limit
         end = self.setup.clock.now() + allowed

@@ -28,7 +28,7 @@ from robot_ik.kernels.search import (
     keep_best,
     measure,
 )
-from robot_ik.kernels.tree import TREE_BLOCK
+from robot_ik.kernels.tree import TREE
 
 # Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
 SLACK = 1e-9
@@ -145,7 +145,7 @@ FORM = Layout(
     target="table 1 12",  # the goal in the world
     inverse="table 1 12",  # its inverse, for arms that are solved from the tool
 )
-RUN = Layout("ClosedFormRun", tree=TREE_BLOCK, goals=GOALS, search=SEARCH, form=FORM)
+RUN = Layout("ClosedFormRun", tree=TREE, goals=GOALS, search=SEARCH, form=FORM)
 open_run = RUN.open
 
 # What a run is for: the solution; every branch, even for a start at the goal; only measuring the start.

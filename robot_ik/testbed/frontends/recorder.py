@@ -16,7 +16,6 @@ import numpy as np
 from robot_ik.camera.drawing.overlay import write as put_text
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.motion.keyframes import column_names
@@ -116,7 +115,7 @@ class Recorder:
         self._lens = CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._arrangement: Arrangement = arranged(robot, count)
         position, look = self._arrangement.camera(self.session.ball_path(), width / height)
-        self._camera = look_at(position, look)
+        self._camera = Pose.look_at(position, look)
         away = np.linalg.norm(self._arrangement.offsets - position, axis=1)
         self._order = np.argsort(-away).tolist()
         reach = _GRID_CELLS * _GRID_STEP * max(0.5, self._arrangement.extent)

@@ -20,7 +20,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_ik.environment import probe_display
+from robot_ik.camera.drawing.probe import probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.geometry import Pose
 from robot_ik.model import compiled, read_spec

@@ -29,7 +29,7 @@ SEEN = Pose((0.03, -0.02, 0.7), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.
 def observed(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
     """One frame of the board."""
     pixels = STANDARD_CAMERA.project(SEEN.apply(POINTS)) + rng.normal(0, noise, (len(POINTS), 2))
-    return BoardView(POINTS, pixels, SEEN.compose(Pose().moved(rng.normal(0, 2e-3, 6))), 0.1)
+    return BoardView(POINTS, pixels, SEEN.compose(Pose().plus(rng.normal(0, 2e-3, 6))), 0.1)
 
 
 def extrinsics_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
@@ -46,7 +46,7 @@ def test_the_file_gives_back_what_was_written(
 ) -> None:
     path = tmp_path_factory.mktemp("place") / "place.toml"
     extrinsics = dataclasses.replace(
-        extrinsics_of(Pose().moved(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent
+        extrinsics_of(Pose().plus(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent
     )
     extrinsics.save(path)
     read = CameraExtrinsics.load(path, STANDARD_CAMERA)

@@ -53,7 +53,7 @@ def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None
 @given(seed=st.integers(0, 10**6))
 def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> None:
     _, samples = handeye_set(8, mounting="eye_to_hand", seed=seed)
-    world = Pose().moved(np.random.default_rng(seed).normal(0, 1, 6))
+    world = Pose().plus(np.random.default_rng(seed).normal(0, 1, 6))
     elsewhere = [HandEyeSample(world.compose(one.pose_world_hand), one.view) for one in samples]
     here = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
     there = solve_handeye(elsewhere, STANDARD_CAMERA, mounting="eye_to_hand")
@@ -72,13 +72,13 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
     for k in range(12):
         move = np.eye(12)[k] * step
         difference = (
-            mount.moved(move).miss(sample, STANDARD_CAMERA) - mount.moved(-move).miss(sample, STANDARD_CAMERA)
+            mount.plus(move).miss(sample, STANDARD_CAMERA) - mount.plus(-move).miss(sample, STANDARD_CAMERA)
         ).ravel()
         np.testing.assert_allclose(shared[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
     for k in range(6):
         there, back = (
             HandEyeSample(
-                sample.pose_world_hand.compose(Pose().moved(sign * step * np.eye(6)[k])), sample.view
+                sample.pose_world_hand.compose(Pose().plus(sign * step * np.eye(6)[k])), sample.view
             )
             for sign in (1, -1)
         )
@@ -140,10 +140,10 @@ def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
     def misses(step: Array) -> Array:
-        mount = truth.moved(step)
+        mount = truth.plus(step)
         return np.concatenate([mount.miss(sample, STANDARD_CAMERA).ravel() for sample in samples])
 
-    judge = truth.moved(least_squares(misses, np.zeros(12), x_scale=1e-3).x)
+    judge = truth.plus(least_squares(misses, np.zeros(12), x_scale=1e-3).x)
     position, angle = found.pose_parent_camera.distance(judge.pose_parent_camera)
     assert position < 0.5 * found.sigma_position and angle < 0.5 * found.sigma_angle
 
@@ -151,7 +151,7 @@ def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
     truth, samples = handeye_set(mounting=mounting, seed=2)
-    bumped = Pose().moved([0.008, -0.006, 0.01, 0.03, -0.04, 0.02])
+    bumped = Pose().plus([0.008, -0.006, 0.01, 0.03, -0.04, 0.02])
     samples[4] = HandEyeSample(samples[4].pose_world_hand.compose(bumped), samples[4].view)
     view = samples[11].view
     moved = view.pixels + np.array([[9, 0], [0, 7], [-6, 0], [0, -8]])
@@ -237,7 +237,7 @@ def test_the_mean_rotation_is_scipys_whatever_the_signs(seed: int) -> None:
 
 def test_the_robust_mean_leaves_a_stray_pose_alone() -> None:
     rng = np.random.default_rng(0)
-    poses = [Pose().moved(rng.normal(0, 1e-3, 6)) for _ in range(9)]
+    poses = [Pose().plus(rng.normal(0, 1e-3, 6)) for _ in range(9)]
     mean = robust_mean_pose([*poses, Pose((0.3, 0, 0), (0, 1, 0, 0))])
     assert max(mean.distance(Pose())) < 1.5e-3
 

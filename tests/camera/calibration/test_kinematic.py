@@ -107,7 +107,7 @@ def test_stated_uncertainty_is_that_of_the_errors(robot: Robot) -> None:
         offsets = np.deg2rad(rng.uniform(-3, 3, 6))
         views = views_of(robot, offsets, 12, seed, pixel=0.2, joint=5e-4)
         said = [
-            KnownPose(one.pose.moved(rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance)
+            KnownPose(one.pose.plus(rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance)
             for one in (camera, board)
         ]
         found = fit(views, robot, camera=said[0], board=said[1])

@@ -8,10 +8,9 @@ import pytest
 
 from robot_ik.bench.camera.accuracy import BENT, STRAIGHT, projection_identity
 from robot_ik.camera.drawing import gl
+from robot_ik.camera.drawing.probe import Probe
 from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.drawing.renderers import BoxTable, DrawnRobot, PainterArtist, occluder_boxes
-from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.environment import Probe
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot
@@ -66,7 +65,7 @@ def test_opengl_draws_where_opencv_projects_and_the_painter_paints(require: Requ
             assert misses.worst <= worst
         robot = load_robot("puma560")
         things = occluder_boxes([BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12))])
-        eye = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
+        eye = Pose.look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
         drawn = DrawnRobot(robot.model, Pose(), 0.3, things, shadow=False)
         qpos = robot.qpos(robot.home)
         masks = [a.draw(drawn, qpos, BENT, eye).robot.mask(640, 480) > 127 for a in (artist, PainterArtist())]

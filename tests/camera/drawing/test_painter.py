@@ -15,14 +15,13 @@ from robot_ik.camera.drawing import overlay
 from robot_ik.camera.drawing.meshes import ROUND_PX, cached_mesh, triangulate
 from robot_ik.camera.drawing.painter import Faces, SurfaceSamples, bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.robot import load_robot
 
 LENS = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
 PINHOLE = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
 WIDE = CameraIntrinsics(1280, 720, 1100.0, 1100.0, 639.5, 359.5, (-0.12, 0.05, 0.0005, -0.0003, 0.0))
-VIEW = look_at((-1.55, -1.25, 1.45), (-0.22, -0.08, 0.78))
+VIEW = Pose.look_at((-1.55, -1.25, 1.45), (-0.22, -0.08, 0.78))
 
 SHAPES = {
     "sphere": ("size='.11'", 4 / 3 * np.pi * 0.11**3),

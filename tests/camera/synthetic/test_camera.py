@@ -16,7 +16,7 @@ from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FrameSource
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.photograph import INK, PAPER
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.camera.synthetic.sensor import LINEAR
@@ -28,7 +28,7 @@ from robot_ik.robot import load_robot
 LINEAR_SENSOR = replace(LINEAR, noise=2.0)
 LENS = CameraIntrinsics(640, 480, 800.0, 796.0, 322.4, 236.1, (-0.18, 0.06, 0.0006, -0.0004, 0.0))
 SMALL = CameraIntrinsics(320, 240, 400.0, 400.0, 159.5, 119.5, (-0.18, 0.06, 0.0006, -0.0004, 0.0))
-OVERHEAD = look_at((0.05, -0.4, 0.6), (0.0, 0.0, 0.0))
+OVERHEAD = Pose.look_at((0.05, -0.4, 0.6), (0.0, 0.0, 0.0))
 
 
 def desk(
@@ -120,7 +120,7 @@ def test_a_sheet_is_painted_like_an_average_of_very_many_samples() -> None:
 
 def test_something_in_front_hides_part_of_a_marker_along_its_exact_outline() -> None:
     # the box covers the marker's left half as seen from straight above
-    above = look_at((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), up=(0, 1, 0))
+    above = Pose.look_at((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), up=(0, 1, 0))
     body = "<geom type='box' size='.05 .1 .02' pos='-.05 0 .1' rgba='0 1 0 1'/>"
     marker = SyntheticMarker(3, 0.06, Pose(), margin=0.01)
     frame = photograph(desk(marker, body=body, camera=above), blur=0.0, noise=0.0).read()
@@ -194,7 +194,7 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
     robot = load_robot("puma560")
     lens = CameraIntrinsics(640, 360, 1100.0, 1100.0, 319.5, 179.5, (-0.12, 0.05, 0.0005, -0.0003, 0.0))
     markers = [SyntheticMarker(20 + k, 0.07, frame=f"marker_{20 + k}", margin=0.007) for k in range(4)]
-    camera = look_at((-1.2, -0.9, 1.3), (-0.5, -0.1, 1.05))
+    camera = Pose.look_at((-1.2, -0.9, 1.3), (-0.5, -0.1, 1.05))
     where = [robot.home]
     scene = SyntheticScene(
         robot,

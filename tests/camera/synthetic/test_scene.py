@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.scene import Lights, SceneTable, _StillScene
+from robot_ik.geometry import Pose
 
 LENS = CameraIntrinsics(320, 240, 400.0, 400.0, 159.5, 119.5)
 
@@ -15,7 +15,7 @@ LENS = CameraIntrinsics(320, 240, 400.0, 400.0, 159.5, 119.5)
 @pytest.fixture(params=[0.0, 0.75], ids=["top at the origin", "raised"])
 def scene(request: pytest.FixtureRequest) -> tuple[_StillScene, SceneTable]:
     table = SceneTable(request.param, (-0.5, 0.5), (-0.4, 0.5))
-    camera = look_at((0.9, -1.2, table.height + 0.9), (0.0, 0.0, table.height))
+    camera = Pose.look_at((0.9, -1.2, table.height + 0.9), (0.0, 0.0, table.height))
     return _StillScene(LENS, camera, table, Lights.beside(camera, 1.5), camera.position), table
 
 

@@ -13,21 +13,20 @@ import mujoco
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from robot_ik.errors import apart
+from robot_ik.config import KeyProblem, Pair, Positive, Table, Word
+from robot_ik.errors import distinct_texts
 from robot_ik.hardware import SIMULATED
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult, error_classes
 from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
-from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.tables import Pair, Positive, Table, Word
 
 
 def require_known(what: str, name: str | None, known: Iterable[str], key: str = "") -> None:
-    """Raises ``WrongKey`` unless ``name`` is None or one of those that are ``known``."""
+    """Raises ``KeyProblem`` unless ``name`` is None or one of those that are ``known``."""
     if name is not None and name not in (names := list(known)):
-        raise WrongKey.unknown(what, name, names, key)
+        raise KeyProblem.unknown(what, name, names, key)
 
 
 def _error_class(name: str) -> str:
@@ -37,7 +36,7 @@ def _error_class(name: str) -> str:
 
 def _rising(span: tuple[float, float]) -> tuple[float, float]:
     if span[0] > span[1]:
-        raise WrongKey(f"{list(span)} is empty", allowed="[from, to]")
+        raise KeyProblem(f"{list(span)} is empty", allowed="[from, to]")
     return span
 
 
@@ -95,14 +94,14 @@ class ScriptStep(Table):
         """Whether this robot, arm and bus can do it; before anything is opened or moves.
 
         Raises:
-            WrongKey: They cannot.
+            KeyProblem: They cannot.
         """
         if not now.simulated and self.simulated_only:
             problem = f"{self.do!r} is for simulated servos, and this is a real port"
-            raise WrongKey(problem, "do", SIMULATED)
+            raise KeyProblem(problem, "do", SIMULATED)
         if not now.simulated and self.needs_camera:
             problem = "the synthetic camera does not see a real desk"
-            raise WrongKey(problem, "do", "other steps, or robot-ik reach")
+            raise KeyProblem(problem, "do", "other steps, or robot-ik reach")
 
     def run(self, now: RunState, result: StepResult) -> None:
         """Does it; what was found goes into ``result``.
@@ -115,11 +114,11 @@ class ScriptStep(Table):
 
 
 def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
-    """The class of a step by what stands in its table; WrongKey: there is no such step."""
+    """The class of a step by what stands in its table; KeyProblem: there is no such step."""
     if "do" not in table:
-        raise WrongKey("this key is missing", "do", ", ".join(STEPS))
+        raise KeyProblem("this key is missing", "do", ", ".join(STEPS))
     if not isinstance(table["do"], str) or table["do"] not in STEPS:
-        raise WrongKey.unknown("step", table["do"], STEPS, "do")
+        raise KeyProblem.unknown("step", table["do"], STEPS, "do")
     return STEPS[table["do"]]
 
 
@@ -145,7 +144,7 @@ class Finding:
 
 def near(off: float, allowed: float, unit: str, what: str, key: str) -> Finding:
     """How far something is off, both in ``unit``; ``key``: what the number is called in the report."""
-    here, permitted = apart(off, allowed, digits=2)
+    here, permitted = distinct_texts(off, allowed, digits=2)
     return Finding(
         off <= allowed, f"{what} {here}{unit} off", f"at most {permitted}{unit}", {key: round(off, 4)}
     )
@@ -216,12 +215,12 @@ class JointValues(ScriptStep):
                 right, unit = ("joints_mm", " mm") if slides(robot, joint) else ("joints_deg", "°")
                 if key != right:
                     counts = "a slide counts in millimetres" if unit == " mm" else "a hinge counts in degrees"
-                    raise WrongKey(counts, at, right)
+                    raise KeyProblem(counts, at, right)
                 k, one = robot.joints.index(joint), per_unit(robot, joint)
                 low, high = float(robot.lower[k]) / one, float(robot.upper[k]) / one
                 if not self.anywhere and not low - 1e-9 <= number <= high + 1e-9:
-                    asked, lowest, highest = apart(number, low, high)
-                    raise WrongKey(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
+                    asked, lowest, highest = distinct_texts(number, low, high)
+                    raise KeyProblem(f"{asked}{unit} is outside the limits", at, f"{lowest} … {highest}")
 
 
 class Tolerant(ScriptStep):
@@ -286,20 +285,20 @@ class GripperWidth(ScriptStep):
     """Whether joints of q will do, which know no width."""
 
     def check_gripper(self, now: RunState) -> None:
-        """Whether there is a gripper, and one that can do this; else WrongKey."""
+        """Whether there is a gripper, and one that can do this; else KeyProblem."""
         joints = now.config.group(GRIPPER)
         if not joints and (not self.by_opening or not gripper_joints(now.robot)):
             problem = f"the arm of {now.robot.name!r} has no gripper"
             allowed = "an arm file with a servo for a joint of the group gripper (robot.toml)"
-            raise WrongKey(problem, "do", allowed)
+            raise KeyProblem(problem, "do", allowed)
         sliding = bool(joints) and all(joint.slides for joint in joints)
         for key, able in (("width_mm", sliding), ("force_n", bool(joints)), ("held", bool(joints))):
             if getattr(self, key, None) is not None and not able:
                 what = "slide" if key == "width_mm" else "joint"
                 problem = f"that needs a {what} of the arm file's group gripper"
-                raise WrongKey(problem, key, "opening alone")
+                raise KeyProblem(problem, key, "opening alone")
         if self.width_mm is not None:
             opening = sum(1e3 * joint.limits[1] * fingers_on(now.robot, joint) for joint in joints)
             if self.width_mm > opening + 1e-9:
-                asked, widest = apart(self.width_mm, opening, digits=6, form="g")
-                raise WrongKey(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")
+                asked, widest = distinct_texts(self.width_mm, opening, digits=6, form="g")
+                raise KeyProblem(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")

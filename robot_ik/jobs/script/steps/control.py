@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from robot_ik.config import Word
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.joint_map import ServoId
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep
-from robot_ik.tables import Word
 
 PATIENCE = 2.0
 """s to wait for a port that has gone."""
@@ -63,7 +63,7 @@ class InjectStep(ScriptStep):
 
     @property
     def fault(self) -> Fault:
-        """What it injects; WrongKey: there is no such kind, or not with such a value."""
+        """What it injects; KeyProblem: there is no such kind, or not with such a value."""
         return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
 
     def check(self, now: RunState) -> None:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import model_validator
 
+from robot_ik.config import KeyProblem, Position, Word, Wxyz
 from robot_ik.geometry import Pose
 from robot_ik.hardware import SIMULATED
 from robot_ik.jobs.script.state import RunState, StepResult, error_classes
@@ -26,10 +27,8 @@ from robot_ik.jobs.script.steps.base import (
     width_mm,
 )
 from robot_ik.ports import Array
-from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
-from robot_ik.tables import Position, Word, Wxyz
 
 ROUNDING = 1e-9
 """s; sums of periods are not exact."""
@@ -72,18 +71,18 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
     @model_validator(mode="after")
     def _something(self) -> ExpectStep:
         if all(getattr(self, key) is None for key in (*_POSE_KEYS, *_REST)):
-            raise WrongKey(
+            raise KeyProblem(
                 "nothing is expected", allowed=f"one or more of {', '.join((*_POSE_KEYS, *_REST))}"
             )
         if self.object is not None and self.position is None:
-            raise WrongKey("this key is missing", "position", "where the object is to lie")
+            raise KeyProblem("this key is missing", "position", "where the object is to lie")
         return self
 
     def check(self, now: RunState) -> None:
         super().check(now)
         if self.shafts and not now.simulated:
             problem = "nobody knows where real shafts are"
-            raise WrongKey(problem, "shafts", f"false, or {SIMULATED}")
+            raise KeyProblem(problem, "shafts", f"false, or {SIMULATED}")
         require_known("keyframe", self.keyframe, keyframes(now.robot), "keyframe")
         require_known("status", self.status, [status.name for status in Status], "status")
         require_known("joint", self.joint, now.robot.joints, "joint")

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from robot_ik.errors import apart
+from robot_ik.config import KeyProblem, Position, Positive, Word, Wxyz
+from robot_ik.errors import distinct_texts
 from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
@@ -41,9 +42,7 @@ from robot_ik.motion.sources import CurveSource
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
-from robot_ik.reading import WrongKey
 from robot_ik.solvers import make_solver
-from robot_ik.tables import Position, Positive, Word, Wxyz
 
 Judge = Callable[[], list[Finding]]
 """How far off it is: once all of that is right it has arrived."""
@@ -183,7 +182,7 @@ class LineStep(Framed, Move):
     @model_validator(mode="after")
     def _one_end(self) -> LineStep:
         if (self.position is None) == (self.by is None):
-            raise WrongKey("a line goes to a position or by a vector", "position", "position or by")
+            raise KeyProblem("a line goes to a position or by a vector", "position", "position or by")
         return self
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
@@ -208,7 +207,7 @@ class JointsStep(JointValues, Move):
     @model_validator(mode="after")
     def _some(self) -> JointsStep:
         if self.joints_deg is None and self.joints_mm is None:
-            raise WrongKey("no joint is named", "joints_deg", "joints_deg, joints_mm (slides) or both")
+            raise KeyProblem("no joint is named", "joints_deg", "joints_deg, joints_mm (slides) or both")
         return self
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
@@ -251,7 +250,7 @@ class GripStep(GripperWidth, Move):
     @model_validator(mode="after")
     def _one_width(self) -> GripStep:
         if (self.opening is None) == (self.width_mm is None):
-            raise WrongKey("a grip is to an opening or to a width", "opening", "opening or width_mm")
+            raise KeyProblem("a grip is to an opening or to a width", "opening", "opening or width_mm")
         return self
 
     def check(self, now: RunState) -> None:
@@ -335,11 +334,11 @@ class FollowStep(Framed, Action):
             for key in ("center", "radius", "period", "normal", "wxyz", "frame"):
                 if getattr(self, key) is not None:
                     problem = f"a marker goes its own way, so {key} means nothing"
-                    raise WrongKey(problem, key, 'nothing, or path = "circle" or "eight"')
+                    raise KeyProblem(problem, key, 'nothing, or path = "circle" or "eight"')
             return self
         for key in ("center", "radius", "period"):
             if getattr(self, key) is None:
-                raise WrongKey("this key is missing", key, f'a value, for path = "{self.path}"')
+                raise KeyProblem("this key is missing", key, f'a value, for path = "{self.path}"')
         return self
 
     @property
@@ -401,7 +400,7 @@ class FollowStep(Framed, Action):
             result.numbers["picture_age_p95_s"] = round(now.vision.delays[1].p95, 4)
         median, worst = float(np.median(behind)), max(behind)
         result.numbers.update(behind_median_mm=round(median, 4), behind_worst_mm=round(worst, 4))
-        most, allowed = apart(worst, self.tolerance_mm, digits=2)
+        most, allowed = distinct_texts(worst, self.tolerance_mm, digits=2)
         result.found = f"median {median:.2f} mm, worst {most} mm behind; allowed {allowed} mm"
         if worst > self.tolerance_mm:
             raise StepFailed(f"lost the goal: {result.found}")

@@ -20,18 +20,17 @@ from numpy.typing import NDArray
 from pydantic import field_validator
 
 from robot_ik.body_goals import PostureGoal
+from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
+from robot_ik.figure.motion.bvh import Bvh, data_at_rest
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
-from robot_ik.motion.bvh import Bvh, data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget
-from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.tables import SchemaVersion, Several, Table, read_table
 
 SIDES = ("left", "right")
 ROLES = (
@@ -66,7 +65,7 @@ class _MapFile(Table):
     def _all(cls, roles: dict[str, _Role]) -> dict[str, _Role]:
         for role in ROLES:
             if role not in roles:
-                raise WrongKey("this key is missing", role, "body, names")
+                raise KeyProblem("this key is missing", role, "body, names")
         return roles
 
 
@@ -311,7 +310,7 @@ def _foot_path(
             share = share * share * (3.0 - 2.0 * share)
             for k in (first - step, end - 1 + step):
                 if 0 <= k < len(path) and not rests[k]:
-                    path[k] = path[k] @ Pose().moved(share * (path[k].inverse() @ pin).change_from(Pose()))
+                    path[k] = path[k] @ Pose().plus(share * (path[k].inverse() @ pin).minus(Pose()))
     return path
 
 

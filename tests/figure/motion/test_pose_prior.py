@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError, UnsupportedGoalError
+from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored, thinned
 from robot_ik.goals import PosePriorGoal
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.pose_prior import fit_pose_prior, mirrored, thinned
 from robot_ik.pose_prior import PosePrior, feature_names
 from robot_ik.problem import Problem
 from tests.residual_rows import rows_at
@@ -204,7 +204,7 @@ def test_the_public_names_include_the_prior_and_its_goal() -> None:
 
 
 def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
-    docs = Path(__file__).parents[2] / "docs"
+    docs = Path(__file__).parents[3] / "docs"
     found = json.loads((docs / "pose_prior.json").read_text(encoding="utf-8"))
     page = (docs / "how-to" / "poses.md").read_text(encoding="utf-8")
     labels = {"goals alone": "goals alone", "with a posture goal": "with a soft posture (home)"}

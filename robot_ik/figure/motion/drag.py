@@ -83,7 +83,7 @@ class Drag:
         require_positive("rate", rate, "Hz")
         require_positive("speed", speed, "times the limits")
         self.robot, self.rate = robot, float(rate)
-        self._most = speed * robot.velocity / rate
+        self._most = speed * robot.velocity_limits / rate
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError, UnsupportedJointError
+from robot_ik.figure.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, own_motion
+from robot_ik.figure.motion.retarget import SkeletonMap, retarget
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, own_motion
-from robot_ik.motion.retarget import SkeletonMap, retarget
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 def some_motion(robot: rik.Robot, size: float = 0.3) -> Keyframes:
     rng = np.random.default_rng(1)
     keys = [robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv))) for _ in range(3)]
-    return Keyframes.through(robot, keys, velocity=6.0)
+    return Keyframes.through(robot, keys, velocity_limits=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,7 @@ def test_our_own_file_is_taken_over_where_it_was(humanoid: rik.Robot) -> None:
     found = rik.solve(
         humanoid, [*feet, rik.PositionGoal("right_hand", position), rik.PostureGoal(q=home, soft=True)]
     )
-    motion = Keyframes.through(humanoid, [home, found.q], velocity=6.0)
+    motion = Keyframes.through(humanoid, [home, found.q], velocity_limits=6.0)
     again = retarget(export_bvh(motion, 20.0), humanoid)
     end = again.motion.q[-1]
     assert again.scale == pytest.approx(0.01)

@@ -9,7 +9,7 @@ what is written again is the same.
 ``export_bvh`` writes a robot's motion: a BVH joint for each point about which hinges or a ball rotate a body.
 Where hinges stand along the axes, their angles are the channels themselves, in the order of the hinges, and
 come back to rounding; a tilted hinge goes through a rotation matrix.  Motions of other skeletons are taken
-over by ``robot_ik.motion.retarget``.
+over by ``robot_ik.figure.motion.retarget``.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from robot_ik.config import read_text, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_log
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes, sign_continuous
 from robot_ik.ports import Array
-from robot_ik.reading import read_text, shown
 from robot_ik.robot import Robot
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
@@ -511,7 +511,7 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
         raise TrajectoryError(
             f"the file's skeleton is not that of {robot.name!r}"
             + (f": it has no {missing[0]!r}" if missing else ""),
-            hint="motions of other skeletons: robot_ik.motion.retarget",
+            hint="motions of other skeletons: robot_ik.figure.motion.retarget",
         )
     model = robot.model
     qpos = np.tile(robot.qpos(robot.home), (len(bvh.values), 1))
@@ -577,6 +577,6 @@ def _hinge_angles(node: _Node, rotations: Array) -> Array:
         raise TrajectoryError(
             f"frame {k}: {node.name!r} is rotated as its hinges cannot rotate it "
             f"({np.degrees(np.abs(error[k]).max()):.2g} degrees are left)",
-            hint="motions of other skeletons: robot_ik.motion.retarget",
+            hint="motions of other skeletons: robot_ik.figure.motion.retarget",
         )
     return angles

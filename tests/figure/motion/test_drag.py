@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
-from robot_ik.motion.drag import Drag
+from robot_ik.figure.motion.drag import Drag
 
 Array = NDArray[np.float64]
 RATE = 30.0
@@ -26,7 +26,7 @@ CASES: dict[str, tuple[dict[str, tuple[float, float, float]], tuple[str, ...]]] 
 
 
 def speeds(robot: rik.Robot, one: Array, two: Array) -> float:
-    return float((np.abs(robot.difference(one, two)) * RATE / robot.velocity).max())
+    return float((np.abs(robot.difference(one, two)) * RATE / robot.velocity_limits).max())
 
 
 @pytest.mark.parametrize("name", CASES)

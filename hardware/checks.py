@@ -1,0 +1,63 @@
+"""Rows of a health report, and the users and permissions of a device file."""
+
+from __future__ import annotations
+
+import getpass
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+OK = "ok"
+NOTE = "note"
+PROBLEM = "problem"
+
+
+@dataclass(frozen=True)
+class CheckRow:
+    """One line of the report: what was checked, how it is, what was found, what to do about it."""
+
+    what: str
+    status: str
+    found: str
+    do: str = ""
+
+
+def permission_hint(path: str) -> str:
+    """What gives this user the right to use the device file."""
+    try:
+        group = Path(path).group()
+    except (KeyError, OSError, NotImplementedError):  # a number without a name; Windows has no groups
+        group = ""
+    if group in ("", "root", "wheel"):
+        return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"
+    return f"sudo usermod -aG {group} {getpass.getuser()}, then log out and in again"
+
+
+def named_users_of(path: str) -> list[str]:
+    """Programs that have ``path`` open, as ``name (pid)``; only what this user may see, Linux only."""
+    return [f"{name} ({number})" for number, name in users_of(path).items()]
+
+
+def users_of(device: str) -> dict[int, str]:
+    """Programs that have a device file open, by process number; what this user may see, on Linux only.
+
+    Whoever serves a pseudo terminal may keep both of its ends open, and is no user of it by that.
+    """
+    target, found = os.path.realpath(device), {}
+    for process in sorted(Path("/proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
+        try:
+            files = list((process / "fd").iterdir())
+            opened = sum(os.path.realpath(file) == target for file in files)
+            if opened > sum(_serves(file, target) for file in files):
+                found[int(process.name)] = (process / "comm").read_text(encoding="utf-8").strip()
+        except OSError:
+            continue  # the process ended, or belongs to somebody else
+    return found
+
+
+def _serves(file: Path, terminal: str) -> bool:
+    """Whether an open file (of /proc) is the other end of a pseudo terminal /dev/pts/N."""
+    if not terminal.startswith("/dev/pts/") or os.path.basename(os.path.realpath(file)) != "ptmx":
+        return False
+    about = (file.parent.parent / "fdinfo" / file.name).read_text(encoding="utf-8")
+    return f"tty-index:\t{os.path.basename(terminal)}\n" in about

@@ -1,0 +1,1 @@
+"""Motions of figures: motion capture files, retargeting, pose priors, dragging by hand."""
