@@ -13,7 +13,7 @@ from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.pose_prior import PRIOR_WORK, prior_jacobian, prior_residual
 from robot_ik.kernels.residuals import GOALS, goal_jacobian
 from robot_ik.kernels.search import SEARCH, count_all_goals, measure
-from robot_ik.kernels.tree import TREE_BLOCK
+from robot_ik.kernels.tree import TREE
 from robot_ik.problem import Problem
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 RUN = Layout(
     "Rows",
     jacobian="table m u",
-    tree=TREE_BLOCK,
+    tree=TREE,
     goals=GOALS,
     search=SEARCH,
     prior=PRIOR_WORK,

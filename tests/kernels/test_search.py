@@ -5,11 +5,11 @@ from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH, draw
-from robot_ik.kernels.tree import TREE_BLOCK
+from robot_ik.kernels.tree import TREE
 from robot_ik.goals import PostureGoal
 from robot_ik.problem import Problem
 
-RUN = Layout("Draws", tree=TREE_BLOCK, goals=GOALS, search=SEARCH)
+RUN = Layout("Draws", tree=TREE, goals=GOALS, search=SEARCH)
 open_run = RUN.open
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>

@@ -8,7 +8,7 @@ from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH
-from robot_ik.kernels.tree import TREE_BLOCK
+from robot_ik.kernels.tree import TREE
 from robot_ik.problem import Problem
 from robot_ik.solvers.levenberg_marquardt import curvature_of_goals, has_curvature
 from tests.residual_rows import rows_at
@@ -26,7 +26,7 @@ BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geo
 <site name="tool" pos="0 0 1"/></body></worldbody></mujoco>"""
 
 
-RUN = Layout("Curvature", tree=TREE_BLOCK, goals=GOALS, search=SEARCH)
+RUN = Layout("Curvature", tree=TREE, goals=GOALS, search=SEARCH)
 open_run = RUN.open
 
 

@@ -207,5 +207,7 @@ def test_retargeting_keeps_softness(arm):
     problem = Problem(arm, [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, soft=True)])
     problem.retarget(arm.home + 0.1, 1)
     assert problem.goals[1].soft
-    with pytest.raises(InvalidGoalError, match="other weights"):
+    problem.retarget(PostureGoal(q=arm.home + 0.2, soft=True), 1)
+    assert np.array_equal(problem.goals[1].q, arm.home + 0.2)
+    with pytest.raises(InvalidGoalError, match="is a posture goal, not PostureGoal"):
         problem.retarget(PostureGoal(q=arm.home), 1)
