@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from robot_ik.batch import solve_batch
     from robot_ik.branches import solve_all
-    from robot_ik.chain import make_chain
+    from robot_ik.chain import DHRow, from_dh, make_chain
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 _HOME = {
     "robot_ik.batch": ("solve_batch",),
     "robot_ik.branches": ("solve_all",),
-    "robot_ik.chain": ("make_chain",),
+    "robot_ik.chain": ("DHRow", "from_dh", "make_chain"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -71,10 +71,10 @@ _HOME = {
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "Miss",
+    "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "DHRow", "Goal", "HalfSpaceGoal", "LineGoal", "Miss",
     "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal", "PosePrior", "PosePriorGoal", "PositionGoal", "PostureGoal",
     "Problem", "RealClock", "Robot", "RobotIkError", "Solution", "Status", "Tolerance", "Trajectory",
-    "VirtualClock", "__version__", "catalogue", "execute", "follow", "joint_move", "line_move", "load_robot",
+    "VirtualClock", "__version__", "catalogue", "execute", "follow", "from_dh", "joint_move", "line_move", "load_robot",
     "make_chain", "make_solver", "solve", "solve_all", "solve_batch", "warm_up",
 ]  # fmt: skip
 

@@ -1,8 +1,8 @@
-"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out: an immutable description of what moves.
+"""``Robot``, an immutable description of what moves, and ``load_robot``, which reads MJCF and URDF.
 
-``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
-shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
-frame's origin.
+``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,). ``dq`` is its
+tangent, shape (nv,). Poses are in the world. A Jacobian is linear over angular velocity, in world
+axes, at the origin of the frame.
 """
 
 from __future__ import annotations
@@ -15,41 +15,58 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik import model as mjcf
-from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, distinct_texts
+from robot_ik.couplings import Coupling, declared_couplings, narrowed, with_couplings
+from robot_ik.errors import (
+    ModelError,
+    UnknownFrameError,
+    UnsupportedJointError,
+    distinct_texts,
+)
 from robot_ik.geometry import Array, Pose, vector
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Tree
 from robot_ik.robot_file import RobotFile, find_robot
 
-if TYPE_CHECKING:
-    from robot_ik.couplings import Coupling
+LIMIT_SLACK = 1e-9
+"""rad or m. A joint counts as outside its limits only beyond this."""
 
-_ARRAYS = ("velocity", "acceleration", "stiffness", "home", "frozen_qpos")
+NAMES_SHOWN = 8
+"""Joint names in the ``repr`` of a robot."""
+
+_ARRAYS = (
+    "velocity_limits",
+    "acceleration_limits",
+    "stiffness",
+    "home",
+    "frozen_qpos",
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
-    """What a robot is.  Made by ``load_robot``; never changes: its arrays are read-only.
+    """A robot as ``load_robot`` returns it. It never changes, and its arrays are read-only.
 
     Attributes:
-        name: Catalogue name, or the file's stem.
+        name: Catalogue name, or the stem of the file name.
         path: The model file.
-        model: MuJoCo's model; treat as read-only.
+        model: MuJoCo's model. Treat it as read-only.
+        tree: The compiled kinematics.
         joints: Names of the active joints, in declared order.
-        velocity, acceleration: (nv,) limits of motion, rad/s and rad/s² (m for slides).
-        stiffness: (nv,) what moving a joint costs beside the others.
-        home: (nq,) where the robot rests.
+        velocity_limits: Speed limits (nv,), rad/s or m/s.
+        acceleration_limits: Acceleration limits (nv,), rad/s² or m/s².
+        stiffness: Cost (nv,) of moving a joint compared with the others.
+        home: Rest configuration (nq,).
         tool: Name of the default frame.
-        tree: The same kinematics compiled.
-        file: What ``robot.toml`` says beyond the model.
-        couplings: Joints of the model that follow another.
+        frozen_qpos: Values (model.nq,) of the joints that do not move.
+        file: Content of ``robot.toml``.
+        couplings: Joints of the model that follow another joint.
     """
 
     name: str
@@ -57,8 +74,8 @@ class Robot:
     model: mujoco.MjModel
     tree: Tree
     joints: tuple[str, ...]
-    velocity: Array
-    acceleration: Array
+    velocity_limits: Array
+    acceleration_limits: Array
     stiffness: Array
     home: Array
     tool: str
@@ -75,42 +92,39 @@ class Robot:
             object.__setattr__(self, name, array)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {key: value for key, value in self.__dict__.items() if key != "memory"}
+        return {key: value for key, value in self.__dict__.items() if key != "_thread_data"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.__post_init__()  # copies of arrays can be written to
+        self.__post_init__()  # unpickled arrays are writable
 
     def __repr__(self) -> str:
-        shown = ", ".join(self.joints[:8]) + (f", … {len(self.joints) - 8} more" if self.nv > 8 else "")
+        names = ", ".join(self.joints[:NAMES_SHOWN])
+        if len(self.joints) > NAMES_SHOWN:
+            names += f", … {len(self.joints) - NAMES_SHOWN} more"
         return (
-            f"Robot({self.name!r}, {len(self.joints)} joints: {shown}; tool {self.tool!r}, "
+            f"Robot({self.name!r}, {len(self.joints)} joints: {names}; tool {self.tool!r}, "
             f"{len(self._frames)} frames; {self.path.name})"
         )
 
-    @cached_property
-    def memory(self) -> dict[str, Any]:
-        """What others worked out for this robot and keep with it; copies begin without."""
-        return {}
-
     @property
     def lower(self) -> Array:
-        """(nv,) lower limits, rad or m; -inf where unlimited."""
+        """Lower limits (nv,), rad or m; -inf where unlimited."""
         return self.tree.lower
 
     @property
     def upper(self) -> Array:
-        """(nv,) upper limits, rad or m; inf where unlimited; a ball joint has its cone angle."""
+        """Upper limits (nv,), rad or m; inf where unlimited; the cone angle of a ball joint."""
         return self.tree.upper
 
     @property
     def nq(self) -> int:
-        """Numbers in ``q``."""
+        """Size of ``q``."""
         return self.tree.nq
 
     @property
     def nv(self) -> int:
-        """Degrees of freedom: numbers in ``dq``."""
+        """Number of degrees of freedom, the size of ``dq``."""
         return self.tree.nv
 
     @property
@@ -120,190 +134,254 @@ class Robot:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of all frames: tools first, then sites and bodies."""
+        """Names of all frames: tools, then sites, then bodies."""
         return tuple(self._frames)
 
     @property
     def arm_file(self) -> Path | None:
-        """``arm.toml`` beside the model (servo ids, signs, zeros), if there is one."""
+        """``arm.toml`` beside the model (ids, signs and zeros of the servos), None without one."""
         file = self.folder / "arm.toml"
         return file if file.is_file() else None
 
     def frame(self, name: str | None = None) -> mjcf.ModelFrame:
-        """The frame of that name (default: the tool); raises ``UnknownFrameError`` with the close names."""
+        """Return a frame by name, or the default frame.
+
+        Raises:
+            UnknownFrameError: The robot has no such frame. The message has close names.
+        """
         try:
             return self._frames[self.tool if name is None else name]
-        except (KeyError, TypeError):  # a list is no key
+        except (KeyError, TypeError):  # TypeError: the name is a list or an array
             raise UnknownFrameError(str(name), self._frames) from None
 
     def check_q(self, q: ArrayLike, what: str = "q") -> Array:
-        """``q`` as a new read-only array (nq,); raises ``ModelError`` unless it is nq finite numbers."""
+        """Return ``q`` as a new read-only array (nq,).
+
+        Args:
+            q: Joint angles (nq,).
+            what: Name of the vector, for the message.
+
+        Raises:
+            ModelError: Another length, or a number that is not finite.
+        """
         hint = f"{self.name} has these active joints: {', '.join(self.joints)}"
-        # Of any size: joint angles are clipped to their limits, and nobody squares them before.
+        # Joint angles may have any size: they are clipped to their limits before they are squared.
         return vector(q, self.nq, what, ModelError, hint, sys.float_info.max)
 
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
-        """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""
+        """Return where a frame is attached.
+
+        Args:
+            frame: Name of a frame, None for the default frame, or the id of a body.
+
+        Returns:
+            The node that carries the frame (-1: the world), and the frame seen from it (12,).
+        """
         if isinstance(frame, int):
-            return self._bodies[frame].node, self._bodies[frame].local.row
-        at = self.frame(frame)
-        body = self._bodies[at.body]
-        return body.node, body.local.compose(at.local).row
+            body = self._bodies[frame]
+            return body.node, body.local.row
+        found = self.frame(frame)
+        body = self._bodies[found.body]
+        return body.node, body.local.compose(found.local).row
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
-        """World pose of a frame (default: the tool) at ``q`` (nq,); raises as ``frame``, ``check_q``."""
-        out = np.empty((1, 12))
-        kinematics.tree_frame(*self._work(q, frame, out))
-        return Pose.from_row(out[0])
+        """Return the world pose of a frame (default: the tool) at ``q`` (nq,).
+
+        Raises:
+            ModelError: As ``check_q``.
+            UnknownFrameError: As ``frame``.
+        """
+        row = np.empty((1, 12))
+        kinematics.tree_frame(*self._kernel_arguments(q, frame), row)
+        return Pose.from_row(row[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
-        """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
+        """Return the Jacobian (6, nv) of a frame: linear over angular velocity per unit of dq."""
+        row = np.empty((1, 12))
         jacobian = np.empty((6, self.nv))
-        kinematics.tree_jacobian(*self._work(q, frame, np.empty((1, 12)), jacobian))
+        kinematics.tree_jacobian(*self._kernel_arguments(q, frame), row, jacobian)
         return jacobian
 
     def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
-        """Pose of a frame by MuJoCo's own forward pass: the independent judge of every solution."""
-        at = self.frame(frame)
+        """Return the world pose of a frame by MuJoCo's forward kinematics.
+
+        It does not use the compiled kinematics, so it is an independent check of a solution.
+        """
+        found = self.frame(frame)
         data = self.data_at(q)
-        return Pose(data.xpos[at.body], data.xquat[at.body]).compose(at.local)
+        return Pose(data.xpos[found.body], data.xquat[found.body]).compose(found.local)
 
     def center_of_mass(self, q: ArrayLike, body: str | None = None) -> Array:
-        """(3,) centre of mass of a body and all that hangs on it (None: the whole model), by MuJoCo."""
+        """Return the centre of mass (3,) of a body and its subtree (None: the model), by MuJoCo."""
         data = self.data_at(q)
         mujoco.mj_comPos(self.model, data)
         return np.array(data.subtree_com[self.body_id(body)])
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
-        """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
-        whole = np.zeros(self.model.nv)
-        mujoco.mj_differentiatePos(self.model, whole, 1.0, self.qpos(start), self.qpos(end))
-        return np.asarray(whole[np.isin(self.model.dof_jntid, self.tree.joint_ids)])
+        """Return dq (nv,) with ``integrate(start, dq) == end``, by ``mj_differentiatePos``."""
+        dq = np.zeros(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, dq, 1.0, self.qpos(start), self.qpos(end))
+        return np.asarray(dq[np.isin(self.model.dof_jntid, self.tree.joint_ids)])
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
-        """MuJoCo's data with all bodies where they are at ``q``, good until this thread's next call."""
-        own = self.memory.setdefault("kinematics", threading.local())
-        data = getattr(own, "data", None)
+        """Return MuJoCo's data with all bodies at ``q``, valid until the next call of this thread."""
+        data = getattr(self._thread_data, "data", None)
         if data is None:
-            data = own.data = mujoco.MjData(self.model)
+            data = mujoco.MjData(self.model)
+            self._thread_data.data = data
         data.qpos[:] = self.qpos(q)
         mujoco.mj_kinematics(self.model, data)
         return data
 
     def body_id(self, name: str | None) -> int:
-        """MuJoCo's number of a body (None: the world, which carries all); raises ``UnknownFrameError``."""
+        """Return MuJoCo's id of a body; 0, the world, for None.
+
+        Raises:
+            UnknownFrameError: The model has no such body.
+        """
         names = {self.model.body(b).name: b for b in range(self.model.nbody)}
         try:
             return 0 if name is None else names[name]
-        except (KeyError, TypeError):  # a list is no key
+        except (KeyError, TypeError):  # TypeError: the name is a list or an array
             raise UnknownFrameError(str(name), filter(None, names)) from None
 
     def qpos(self, q: ArrayLike) -> Array:
-        """(model.nq,): ``q`` at its addresses, the frozen joints where they stand."""
+        """Return MuJoCo's qpos (model.nq,) with the active joints at ``q``."""
         qpos = self.frozen_qpos.copy()
         qpos[self._addresses] = self.check_q(q)
         return qpos
 
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``).
+        """Return q ⊕ dq (nq,), as ``mj_integratePos``.
+
+        Hinges and slides are added. Balls are rotated.
 
         Raises:
-            ModelError: ``q`` is not nq finite numbers, or ``dq`` not nv.
+            ModelError: ``q`` is not nq finite numbers, or ``dq`` is not nv finite numbers.
         """
-        moved = self.check_q(q).copy()
-        # Contiguous: for every other layout the kernel would be compiled anew.
+        result = self.check_q(q).copy()
+        # A contiguous copy: numba would compile the kernel again for another memory layout.
         step = vector(dq, self.nv, "dq", ModelError, largest=sys.float_info.max).copy()
-        kinematics.tree_integrate(self.tree.block.address, np.arange(self.tree.size), moved, step)
-        return moved
+        nodes = np.arange(self.tree.size)
+        kinematics.tree_integrate(self.tree.block.address, nodes, result, step)
+        return result
 
     def clip(self, q: ArrayLike) -> Array:
-        """The nearest q (nq,) inside the limits, joint by joint."""
-        inside = self.check_q(q).copy()
-        if self.nq == self.nv:  # hinges and slides only: a new machine need not compile anything to load it
-            return np.asarray(np.clip(inside, self.tree.lower, self.tree.upper))
-        kinematics.tree_clip(self.tree.block.address, np.arange(self.tree.size), inside)
-        return inside
+        """Return the nearest ``q`` (nq,) inside the limits, joint by joint."""
+        result = self.check_q(q).copy()
+        if self.nq == self.nv:  # hinges and slides need no kernel, so loading compiles nothing
+            return np.asarray(np.clip(result, self.tree.lower, self.tree.upper))
+        kinematics.tree_clip(self.tree.block.address, np.arange(self.tree.size), result)
+        return result
 
-    def follow(self, q: ArrayLike) -> Array:
-        """``q`` (nq,) with each coupled joint where its leader puts it."""
-        moved = self.check_q(q).copy()
+    def apply_couplings(self, q: ArrayLike) -> Array:
+        """Return ``q`` (nq,) with each coupled joint at the value that its leader determines."""
+        result = self.check_q(q).copy()
         if len(self.tree.coupled):
-            kinematics.tree_follow(self.tree.block.address, moved)
-        return moved
+            kinematics.tree_follow(self.tree.block.address, result)
+        return result
 
-    def outside(self, q: ArrayLike, slack: float = 1e-9) -> list[str]:
-        """Names of joints beyond their limits by more than ``slack`` (rad or m)."""
+    def outside(self, q: ArrayLike, slack: float = LIMIT_SLACK) -> list[str]:
+        """Return the names of joints beyond their limits by more than ``slack``, rad or m."""
         q = self.check_q(q)
         vector([slack], 1, "slack", ModelError)
-        gone = np.abs(self.clip(q) - q)
-        if not gone.max(initial=0.0) > slack:
+        excess = np.abs(self.clip(q) - q)
+        if not excess.max(initial=0.0) > slack:
             return []
-        widest = np.maximum.reduceat(gone, self.tree.qadr)
-        return [joint for joint, off in zip(self.joints, widest, strict=True) if off > slack]
+        excess_of_joints = np.maximum.reduceat(excess, self.tree.qadr)
+        pairs = zip(self.joints, excess_of_joints, strict=True)
+        return [joint for joint, size in pairs if size > slack]
 
     def sample(self, rng: np.random.Generator) -> Array:
-        """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
+        """Return a random ``q`` (nq,) inside the limits.
+
+        Unlimited hinges are within ±pi, unlimited slides within ±1 m.
+        """
         given: object = rng
         if not isinstance(given, np.random.Generator):
-            raise ModelError(f"not a random generator: {given!r}", hint="np.random.default_rng(1)")
-        return self.follow(mjcf.random_q(self.tree, self.home, rng))
+            hint = "np.random.default_rng(1)"
+            raise ModelError(f"{given!r} is not a random generator", hint=hint)
+        return self.apply_couplings(mjcf.random_q(self.tree, self.home, rng))
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
-        """The same robot inside the intersection of its limits and these (nv,); home moves inside.
+        """Return this robot with the intersection of its limits and the given limits (nv,).
+
+        The home pose is clipped to the new limits.
 
         Raises:
-            ModelError: No range is left for some joint, or not one number for each degree of freedom.
+            ModelError: A joint has no range left, or there is not one number for each degree of
+                freedom.
         """
-        try:
-            low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
-        if not (low <= high).all():
-            raise ModelError(f"limits must be numbers, lower <= upper, not {low.tolist()}, {high.tolist()}")
-        low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
-        for v in np.flatnonzero(low > high):
-            other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
-            one, two, three, four = distinct_texts(self.lower[v], self.upper[v], *other, digits=4)
+        given_lower, given_upper = self._check_limits(lower, upper)
+        new_lower = np.maximum(self.lower, given_lower)
+        new_upper = np.minimum(self.upper, given_upper)
+        empty = np.flatnonzero(new_lower > new_upper)
+        if len(empty):
+            v = int(empty[0])
+            values = (self.lower[v], self.upper[v], given_lower[v], given_upper[v])
+            texts = distinct_texts(*values, digits=4)
             raise ModelError(
                 f"no range is left for joint {self.joints[self.tree.dof_node[v]]!r}: "
-                f"the model allows {one} … {two}, the other side {three} … {four}",
+                f"the model allows {texts[0]} … {texts[1]}, the other side {texts[2]} … {texts[3]}",
                 hint="check sign, zero and range of the joint in the arm file",
             )
-        tree = self.tree.with_limits(low, high)
+        tree = self.tree.with_limits(new_lower, new_upper)
         if len(tree.coupled):
-            from robot_ik.couplings import narrowed  # which few arms have
-
             tree = narrowed(tree, self.joints)
         return dataclasses.replace(self, tree=tree)._with_home_inside()
 
-    def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
-        """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
+    def _check_limits(self, lower: ArrayLike, upper: ArrayLike) -> tuple[Array, Array]:
+        """Return both limits as arrays (nv,), or raise ``ModelError``."""
+        try:
+            low = np.broadcast_to(np.asarray(lower, dtype=float), self.nv)
+            high = np.broadcast_to(np.asarray(upper, dtype=float), self.nv)
+        except (TypeError, ValueError, OverflowError) as error:
+            problem = f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}"
+            raise ModelError(problem) from error
+        if not (low <= high).all():
+            problem = f"limits must be numbers, lower <= upper, not {low.tolist()}, {high.tolist()}"
+            raise ModelError(problem)
+        return low, high
 
-        The centre is where the first joint stands; the radius adds up all offsets after it, slides at their
-        longest.  None where the base floats or a slide is unlimited.
+    def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
+        """Return a ball that the origin of a frame cannot leave.
+
+        Returns:
+            Centre (3,) and radius in metres, or None if the base floats or a slide is unlimited. The
+            centre is the position of the first joint. The radius is the sum of the offsets after
+            it, with slides at their longest.
         """
         node, local = self.attachment(frame)
         return self.tree.reach(node, local)
 
     def _with_home_inside(self) -> Robot:
-        return dataclasses.replace(self, home=self.follow(self.clip(self.home)))
+        return dataclasses.replace(self, home=self.apply_couplings(self.clip(self.home)))
 
-    def _work(self, q: ArrayLike, frame: str | None, *results: Array) -> tuple[Any, ...]:
-        """What the kernels take for a frame at ``q``: work space, then results."""
+    def _kernel_arguments(self, q: ArrayLike, frame: str | None) -> tuple[Any, ...]:
+        """Return what the kernels take for a frame at ``q``: inputs, then scratch memory."""
         node, local = self.attachment(frame)
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
-        world, scratch = np.empty((self.tree.size, 12)), np.empty((2, 12))
-        return self.tree.block.address, nodes, node, local[None, :], self.check_q(q), world, scratch, *results
+        world = np.empty((self.tree.size, 12))
+        scratch = np.empty((2, 12))
+        address = self.tree.block.address
+        return address, nodes, node, local[None, :], self.check_q(q), world, scratch
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
+        """Addresses (nq,) of the active joints in qpos."""
         return mjcf.qpos_addresses(self.model, self.tree)
+
+    @cached_property
+    def _thread_data(self) -> threading.local:
+        """MuJoCo's data of each thread. Not pickled and not copied."""
+        return threading.local()
 
 
 def require_robot(robot: object) -> None:
-    """Raises ``ModelError`` for anything else: a name in place of a robot is a likely mistake."""
-    if not hasattr(robot, "velocity"):  # MuJoCo's models have nq and joints, too
-        raise ModelError(f"this needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
+    """Raise ``ModelError`` for other values, such as the name of a robot or MuJoCo's model."""
+    if not isinstance(robot, Robot):
+        hint = 'rik.load_robot("puma560")'
+        raise ModelError(f"this needs a robot, not {robot!r}", hint=hint)
 
 
 def load_robot(
@@ -312,66 +390,90 @@ def load_robot(
     joints: Sequence[str] | str | None = None,
     tool: str | None = None,
 ) -> Robot:
-    """Loads a robot by catalogue name, or any MJCF or MuJoCo-readable URDF by path, as text or in memory.
+    """Load a robot from the catalogue, from an MJCF or URDF file, from text or from memory.
 
     Args:
-        name: ``"puma560"``; the path of a model file or of a folder with a ``robot.toml``;
-            ``"robot_descriptions:panda_mj_description"``; the text of an MJCF or URDF (``"<mujoco>…"``);
-            an ``MjSpec``, which stays as it is; or an ``MjModel``, from then on to be treated as read-only.
-            The last three are named after the model, and ``path`` names no file.
-        joints: Names of the joints that may move, or the name of a joint group; the rest are frozen at
-            home.  Default: the group ``arm`` of ``robot.toml`` if it has one, else all joints.
+        name: A catalogue name, ``"puma560"``; the path of a model file or of a folder with a
+            ``robot.toml``; a name of the package robot_descriptions,
+            ``"robot_descriptions:panda_mj_description"``; the text of an MJCF or URDF,
+            ``"<mujoco>…"``; an ``MjSpec``, which is copied; or an ``MjModel``, which must not be
+            changed afterwards. A robot of the last three kinds has the name of the model, and its
+            ``path`` is not a file.
+        joints: Names of the joints that may move, or the name of a joint group. The other joints
+            are frozen at home. Default: the group ``arm`` of ``robot.toml`` if there is one, else
+            all joints.
         tool: Name of the default frame.
 
     Raises:
-        UnknownRobotError: No such name; lists the close ones.
-        ModelError: There is no such file, or the file cannot be read; carries MuJoCo's reason.
-        UnknownJointError, UnknownFrameError: With the close names.
+        UnknownRobotError: The catalogue has no such robot. The message has close names.
+        ModelError: The file is missing or cannot be read. The message has MuJoCo's reason.
+        UnknownJointError: The model has no such joint. The message has close names.
+        UnknownFrameError: The model has no such frame. The message has close names.
     """
-    in_memory = isinstance(name, mujoco.MjSpec | mujoco.MjModel)
-    if in_memory or (isinstance(name, str) and name.lstrip().startswith("<")):
-        model, velocity = mjcf.read_model(name, Path("<memory>/model"))
-        file = RobotFile(name=model.names[: model.names.index(b"\0")].decode() or "model")
-        # A folder that cannot exist, so that nothing is ever found beside the model.
-        path = Path(f"<memory>/{file.name}")
-    else:
-        path, file = find_robot(name)
-        model, velocity = mjcf.read_model(path, path)
-    if velocity:
-        file = file.model_copy(update={"velocity": velocity | file.velocity_limits})
+    path, file, model, velocity_limits = _read_model(name)
+    if velocity_limits:  # of a URDF; robot.toml has priority
+        merged = velocity_limits | file.velocity_limits
+        file = file.model_copy(update={"velocity_limits": merged})
     names = mjcf.joint_names(model)
-    rest = mjcf.home_qpos(model, path, file)
-    tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)
+    home_qpos = mjcf.home_qpos(model, path, file)
+    tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), home_qpos)
     couplings: list[Coupling] = []
     if model.neq or file.couplings:
-        from robot_ik.couplings import declared_couplings, with_couplings  # which few arms have
-
         couplings = declared_couplings(model, file, names)
-        tree = with_couplings(tree, couplings, rest, model.jnt_qposadr, names)
+        tree = with_couplings(tree, couplings, home_qpos, model.jnt_qposadr, names)
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
     frames = mjcf.model_frames(model, file)
-    default_tool: object = file.tool or mjcf.guess_tool(model, frames) if tool is None else tool
-    if not isinstance(default_tool, str) or default_tool not in frames:
-        hint = f"named by tool of {file.path}" if tool is None else ""
-        raise UnknownFrameError(str(default_tool), frames, hint=hint)
     active = tuple(names[j] for j in tree.joint_ids)
-    speed, acceleration = mjcf.motion_limits(tree, active, names, file)
+    limits = mjcf.motion_limits(tree, active, names, file)
     robot = Robot(
         name=file.name,
         path=path,
         model=model,
         tree=tree,
         joints=active,
-        velocity=speed,
-        acceleration=acceleration,
+        velocity_limits=limits[0],
+        acceleration_limits=limits[1],
         stiffness=mjcf.joint_stiffness(tree, names, file),
-        home=rest[mjcf.qpos_addresses(model, tree)],
-        tool=default_tool,
-        frozen_qpos=rest,
+        home=home_qpos[mjcf.qpos_addresses(model, tree)],
+        tool=_default_frame(tool, model, file, frames),
+        frozen_qpos=home_qpos,
         file=file,
         couplings=tuple(couplings),
         _frames=frames,
         _bodies=bodies,
     )
     return robot._with_home_inside()
+
+
+def _read_model(
+    name: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
+) -> tuple[Path, RobotFile, mujoco.MjModel, dict[str, float]]:
+    """Return path, content of robot.toml, model, and the speed limits of a URDF."""
+    is_text = isinstance(name, str) and name.lstrip().startswith("<")
+    if not (is_text or isinstance(name, mujoco.MjSpec | mujoco.MjModel)):
+        path, file = find_robot(name)
+        return path, file, *mjcf.read_model(path, path)
+    model, velocity_limits = mjcf.read_model(name, Path("<memory>/model"))
+    model_name = model.names[: model.names.index(b"\0")].decode() or "model"
+    file = RobotFile(name=model_name)
+    # This folder cannot exist, so no file is ever found beside the model.
+    return Path(f"<memory>/{model_name}"), file, model, velocity_limits
+
+
+def _default_frame(
+    tool: object,
+    model: mujoco.MjModel,
+    file: RobotFile,
+    frames: dict[str, mjcf.ModelFrame],
+) -> str:
+    """Return the requested tool, else that of robot.toml, else a guess."""
+    if tool is not None:
+        name = tool
+        hint = ""
+    else:
+        name = file.tool or mjcf.guess_tool(model, frames)
+        hint = f"named by tool of {file.path}"
+    if not isinstance(name, str) or name not in frames:
+        raise UnknownFrameError(str(name), frames, hint=hint)
+    return name

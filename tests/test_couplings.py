@@ -80,8 +80,8 @@ def test_the_jacobian_carries_the_followers(tmp_path, law):
         for u, v in enumerate(rows.dofs):
             step = np.zeros(robot.nv)
             step[v] = 1e-6
-            forward = rows_at(problem, robot.follow(robot.integrate(q, step)))
-            backward = rows_at(problem, robot.follow(robot.integrate(q, -step)))
+            forward = rows_at(problem, robot.apply_couplings(robot.integrate(q, step)))
+            backward = rows_at(problem, robot.apply_couplings(robot.integrate(q, -step)))
             slope = (backward.residual - forward.residual) / 2e-6
             np.testing.assert_allclose(rows.jacobian[:, u], slope, atol=1e-7)
 

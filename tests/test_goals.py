@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
+from robot_ik.goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
+from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance

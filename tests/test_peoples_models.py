@@ -287,7 +287,7 @@ def test_a_urdf_joint_that_follows_nobody_is_refused(leader: str, says: str, hin
         rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="{leader}"/>'))
     assert hint in told.value.hint
     robot = rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="turn" multiplier="-1"/>'))
-    assert robot.follow([0.5, 0.0]).tolist() == [0.5, -0.5]
+    assert robot.apply_couplings([0.5, 0.0]).tolist() == [0.5, -0.5]
 
 
 def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:

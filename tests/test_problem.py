@@ -9,7 +9,7 @@ import textwrap
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
+from robot_ik.goals import CenterOfMassGoal, PostureGoal
 from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance

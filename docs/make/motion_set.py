@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.body_goals import PosePriorGoal
+from robot_ik.goals import PosePriorGoal
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.figure.actions import take
 from robot_ik.figure.figure import RATE as FIGURE_RATE

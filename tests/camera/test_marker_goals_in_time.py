@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.body_goals import PostureGoal
+from robot_ik.goals import PostureGoal
 from robot_ik.camera.marker_goals import LEAST_WEIGHT, MarkerGoalSource, WhenLost, goal_weight
 from robot_ik.camera.motion_filter import OneEuro
 from robot_ik.camera.observations import BodyObservation, MarkerObservation

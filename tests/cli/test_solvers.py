@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.body_goals import GOALS
+from robot_ik.goals import GOALS
 from robot_ik.cli.listing import goals_text, solver_facts
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.solvers import SOLVERS

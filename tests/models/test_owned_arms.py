@@ -268,7 +268,7 @@ def test_the_second_finger_follows_the_first_the_other_way_round(name: str) -> N
     fingers = rik.load_robot(name, joints="gripper")
     low, high = ARMS[name].config.auxiliary[0].limits
     wanted = 0.25 * low + 0.75 * high
-    np.testing.assert_allclose(fingers.follow([wanted, 0.0]), [wanted, -wanted])
+    np.testing.assert_allclose(fingers.apply_couplings([wanted, 0.0]), [wanted, -wanted])
 
 
 # --------------------------------------------------------------------------------- six joints, and five

@@ -204,7 +204,7 @@ def test_analytic_knows_eight_branches() -> None:
 def test_the_right_finger_follows_the_left() -> None:
     fingers = rik.load_robot("tabletop_puma", joints="gripper", tool="finger_right")
     assert fingers.joints == ("finger_left", "finger_right")
-    np.testing.assert_allclose(fingers.follow([0.012, 0.0]), [0.012, 0.012])
+    np.testing.assert_allclose(fingers.apply_couplings([0.012, 0.0]), [0.012, 0.012])
     place = fingers.forward(fingers.home).position + 0.004 * fingers.jacobian(fingers.home)[:3].sum(axis=1)
     solution = rik.solve(fingers, rik.PositionGoal("finger_right", place), solver="lm")
     assert solution.converged

@@ -1,49 +1,49 @@
-"""A robot of numbers only: enough for planning in joint space, with no model file behind it."""
+"""Robots with any limits, for planning in joint space."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-
-@dataclass(frozen=True)
-class NumberRobot:
-    """What `joint_move` reads of a robot."""
-
-    joints: tuple[str, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    velocity_limits: np.ndarray
-    acceleration_limits: np.ndarray
-    name: str = "numbers"
-    nq: int = field(default=0)
-    nv: int = field(default=0)
+from robot_ik.robot import Robot, load_robot
 
 
-def make_number_robot(velocity, acceleration, lower=None, upper=None, extra_q=0):
+@cache
+def slides_robot(lower: tuple[float, ...], upper: tuple[float, ...], balls: int) -> Robot:
+    """Return a robot of slides with limits, and of balls behind them."""
+    body = "".join(
+        f'<body><joint name="b{k}" type="ball"/><geom size="0.1"/></body>' for k in range(balls)
+    )
+    for k in reversed(range(len(lower))):
+        limits = f'range="{lower[k]!r} {upper[k]!r}" limited="true"'
+        joint = f'<joint name="j{k}" type="slide" {limits}/>'
+        body = f'<body name="link{k}">{joint}<geom size="0.1"/>{body}</body>'
+    return load_robot(f'<mujoco model="numbers"><worldbody>{body}</worldbody></mujoco>')
+
+
+def make_number_robot(velocity, acceleration, lower=None, upper=None, balls=0):
     n = len(velocity)
-    return NumberRobot(
-        joints=tuple(f"j{k}" for k in range(n)),
-        lower=np.full(n, -3.0) if lower is None else np.array(lower, dtype=float),
-        upper=np.full(n, 3.0) if upper is None else np.array(upper, dtype=float),
-        velocity_limits=np.array(velocity, dtype=float),
-        acceleration_limits=np.array(acceleration, dtype=float),
-        nq=n + extra_q,
-        nv=n,
+    low = (-3.0,) * n if lower is None else tuple(lower)
+    high = (3.0,) * n if upper is None else tuple(upper)
+    robot = slides_robot(low, high, balls)
+    ones = np.ones(3 * balls)
+    return replace(
+        robot,
+        velocity_limits=np.append(np.array(velocity, dtype=float), ones),
+        acceleration_limits=np.append(np.array(acceleration, dtype=float), ones),
     )
 
 
 @pytest.fixture(scope="session")
 def number_robot():
-    """Factory of `NumberRobot`."""
+    """Factory of robots of slides with the given motion limits."""
     return make_number_robot
 
 
 @pytest.fixture(scope="session")
 def puma():
     """The shipped PUMA 560."""
-    from robot_ik.robot import load_robot
-
     return load_robot("puma560")

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.batch import solve_batch
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
+from robot_ik.goals import CenterOfMassGoal, PostureGoal
+from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import (
     ConfigError,
     GoalError,

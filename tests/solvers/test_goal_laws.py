@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robot_ik.batch import solve_batch
-from robot_ik.body_goals import GOALS, PosePriorGoal
+from robot_ik.goals import GOALS, PosePriorGoal
 from robot_ik.branches import solve_all
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.execution import follow

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from robot_ik.body_goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
+from robot_ik.goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
+from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve

@@ -14,10 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose, vector
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import require_positive
@@ -263,12 +262,11 @@ class Drag:
 
 
 def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:
-    """The first frame on each body: its name, and its pose in the body."""
-    frames: dict[int, tuple[str, Pose]] = robot.memory.setdefault("frame_of_body", {})
-    if not frames:
-        for name in robot.frames:
-            frame = robot.frame(name)
-            frames.setdefault(frame.body, (name, frame.local))
+    """Return the name of the first frame on each body, and its pose in the body."""
+    frames: dict[int, tuple[str, Pose]] = {}
+    for name in robot.frames:
+        frame = robot.frame(name)
+        frames.setdefault(frame.body, (name, frame.local))
     return frames
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from robot_ik.batch import solve_batch
 from robot_ik.branches import solve_all
-from robot_ik.direction_goals import AimGoal
+from robot_ik.goals import AimGoal
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
