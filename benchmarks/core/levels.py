@@ -122,6 +122,7 @@ SETS: dict[str, Cases] = {
 
 
 def report(name: str, solves: int, met: int, steps: int, restarts: int, seconds: float) -> None:
+    """Print one line."""
     print(f"{name:28}{solves:6}{met:6}{steps:9}{restarts:7}{1e6 * seconds:10.0f} us", flush=True)
 
 

@@ -242,7 +242,7 @@ def write_system(tree, body, q, target, weight, t, posture):
             continue
         kind = body.kind[g]
         at = t * groups + g
-        if kind == CENTER_OF_MASS or kind == MOMENTUM:
+        if kind in (CENTER_OF_MASS, MOMENTUM):
             mass_rows(tree, body, kind == MOMENTUM, target, at, g)
         else:
             kinematics.frame_pose(body.world, body.node[g], body.local, g, body.pose)
@@ -387,7 +387,7 @@ def bounded_step(tree, body, q):
 def continue_motion(tree, body, q):
     """Move q, which is the frame before, as far as the body moved in that frame, inside the limits."""
     for k in range(tree.kind.shape[0]):
-        if tree.kind[k] == HINGE or tree.kind[k] == SLIDE:
+        if tree.kind[k] in (HINGE, SLIDE):
             a = tree.qadr[k]
             v = tree.vadr[k]
             position = min(max(q[a] + body.displacement[v], body.lower[v]), body.upper[v])

@@ -77,7 +77,7 @@ def differences(problem, q, step=1e-6):
     return np.array(columns).T.reshape(problem.compiled.rows, problem.compiled.columns)
 
 
-# A pose prior is never met, and only the square of its rows is asked for: tests/figure/motion/test_pose_prior.py.
+# A pose prior is never met: see tests/figure/motion/test_pose_prior.py.
 KIND = st.sampled_from([kind for kind in GOALS if kind is not PosePriorGoal])
 WEIGHT = st.sampled_from([0.0, 0.3, 1.0, 5.0])
 

@@ -1,12 +1,13 @@
 """Random starts: inside the limits, spread over them, the same for the same seed."""
 
 import numpy as np
+
+from robot_ik.goals import PostureGoal
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH, draw
 from robot_ik.kernels.tree import TREE
-from robot_ik.goals import PostureGoal
 from robot_ik.problem import Problem
 
 RUN = Layout("Draws", tree=TREE, goals=GOALS, search=SEARCH)
