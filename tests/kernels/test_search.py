@@ -1,12 +1,17 @@
 """Random starts: inside the limits, spread over them, the same for the same seed."""
 
 import numpy as np
-from numba import njit
 
 from robot_ik.goals import PostureGoal
-from robot_ik.kernels.search import draw
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.residuals import GOALS
+from robot_ik.kernels.search import SEARCH, draw
+from robot_ik.kernels.tree import TREE
 from robot_ik.problem import Problem
-from tests.residual_rows import RUN, open_run
+
+RUN = Layout("Draws", tree=TREE, goals=GOALS, search=SEARCH)
+open_run = RUN.open
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
@@ -18,29 +23,33 @@ MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 </worldbody></mujoco>"""
 
 
-@njit
+@kernel
 def draw_many(address, out):
+    """Write random starts to the rows of ``out``."""
     run = open_run(address)
     for i in range(out.shape[0]):
         draw(run.tree, run.goals, run.search)
-        out[i] = run.search.q
+        for j in range(out.shape[1]):
+            out[i, j] = run.search.q[j]
 
 
 def starts(robot, seed, count=2000, joints=None):
-    goal = PostureGoal(q=robot.home, joints=dict.fromkeys(joints or robot.joints, 1.0), only=True)
-    problem = Problem(robot, goal, solver="lm")
-    start = np.zeros(robot.nq)
-    start[-7:] = [1, 2, 3, 1, 0, 0, 0]
-    problem.search["random_state"] = seed
-    problem.search.arrays["start"][:] = start
-    problem.search.arrays["q"][:] = start
+    """Random starts (count, nq) for a goal that concerns some joints, or all."""
+    weights = dict.fromkeys(joints or robot.joints, 1.0)
+    problem = Problem(robot, PostureGoal(q=robot.home, joints=weights, only=True), solver="lm")
     blocks = {
         "tree": robot.tree.block,
         "goals": problem.compiled.block,
         "search": problem.search,
     }
-    out = np.tile(start, (count, 1))
-    draw_many(RUN.allocate(given=blocks).address, out)
+    run = RUN.allocate(given=blocks)
+    start = np.zeros(robot.nq)
+    start[-7:] = [1, 2, 3, 1, 0, 0, 0]
+    problem.search["random_state"] = seed
+    problem.search.arrays["start"][:] = start
+    problem.search.arrays["q"][:] = start
+    out = np.empty((count, robot.nq))
+    draw_many(run.address, out)
     return out
 
 

@@ -8,6 +8,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from robot_ik.compiled_goals import length_scale
 from robot_ik.goals import (
     AimGoal,
     CenterOfMassGoal,
