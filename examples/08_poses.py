@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import robot_ik as rik
-from robot_ik.body_goals import PosePriorGoal
+from robot_ik.goals import PosePriorGoal
 from robot_ik.figure.motion.bvh import export_bvh
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.pose_prior import PosePrior

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, PoseGoal
+from robot_ik.goals import Goal
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import short_numbers
-from robot_ik.solvers.analytic import Analytic
+from robot_ik.solvers.analytic import SERVED
 
 # Branches nearer than this in every joint (rad) are one.
 _SAME = 1e-6
@@ -45,33 +44,33 @@ class Branch:
 
 def solve_all(
     robot: Robot,
-    goal: Goal | Pose | NDArray[np.float64],
+    goal: Goal | Pose | ArrayLike,
     *,
     start: ArrayLike | None = None,
     limits: bool = True,
 ) -> tuple[Branch, ...]:
-    """Every branch with which the closed form meets a goal, the nearest to ``start`` first.
+    """Return every branch with which the closed form meets a goal, nearest to ``start`` first.
 
-    At a singular pose one joint angle is free; it is kept as near to ``start`` as can be.
+    It serves arms of two parallel hinges for a position, and arms of six hinges with a spherical
+    wrist or shoulder, or with three parallel axes, for a pose. At a singular pose one joint angle
+    is free; it stays as near to ``start`` as possible.
 
     Args:
         robot: From ``load_robot``.
-        goal: A pose for six axes or a limb of seven (each branch at the swivel nearest to ``start``), a
-            position for a planar two-link or the wrist's centre of a limb.  A ``Pose`` or a
-            matrix (4, 4) is the tool's.
+        goal: A pose goal, or a position goal for a planar arm. A ``Pose``, a matrix (4, 4) or a
+            position (3,) is a goal of the tool.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
 
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
     """
-    pose = Pose.from_matrix(goal) if isinstance(goal, np.ndarray) else goal
-    wanted = PoseGoal.at(None, pose) if isinstance(pose, Pose) else pose
     origin = robot.home if start is None else robot.check_q(start, "start")
     try:
-        problem = Problem(robot, wanted, solver="analytic")
+        problem = Problem(robot, goal, solver="analytic")
     except UnsupportedGoalError as error:
-        error.able, error.hint = (), "no other method knows every solution; solve(…) finds one"
+        error.able = ()
+        error.hint = f"solve_all serves {SERVED}; solve(…) finds one solution for any arm"
         raise
     branches = problem.branches(origin)
     if not branches:
@@ -81,10 +80,14 @@ def solve_all(
     far = ((qs - origin) ** 2).sum(axis=1).tolist()
     first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
     hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
-    ends = np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    ends = (
+        np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    )
     off = np.abs(ends - qs)
     if off.max() > _SLACK:
         qs = np.where(off <= _ROUNDING, ends, qs)
     inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
     first.sort(key=lambda k: (not inside[k], far[k]))
-    return tuple(Branch(branches[k][0], qs[k], inside=inside[k]) for k in first if inside[k] or not limits)
+    return tuple(
+        Branch(branches[k][0], qs[k], inside=inside[k]) for k in first if inside[k] or not limits
+    )

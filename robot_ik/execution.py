@@ -8,7 +8,6 @@ more is sent; what the arm does then is its own exit policy.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -18,15 +17,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import RobotIkError, TrajectoryError, distinct_texts
+from robot_ik.errors import TrajectoryError, distinct_texts
 from robot_ik.geometry import is_real
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import Goal
 from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
 
 if TYPE_CHECKING:
     from robot_ik.goals import Tolerance
+    from robot_ik.problem import Problem
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver
@@ -321,47 +321,57 @@ def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
 
 
 def follow(
-    goal_source: GoalSource[Goals],
     robot: Robot,
-    solver: str | Solver,
-    sinks: Sequence[JointSink],
+    goals: GoalSource[Goals],
     *,
+    sinks: Sequence[JointSink],
+    solver: str | Solver = "auto",
+    start: ArrayLike | None = None,
+    tolerance: Tolerance | None = None,
     rate: float = 100.0,
     clock: Clock | None = None,
     duration: float | None = None,
-    start: ArrayLike | None = None,
-    tolerance: Tolerance | None = None,
     speed: float = 1.0,
     until: Callable[[FollowTick], bool] | None = None,
     source: JointSource | None = None,
     on_tick: Callable[[FollowTick], None] | None = None,
+    **options: Any,
 ) -> FollowReport:
-    """Asks for a goal, solves from the last command, sends; ``rate`` times a second.
+    """Poll a goal, solve it from the last command and send the result, ``rate`` times a second.
 
-    What goals of the tool may need, one out of reach included, is loaded before the loop starts.
+    Each joint moves at most ``speed`` times its velocity limit. If one joint would be too fast, all
+    are slowed by the same factor, so the path stays straight. A solution that did not converge is
+    followed too, because it is the nearest that was found. The loop ends when ``duration`` is over
+    or ``until`` returns True.
 
-    Each joint moves at most ``speed`` times its velocity limit; when one would be too fast all are
-    slowed alike, so the path stays straight.  A solution that did not converge is followed too: it is
-    the nearest that was found.  Runs until ``duration`` is over or ``until`` says so, else for ever.
+    The first goal of another kind or frame than the one before builds a new problem, which compiles
+    its method once on a machine. ``warm_up`` beforehand keeps that out of the loop.
 
     Args:
-        goal_source: None from it means: hold, which repeats the last command.
-        robot: Whose joints.
-        solver: A name of `SOLVERS` or a solver.
-        sinks: Each gets each command, in order; `q` is read-only.
-        rate: Ticks a second, Hz.
-        clock: None takes the one that an arm among ``source`` and ``sinks`` runs on, else the machine's.
-        duration: Seconds, or None.
+        robot: From ``load_robot``.
+        goals: Where goals come from. None from it repeats the last command.
+        sinks: Each gets each command, in order; ``q`` is read-only.
+        solver: A name in ``SOLVERS`` or a solver.
         start: (nq,) where the arm is; None reads it from ``source`` once, unclipped.
         tolerance: When a solution counts as converged.
+        rate: Ticks a second, Hz.
+        clock: None takes the clock of an arm among ``source`` and ``sinks``, else the machine's.
+        duration: Seconds, or None.
         speed: Part of the velocity limits to use, above 0 and up to 1.
-        until: Asked after each tick; True ends the loop.
+        until: Called after each tick; True ends the loop.
         source: Usually the arm: read after every tick.
         on_tick: Called after each tick; must be quick.
+        **options: Options of the solver by name.
 
     Raises:
         TrajectoryError: Neither ``start`` nor ``source``, or malformed options; nothing was sent.
+        UnknownSolverError, OptionError: There is no such solver or option; nothing was sent.
     """
+    from robot_ik.problem import check_arguments  # here, because it loads the compiler
+    from robot_ik.solvers import make_solver
+
+    check_arguments(robot, tolerance, None, 0)
+    method = make_solver(solver, **options)
     _require_sinks(sinks)
     clock = clock_of(clock, source, sinks)
     require_positive("rate", rate, "Hz")
@@ -373,14 +383,13 @@ def follow(
         start = source.read().q
     first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
-    following = _FollowState(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
-    following.load()
+    following = _FollowState(robot, method, tolerance, first, motion_limits(robot, speed)[0] / rate)
     report, schedule = following.report, Schedule(clock)
     begin = schedule.origin
     while True:
         now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
         begin = now if report.ticks == 0 else begin
-        goal = goal_source.poll(now)
+        goal = goals.poll(now)
         solution, capped = following.step(goal)
         for sink in sinks:
             sink.send(report.q, now)
@@ -394,47 +403,50 @@ def follow(
 
 
 class _FollowState:
-    """State of `follow`: how it solves, and the report, whose ``q`` is the command."""
+    """State of ``follow``: its problem, and the report, whose ``q`` is the command."""
 
     def __init__(
-        self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
+        self, robot: Robot, solver: Solver, tolerance: Tolerance | None, start: Array, step: Array
     ) -> None:
-        from robot_ik.problem import Budget, require_options  # here, because these load the compiler
-        from robot_ik.solvers import make_solver
-
-        require_options(robot, tolerance, None, 0)
-        self.robot, self.tolerance, self.solver = robot, tolerance, make_solver(solver)
-        self._budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
+        self._robot = robot
+        self._solver = solver
+        self._tolerance = tolerance
         self._largest_allowed = step
+        self._problem: Problem | None = None
+        self._kinds: list[object] = []
         self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
-    def load(self) -> None:
-        """Loads what the method may need for goals of the tool, so that none of them stalls the loop.
+    def problem_for(self, goals: Sequence[Goal]) -> Problem:
+        """Return the problem with these goals: the last one, if they differ in their targets only."""
+        from robot_ik.problem import Budget, Problem  # here, because it loads the compiler
 
-        A goal on another chain of joints, or several at once, may need more: that is loaded with the first.
-        """
-        from robot_ik.inverse_kinematics import warm_up
-
-        for goal in (PoseGoal(None, (0.0, 0.0, 0.0)), PositionGoal(None, (0.0, 0.0, 0.0))):
-            with contextlib.suppress(RobotIkError):  # a kind of goal that the method does not serve
-                warm_up(self.robot, goal, solver=self.solver, tolerance=self.tolerance)
+        kinds = [goal.kind for goal in goals]
+        if self._problem is not None and kinds == self._kinds:
+            self._problem.replace_goals(goals)
+            return self._problem
+        self._problem = Problem(
+            self._robot,
+            goals,
+            solver=self._solver,
+            tolerance=self._tolerance,
+            budget=Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS),
+        )
+        self._kinds = kinds
+        return self._problem
 
     def step(self, goal: Goals | None) -> tuple[Solution | None, bool]:
-        """Moves the command towards ``goal``: what was found for it, and whether the step was cut short."""
-        from robot_ik.inverse_kinematics import borrowed_problem
-
+        """Move the command towards ``goal``; return the solution, and whether the step was capped."""
         report = self.report
         report.ticks += 1
         if goal is None:
             report.held += 1
             return None, False
-        goals = goal if isinstance(goal, Goal) else list(goal)
-        borrowed = borrowed_problem(self.robot, goals, self.solver, {}, self.tolerance, self._budget, 0)
-        with borrowed as (solver, problem):
-            solution = report.last = solver.solve(problem, report.q)
+        problem = self.problem_for([goal] if isinstance(goal, Goal) else list(goal))
+        solution = problem.solve(report.q)
+        report.last = solution
         report.statuses[solution.status.name] += 1
         difference = solution.q - report.q
-        if not np.isfinite(difference).all():  # NUMERICAL: nothing to go to
+        if not np.isfinite(difference).all():  # NUMERICAL
             return solution, False
         excess = float(np.max(np.abs(difference) / self._largest_allowed))
         q = report.q + difference / excess if excess > 1.0 else solution.q

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_ik.errors import NotConvergedError
-from robot_ik.geometry import Array, Pose
+from robot_ik.geometry import Array
 from robot_ik.goals import Goal
 from robot_ik.kernels import search
 

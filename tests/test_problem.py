@@ -9,10 +9,9 @@ import textwrap
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import CenterOfMassGoal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
@@ -44,12 +43,12 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
     rng = np.random.default_rng(0)
     poses = [puma.forward(puma.sample(rng)) for _ in range(3)]
     solver = make_solver("lm")
-    problem = Problem(puma, PoseGoal.at(None, poses[0]))
+    problem = Problem(puma, PoseGoal.at(None, poses[0]), solver=solver)
     for pose in poses:
-        fresh = solver.solve(Problem(puma, PoseGoal.at(None, pose)))
+        fresh = Problem(puma, PoseGoal.at(None, pose), solver=solver).solve()
         for target in (pose, PoseGoal.at(None, pose), PoseGoal.at(puma.tool, pose)):
             problem.retarget(target)
-            again = solver.solve(problem)
+            again = problem.solve()
             assert np.array_equal(again.q, fresh.q) and again.miss == fresh.miss
         assert problem.goals[0].target.distance(pose) == pytest.approx((0, 0), abs=1e-12)
     problem.retarget(poses[0].position)  # a position alone keeps the orientation
@@ -82,16 +81,16 @@ def test_an_orientation_has_no_position_to_move(puma):
 
 
 def test_a_copy_has_work_space_of_its_own(puma):
-    problem = Problem(puma, PoseGoal.at(None, puma.forward(puma.home + 0.2)), seed=4)
-    expected = make_solver("lm").solve(problem).q
+    problem = Problem(puma, PoseGoal.at(None, puma.forward(puma.home + 0.2)), seed=4, solver="lm")
+    expected = problem.solve().q
     problem.retarget(puma.forward(puma.home - 0.2))
-    moved = make_solver("lm").solve(problem).q
+    moved = problem.solve().q
     for other in (copy.copy(problem), copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
         assert other.seed == 4
         assert np.array_equal(make_solver("lm").solve(other).q, moved)  # the target it had
         other.retarget(puma.forward(puma.home + 0.2))
         assert np.array_equal(make_solver("lm").solve(other).q, expected)
-        assert np.array_equal(make_solver("lm").solve(problem).q, moved)
+        assert np.array_equal(problem.solve().q, moved)
 
 
 def several(puma):
@@ -162,15 +161,15 @@ def test_goals_for_parts_are_moved_with_others_or_stay(puma):
 def test_goals_show_the_targets_that_they_have_now(puma):
     first, then = puma.forward(puma.home + 0.1), puma.forward(puma.home - 0.2)
     goal = PoseGoal("gripper", first.position, first.wxyz, position_weight=2.0)
-    problem, solver = Problem(puma, goal), make_solver("auto")
-    assert problem.goals == (goal,) == solver.solve(problem).goals
+    problem, solver = Problem(puma, goal, solver="auto"), make_solver("auto")
+    assert problem.goals == (goal,) == problem.solve().goals
     for move in (then, then.matrix, PoseGoal.at("gripper", then)):
         problem.retarget(first)
-        before = solver.solve(problem)
+        before = problem.solve()
         if isinstance(move, PoseGoal):
             move = PoseGoal("gripper", then.position, then.wxyz, position_weight=2.0)
         problem.retarget(move)
-        for shown in (problem.goals, solver.solve(problem).goals, copy.deepcopy(problem).goals):
+        for shown in (problem.goals, problem.solve().goals, copy.deepcopy(problem).goals):
             assert isinstance(shown[0], PoseGoal) and shown[0].weights == goal.weights
             assert shown[0].target.distance(then) == pytest.approx((0, 0), abs=1e-7)
         assert before.goals[0].target.distance(first) == pytest.approx((0, 0), abs=1e-7)  # as it was then

@@ -236,9 +236,9 @@ def test_robots_goals_solutions_and_problems_can_be_copied_and_pickled(puma, aga
     other = again(solution)
     assert np.array_equal(other.q, solution.q) and other.status is solution.status
     assert other.goals == (goal,) and other.miss == solution.miss
-    problem = Problem(puma, goal)
+    problem = Problem(puma, goal, solver="auto")
     problem.retarget(puma.forward(puma.home - 0.2))
-    expected = make_solver("auto").solve(problem)
+    expected = problem.solve()
     moved = again(problem)
     del problem
     gc.collect()

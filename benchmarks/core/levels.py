@@ -22,7 +22,7 @@ from robot_ik.pose_prior import PosePrior
 try:
     from robot_ik.goals import PosePriorGoal
 except ImportError:  # version 0.1
-    from robot_ik.body_goals import PosePriorGoal
+    from robot_ik.goals import PosePriorGoal
 
 Case = tuple[rik.Robot, list[rik.Goal], np.ndarray | None]
 Cases = Callable[[], Iterator[Case]]

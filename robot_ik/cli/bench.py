@@ -99,8 +99,7 @@ def run(options: BenchOptions) -> int:
 def _solvers(options: BenchOptions) -> list[Solver]:
     from robot_ik.solvers import SOLVERS, make_solver
 
-    # `combined` with its default options is `auto`.
-    names = options.solvers or tuple(name for name in SOLVERS if name != "combined")
+    names = options.solvers or tuple(SOLVERS)
     return [make_solver(name) for name in dict.fromkeys(names)]
 
 

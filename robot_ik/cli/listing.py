@@ -209,8 +209,7 @@ def run_solvers(options: SolversOptions) -> int:
 
 def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     """Name, title, source, kinds of goals and options (default, range, unit, help) of a method."""
-    from robot_ik.body_goals import GOALS
-    from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+    from robot_ik.goals import GOALS, OrientationGoal, PoseGoal, PositionGoal
 
     whole = (PositionGoal, OrientationGoal, PoseGoal)  # the others ask for parts only
     goals = GOALS if kind.partial_goals else whole

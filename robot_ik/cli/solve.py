@@ -74,12 +74,14 @@ def run(options: SolveOptions) -> int:
     solver = make_solver(name, **solver_options(name, options.set))
     tolerance = Tolerance(position=options.position_tolerance, angle=options.angle_tolerance)
     budget = Budget(iterations=options.iterations)
-    problem = Problem(robot, goal, tolerance=tolerance, budget=budget, seed=options.seed)
+    problem = Problem(
+        robot, goal, solver=solver, tolerance=tolerance, budget=budget, seed=options.seed
+    )
     start = options.start or None
     with console.busy("solving"):
-        solver.solve(problem, start)
+        problem.solve(start)
     # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
-    solution = solver.solve(problem, start)
+    solution = problem.solve(start)
     facts = solution_facts(problem, solution)
     if options.json:
         console.print_json(facts)
@@ -138,7 +140,7 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
         "robot": robot.name,
         "solver": solution.solver,
         "frame": goal.frame or robot.tool,
-        "goal": {"position": wanted.position, "wxyz": wanted.wxyz if goal.has_angle else None},
+        "goal": {"position": wanted.position, "wxyz": wanted.wxyz if goal.weights[1] > 0.0 else None},
         "converged": solution.converged,
         "status": solution.status.name.lower(),
         "meaning": solution.status.meaning,

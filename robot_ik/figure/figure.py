@@ -18,9 +18,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.goals import mass_table
 from robot_ik.errors import ModelError
 from robot_ik.geometry import axis_rotations, quat_to_matrix
+from robot_ik.goals import mass_table
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.keyframes import Displacement
 from robot_ik.ports import Array

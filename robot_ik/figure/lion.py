@@ -13,13 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal, HalfSpaceGoal
 from robot_ik.errors import ModelError, TrajectoryError
 from robot_ik.figure.balance import hull, hull_edges, inset
 from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import chain
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import AimGoal, CenterOfMassGoal, Goal, HalfSpaceGoal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.timing import minimum_jerk

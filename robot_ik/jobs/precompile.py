@@ -6,6 +6,7 @@ What that has compiled is taken from the cache; where it fails, this process com
 from __future__ import annotations
 
 import contextlib
+import importlib
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -22,10 +23,9 @@ from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
 from robot_ik.ports import Closing
 from robot_ik.robot import load_robot
-from robot_ik.solvers import make_solver
+from robot_ik.solvers import levenberg_marquardt, make_solver
 from robot_ik.solvers.analytic import closed_form
-from robot_ik.solvers.base import IterativeSolver
-from robot_ik.solvers.levenberg_marquardt import lm
+from robot_ik.solvers.iterative import IterativeSolver
 
 # A solve from the goal itself compiles everything and takes no step.
 _SOLVE = """
@@ -54,10 +54,10 @@ class Precompilation(Closing):
     def solver(cls, robot: str, solver: str) -> Self:
         """A method, by its name, for a robot as for ``load_robot``."""
         method = make_solver(solver)
-        # A first solve needs one of them; which, the other process finds out.
-        kernels: list[Callable[..., None]] = [closed_form, lm]
+        # A first solve needs one of them; which one, the other process finds out.
+        kernels: list[Callable[..., None]] = [closed_form, levenberg_marquardt.solve]
         if isinstance(method, IterativeSolver):
-            kernels = [method.kernel()]
+            kernels = [importlib.import_module(type(method).__module__).solve]
         return cls(kernels, f"solver {solver!r}", "-c", _SOLVE, robot, solver)
 
     @classmethod

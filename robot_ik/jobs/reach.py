@@ -42,7 +42,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
 from robot_ik.solution import Solution
-from robot_ik.solvers import make_solver, solver_name
+from robot_ik.solvers import solver_name
 from robot_ik.testbed.frontends.window import Solid, WindowSink
 
 # ------------------------------------------------------------------------------------------
@@ -295,11 +295,11 @@ class _Reach:
         report = self.report
         report.q_start = q = report.setup.q.copy()
         self.progress("solving", 0.0)
-        solver = make_solver(self.method)
-        problem = Problem(report.robot, goal, tolerance=SOLVE_TOLERANCE, seed=report.request.seed)
-        report.solution = solver.solve(problem, q)
-        # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
-        report.microseconds = 1e6 * solver.solve(problem, q).seconds
+        problem = Problem(
+            report.robot, goal, solver=self.method, tolerance=SOLVE_TOLERANCE, seed=report.request.seed
+        )
+        report.solution = problem.solve(q)
+        report.microseconds = 1e6 * problem.solve(q).seconds  # the caches are warm now
         return report.solution
 
     def accept(self, solution: Solution) -> Tolerance:
@@ -332,9 +332,10 @@ class _Reach:
         caps = setup.caps(report.request.speed)
         if report.request.line:
             target = goal.target
-            if not goal.has_angle or getattr(goal, "free_axis", None) is not None:
+            asks_angle = goal.weights[1] > 0.0
+            if not asks_angle or getattr(goal, "free_axis", None) is not None:
                 # Of the rotation nothing is said: the tool keeps its own; or in part: as the solution has it.
-                q = solution.q if goal.has_angle else start
+                q = solution.q if asks_angle else start
                 target = Pose(target.position, report.robot.forward(q, report.frame).wxyz)
             report.trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
         else:
@@ -375,8 +376,8 @@ class _Reach:
 
         with self.camera.following(setup.clock, request.follow) as goals:
             report.following = follow(
-                goals, report.robot, self.method, setup.sinks, rate=setup.rate, clock=setup.clock,
-                duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
+                report.robot, goals, sinks=setup.sinks, solver=self.method, rate=setup.rate,
+                clock=setup.clock, duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
                 speed=request.speed, source=setup.arm, on_tick=show,
             )  # fmt: skip
         setup.repeat(_SETTLE_SECONDS)
@@ -401,8 +402,8 @@ class _Reach:
         report.after = vision.last_image
         if body is not None:
             report.by_camera = judge_by_camera(
-                body, vision.scene.pose_world_camera, vision.pose_body_tool(report.setup.shown), goal, bound,
-                goal_sigma,
+                report.robot, body, vision.scene.pose_world_camera,
+                vision.pose_body_tool(report.setup.shown), goal, bound, goal_sigma,
             )  # fmt: skip
 
 

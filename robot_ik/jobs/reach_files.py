@@ -156,8 +156,8 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         },
         "goal": None if report.target is None or report.goal is None else {
             **plain(report.target),
-            "position_asked": report.goal.has_position,
-            "angle_asked": report.goal.has_angle,
+            "position_asked": report.goal.weights[0] > 0.0,
+            "angle_asked": report.goal.weights[1] > 0.0,
             "free_axis": getattr(report.goal, "free_axis", None),
         },
         "limits": [asdict(limit) for limit in setup.limits],

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.body_goals import PostureGoal
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import (
@@ -30,7 +29,7 @@ from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import Bound
 from robot_ik.ports import Array, Clock

@@ -321,13 +321,14 @@ def compiled(function: Any) -> bool:
     return any(cache_folder(function.__module__).rglob(f"*.{function.__name__}-*.nbi"))
 
 
-_announced: set[str] = set()
+_announced: set[tuple[str, str]] = set()
 
 
 def announce(function: Any, what: str) -> None:
     """Logs one line if calling ``function`` now means compiling it (some seconds, once per machine)."""
-    if function.__name__ in _announced:
+    key = function.__module__, function.__name__
+    if key in _announced:
         return
-    _announced.add(function.__name__)
+    _announced.add(key)
     if not compiled(function):
         logger.info("compiling %s: up to a minute, once on this machine", what)

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from robot_ik.body_goals import PostureGoal
 from robot_ik.config import SchemaVersion, Several, Table, keys_of, read_table, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
 from robot_ik.files import write_atomically
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
 from robot_ik.model import qpos_addresses

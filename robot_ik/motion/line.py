@@ -21,7 +21,6 @@ from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, 
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
-from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
 
 # Longest step of the trace: short against any arm, so that the nearest solution is the same branch.
@@ -131,8 +130,9 @@ def line_move(
     line = _Line.between(robot.forward(first, name), goal_pose)
     if line.length <= _TOLERANCE and line.angle <= _TOLERANCE:
         return Trajectory([0.0], [first], robot.joints)
-    problem = Problem(robot, PoseGoal.at(name, Pose()), tolerance=Tolerance(_TOLERANCE, _TOLERANCE))
-    tracer = _Tracer(robot, name, line, make_solver(solver), problem)
+    tolerance = Tolerance(_TOLERANCE, _TOLERANCE)
+    problem = Problem(robot, PoseGoal.at(name, Pose()), solver=solver, tolerance=tolerance)
+    tracer = _Tracer(robot, name, line, problem)
     knots, path = tracer.trace(first)
     with np.errstate(divide="ignore"):
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
@@ -147,13 +147,11 @@ class _Tracer:
     robot: Robot  # its joint names and limits appear in errors
     frame: str
     line: _Line
-    solver: Solver
     problem: Problem  # one pose of the frame
 
     def solve(self, s: float, start: Array) -> Array | None:
         """Joint vector (nq,) of the point ``s`` nearest to ``start``, None where there is none."""
-        self.problem.retarget(self.line.pose(s))
-        solution = self.solver.solve(self.problem, start)
+        solution = self.problem.solve(start, target=self.line.pose(s))
         return solution.q if solution.converged else None
 
     def trace(self, first: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
-from robot_ik.errors import ConfigError, UnknownSolverError, close_matches
+from robot_ik.errors import OptionError, UnknownSolverError, close_matches
 
 if TYPE_CHECKING:
     from robot_ik.problem import Problem
@@ -61,24 +61,26 @@ SOLVERS: Mapping[str, type[Solver]] = _Solvers()
 
 
 def make_solver(solver: str | Solver, **options: Any) -> Solver:
-    """A solver by name, with options; an instance is returned as it is.
+    """Return a solver by name, with options. A solver is returned as given.
 
     Raises:
-        UnknownSolverError: With the close names.
-        ConfigError: An option that the method does not have, or out of range.
+        UnknownSolverError: There is no such solver. The message lists close names.
+        OptionError: An option that the method does not have, or a value out of range.
     """
     if isinstance(solver, type):
-        hint = f"make one of it: {solver.__name__}()"
-        raise ConfigError(
-            f"{solver.__name__} is a class", file="solver", allowed="a name, or an instance", hint=hint
+        raise OptionError(
+            "solver", f"{solver.__name__} is a class", hint=f"create a solver: {solver.__name__}()"
         )
     if not isinstance(solver, str):
         if not hasattr(solver, "prepare"):
-            raise UnknownSolverError(solver, _ROWS)  # type: ignore[arg-type]  # whatever it is
+            raise UnknownSolverError(solver, _ROWS)  # type: ignore[arg-type]
         if options:
-            problem = f"{', '.join(options)} cannot be set on a solver that is made already"
-            hint = "give them where it is made, or name the solver instead"
-            raise ConfigError(problem, file=f"solver {solver.name}", hint=hint)
+            raise OptionError(
+                ", ".join(options),
+                "cannot be set on a solver that exists already",
+                owner=f"solver {solver.name}",
+                hint="give options where the solver is created, or name the solver instead",
+            )
         return solver
     kind = SOLVERS[solver]
     known = [item.name for item in fields(kind)]
@@ -86,7 +88,8 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
         if key not in known:
             close = close_matches(key, known)
             problem = "unknown option" + (f" (did you mean {close[0]!r}?)" if close else "")
-            raise ConfigError(problem, file=f"solver {solver}", key=key, allowed=", ".join(known))
+            allowed = ", ".join(known) or "none; arguments such as budget are not options"
+            raise OptionError(key, problem, allowed, owner=f"solver {solver}")
     return kind(**options)
 
 

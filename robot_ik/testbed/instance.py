@@ -160,8 +160,8 @@ class Instance:
         if not self.refused:
             wanted = goals.all(ball, self.solver)
             if self._problem is None:
-                self._problem = Problem(self.robot, wanted, budget=BUDGET)
-            solution = self._solved(self.solver, self._problem, wanted)
+                self._problem = Problem(self.robot, wanted, solver=self.solver, budget=BUDGET)
+            solution = self._solved(self._problem, wanted)
         self._measure(goals, ball)
         if solution is not None:
             met = self.miss <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
@@ -190,11 +190,11 @@ class Instance:
             self._drag, self._status = None, str(error).splitlines()[0]
         self._measure(goals, ball)
 
-    def _solved(self, solver: Solver, problem: Problem, wanted: list[Goal]) -> Solution | None:
+    def _solved(self, problem: Problem, wanted: list[Goal]) -> Solution | None:
         try:
             retarget(problem, wanted)
             begin = time.thread_time()
-            solution = solver.solve(problem, self.q)
+            solution = problem.solve(self.q)
             self._seconds = time.thread_time() - begin
         except RobotIkError as error:
             self._status = str(error).splitlines()[0]
@@ -221,7 +221,7 @@ class Instance:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
         self._statistics = Statistics.of(self._solves)
         self._goals = tuple(
-            (name, *goal.miss(self.robot, self.q, goal.target)) for name, goal in goals.named(ball)
+            (name, *goal.miss(self.robot, self.q)) for name, goal in goals.named(ball)
         )
 
     def view(self) -> InstanceView:

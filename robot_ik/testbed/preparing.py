@@ -27,16 +27,15 @@ from typing import IO, Any
 from numba.core import event
 from pydantic import TypeAdapter
 
+from robot_ik.compiled_goals import has_levels
 from robot_ik.errors import RobotIkError
 from robot_ik.goals import Goal
-from robot_ik.kernels import jit
-from robot_ik.kernels.priorities import lm_levels
-from robot_ik.problem import Problem
+from robot_ik.kernels import jit, priorities
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers.base import IterativeSolver, Solver
+from robot_ik.solvers.base import Solver
+from robot_ik.solvers.iterative import IterativeSolver
 from robot_ik.testbed.commands import Command, SetRobot, SetupCommand
 from robot_ik.testbed.setup import (
-    BUDGET,
     MethodChoice,
     Ready,
     RobotGoals,
@@ -52,11 +51,11 @@ _NICE = 10  # of the processes: the page, and the browser that loads it, come fi
 _SETUP = TypeAdapter(Setup)  # how the setup reaches the process
 
 
-def is_compiled(robot: Robot, goals: Sequence[Goal], solver: Solver) -> bool:
-    """Whether the loop of a method for such goals is in the cache; True where that is not known."""
+def is_compiled(goals: Sequence[Goal], solver: Solver) -> bool:
+    """Return whether the kernel of a method for such goals is in the cache; True if unknown."""
     if not isinstance(solver, IterativeSolver):
         return True
-    return jit.compiled(solver.kernel_for(Problem(robot, list(goals), budget=BUDGET)))
+    return jit.compiled(solver.module_for(has_levels(goals)).solve)
 
 
 class Compilers:
@@ -201,7 +200,7 @@ class Preparer:
         missing: dict[str, MethodChoice] = {}
         for choice, solver in zip(setup.choices, solvers, strict=False):
             with contextlib.suppress(RobotIkError):  # it cannot serve these goals: ``prepare`` says why
-                if not is_compiled(robot, goals.all(first_ball(robot), solver), solver):
+                if not is_compiled(goals.all(first_ball(robot), solver), solver):
                     missing[choice.method] = choice
         if missing:
             self._say("starting to compile …")
@@ -211,7 +210,7 @@ class Preparer:
         """After the first answer: who drags nothing does not wait for it."""
         if not self.can_drag:
             self._say("preparing to drag parts …")
-            if self._beside and not jit.compiled(lm_levels):
+            if self._beside and not jit.compiled(priorities.solve):
                 self._compilers.drag(self._setup.robot, self._say)
             with contextlib.suppress(RobotIkError):  # a model of which nothing can be dragged
                 warm_drag(robot)

@@ -14,26 +14,35 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.branches import Branch, solve_all
-from robot_ik.direction_goals import AimGoal, LineGoal, PlaneGoal
-from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
+from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
 from robot_ik.figure.motion.drag import Drag
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    Goal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
-from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed import commands
 
-BUDGET = Budget(iterations=200)
+# Without restarts: an arm that follows must not jump.
+BUDGET = Budget(iterations=200, restarts=0)
 """Of one solve: steps and not seconds, so that a replay gives the same bits."""
 METHODS = ("dls", "lm", "pseudoinverse", "ccd")
 """What four arms begin with: a damped, a trusted, an undamped and a geometric method."""
@@ -57,17 +66,12 @@ class MethodChoice:
     options: tuple[tuple[str, Any], ...] = ()
 
     def solver(self) -> Solver:
-        """The solver; without restarts unless they are asked for: an arm that follows must not jump.
+        """Return the solver.
 
         Raises:
-            UnknownSolverError, ConfigError: No such method, option or value.
+            UnknownSolverError, OptionError: No such method, option or value.
         """
-        options = dict(self.options)
-        if self.method not in SOLVERS:
-            raise UnknownSolverError(self.method, list(SOLVERS))
-        if any(field.name == "restarts" for field in dataclasses.fields(SOLVERS[self.method])):
-            options.setdefault("restarts", 0)
-        return make_solver(self.method, **options)
+        return make_solver(self.method, **dict(self.options))
 
 
 @dataclass(frozen=True)
@@ -339,10 +343,9 @@ def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
     """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
     try:
         wanted = goals.all(ball, solver)
-        problem = Problem(robot, wanted, budget=BUDGET)
-        solver.load(problem)
+        problem = Problem(robot, wanted, solver=solver, budget=BUDGET)
         retarget(problem, wanted)
-        solver.solve(problem, robot.home)
+        problem.solve(robot.home)
     except RobotIkError as error:
         return str(error).splitlines()[0]
     return ""

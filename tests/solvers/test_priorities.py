@@ -5,10 +5,16 @@ import itertools
 import numpy as np
 import pytest
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
-from robot_ik.direction_goals import AimGoal, PlaneGoal
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
@@ -155,7 +161,7 @@ def test_laws_hold_with_priorities_too(arm):
 
 def test_methods_without_priorities_refuse_them_by_name(arm):
     goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PositionGoal("elbow", (0, 0, 1), priority=1)]
-    for name in sorted(set(SOLVERS) - {"auto", "lm", "combined"}):
+    for name in sorted(set(SOLVERS) - {"auto", "lm"}):
         with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
             solve(arm, goals, solver=name)
         assert "lm" in caught.value.able

@@ -29,11 +29,9 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import PoseGoal
 from robot_ik.ports import Array, RealClock
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers import make_solver
 
 _MARKER, _SIZE, _DICTIONARY, _DISTANCE = 7, 0.05, "DICT_5X5_50", 0.5
 _PERIOD, _ROUNDS = 1.0 / 30.0, 3
@@ -170,9 +168,10 @@ def _goals(source: FrameSource, camera: CameraIntrinsics, robot: Robot, **option
 
 def loop(effort: Effort) -> Iterator[Quantity]:
     """A picture in; marker, filter, goal, joint angles, and the robot drawn over the picture."""
-    robot, solver, artist = load_robot(_ARM), make_solver("lm"), PainterArtist()
+    robot = load_robot(_ARM)
+    artist = PainterArtist()
     view, drawn = _view_of(robot), DrawnRobot(robot.model)
-    problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
+    problem = Problem(robot, robot.forward(robot.home), solver="lm")
     for camera in CAMERAS:
         frames = moving_frames(camera, effort.count(60), effort.seed)
         goals = _goals(_PreparedPictures(frames), camera, robot)
@@ -183,8 +182,7 @@ def loop(effort: Effort) -> Iterator[Quantity]:
         ) -> None:
             goal = goals.poll(next(ticks) * _PERIOD)
             assert goal is not None, "a marker of the bench was not found"
-            problem.retarget(goal.target)
-            q[:] = solver.solve(problem, q).q
+            q[:] = problem.solve(q, target=goal.target).q
             artist.draw(drawn, robot.qpos(q), camera, view).over(frame.image.copy())
 
         took = milliseconds(step, frames)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import timeit
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Batch, Growth, LowerBound
-from robot_ik.errors import GoalError, UnsupportedJointError
+from robot_ik.errors import GoalError, UnsupportedGoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
@@ -97,15 +97,29 @@ def hinge_chain(n: int) -> Robot:
     return load_robot(spec.compile(), tool="tip")
 
 
+def pose_problem(solver: Solver, robot: Robot, frame: str, **options: Any) -> Problem:
+    """Return a problem for a pose of a frame, or for its position if the method takes no poses.
+
+    Raises:
+        UnsupportedGoalError: The method takes neither.
+    """
+    try:
+        return Problem(robot, PoseGoal(frame, _ORIGIN), solver=solver, **options)
+    except UnsupportedGoalError:
+        return Problem(robot, PositionGoal(frame, _ORIGIN), solver=solver, **options)
+
+
 def growth(solver: Solver, figure: Robot, seed: int = 0) -> Iterator[Growth]:
     """A step towards a pose at the end of longer and longer chains; towards more and more frames at once."""
     for n in JOINTS:
         robot = hinge_chain(n)
-        goal: Goal = PoseGoal("tip", _ORIGIN)
-        goal = goal if solver.supports(goal) else PositionGoal("tip", _ORIGIN)
-        yield from _growth(solver, robot, [goal], "joints", n, seed)
+        try:
+            goals: list[Goal] = list(pose_problem(solver, robot, "tip").given)
+        except (GoalError, UnsupportedJointError):
+            continue
+        yield from _growth(solver, robot, goals, "joints", n, seed)
     for n in range(1, len(FIGURE_FRAMES) + 1):
-        goals: list[Goal] = [PositionGoal(frame, _ORIGIN) for frame in FIGURE_FRAMES[:n]]
+        goals = [PositionGoal(frame, _ORIGIN) for frame in FIGURE_FRAMES[:n]]
         yield from _growth(solver, figure, goals, "goals", n, seed)
 
 
@@ -117,8 +131,10 @@ def _growth(
     # Nothing is ever this near, so every solve takes all its steps.
     never = Tolerance(1e-300, 1e-300)
     try:
-        problem = Problem(robot, goals, tolerance=never, budget=Budget(iterations=_STEPS), seed=seed)
-        solver.solve(problem)
+        problem = Problem(
+            robot, goals, solver=solver, tolerance=never, budget=Budget(iterations=_STEPS), seed=seed
+        )
+        problem.solve()
     except (GoalError, UnsupportedJointError):
         return
     steps = []
@@ -128,7 +144,7 @@ def _growth(
         q = robot.clip(robot.home + 0.5 * (q - robot.home)) if across == "goals" else q
         for index, goal in enumerate(goals):
             problem.retarget(robot.forward(q, goal.frame), index)
-        solution = solver.solve(problem)
+        solution = problem.solve()
         if not solution.iterations:
             return  # a closed form takes no steps
         steps.append(solution.seconds / solution.iterations)

@@ -14,7 +14,7 @@ from robot_ik.bench.methods.problems import SLACK, ProblemSet, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -26,8 +26,6 @@ from robot_ik.solvers.base import Solver
 WARM_UP = 5
 #: Problems and steps of a convergence curve.
 CURVE_PROBLEMS, CURVE_STEPS = 25, 200
-
-_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(eq=False)
@@ -50,8 +48,7 @@ class Bench:
             start = previous if self.problems.tracking else self.problems.first
             target, start = target.copy(), start.copy()
             began = time.perf_counter_ns()
-            problem.retarget(target)
-            solution = self.solver.solve(problem, start)
+            solution = problem.solve(start, target=target)
             q = solution.q
             took = (time.perf_counter_ns() - began) / 1e3
             good = self._keep(settings, took, solution, target)
@@ -97,15 +94,12 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
     if not len(problems):
         cell.skipped = problems.reason
         return bench
-    goals: Sequence[Goal] = (PoseGoal(robot.tool, _ORIGIN), PositionGoal(robot.tool, _ORIGIN))
-    goal = next((g for g in goals if solver.supports(g)), goals[0])
-    cell.goal = goal.name.removesuffix(" goal")
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
     try:
-        problem = Problem(robot, goal, tolerance=tolerance, seed=settings.seed)
+        problem = growth.pose_problem(solver, robot, robot.tool, tolerance=tolerance, seed=settings.seed)
+        cell.goal = problem.given[0].name.removesuffix(" goal")
         for target in problems.targets[:WARM_UP]:
-            problem.retarget(target)
-            solver.solve(problem, problems.first)
+            problem.solve(problems.first, target=target)
     except (GoalError, UnsupportedJointError) as error:
         cell.skipped = str(error.args[0])
         return bench
@@ -119,13 +113,12 @@ def curve(bench: Bench, settings: Settings) -> Curve | None:
         return None
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
     problem = Problem(
-        bench.robot, bench.problem.goals, tolerance=tolerance, budget=Budget(iterations=CURVE_STEPS),
-        seed=settings.seed, trace=True,
+        bench.robot, bench.problem.goals, solver=bench.solver, tolerance=tolerance,
+        budget=Budget(iterations=CURVE_STEPS), seed=settings.seed, trace=True,
     )  # fmt: skip
     rows, longest = np.full((CURVE_PROBLEMS, CURVE_STEPS), np.nan), 0
     for k, target in enumerate(bench.problems.targets[:CURVE_PROBLEMS]):
-        problem.retarget(target)
-        steps = bench.solver.solve(problem, bench.problems.first).trace
+        steps = problem.solve(bench.problems.first, target=target).trace
         best, miss, longest = np.inf, np.nan, max(longest, len(steps))
         for step in steps:
             if step.cost < best:

@@ -24,18 +24,17 @@ class OursAuto(Library):
         goals: list[rik.Goal] = [rik.PoseGoal(task.sites[0], zero)]
         if len(task.sites) > 1:
             goals = [rik.PositionGoal(site, zero) for site in task.sites]
-        self._problem = rik.Problem(self._robot, goals, tolerance=tolerance)
-        self._method = rik.make_solver(self.solver)
-        self.settings = f"solver {self.solver}, its defaults; retarget and solve"
-        return self._method.applies(self._problem)
+        self.settings = f"solver {self.solver}, its defaults; Problem.solve"
+        try:
+            self._problem = rik.Problem(self._robot, goals, solver=self.solver, tolerance=tolerance)
+        except rik.RobotIkError:
+            return False
+        return True
 
     def solve(self, target: Array, start: Array) -> Array:
         if len(self._sites) == 1:
-            self._problem.retarget(target)
-        else:
-            for index, position in enumerate(target):
-                self._problem.retarget(position, index)
-        return self._method.solve(self._problem, start).q
+            return self._problem.solve(start, target=target).q
+        return self._problem.solve(start, target=dict(enumerate(target))).q
 
     def forward(self, q: Array) -> Array | None:
         return self._robot.forward(q, self._sites[0]).matrix if len(self._sites) == 1 else None

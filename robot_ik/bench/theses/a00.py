@@ -11,14 +11,14 @@ import numpy as np
 
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
 from robot_ik.chain import make_chain
-from robot_ik.errors import ConfigError
+from robot_ik.errors import ConfigError, GoalError, UnsupportedJointError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
-from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers import SOLVERS
 
 # ------------------------------------------------------------------------------------------
 # A00's thirteen courses: what he states of each, and what is chosen here where he states nothing.
@@ -248,9 +248,15 @@ def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -
         course = report.courses[number] = make_course(number, report.seed, report.frames)
         for name in report.solvers:
             show = share_of(progress, f"test {number}: {name}", done, jobs)
-            problem = Problem(course.robot, course.goal, tolerance=TOLERANCE, seed=report.seed)
-            solver, start = make_solver(name), course.robot.home
-            report.tracks[name, number] = track(problem, solver, course.targets, start, show)
+            try:
+                problem = Problem(
+                    course.robot, course.goal, solver=name, tolerance=TOLERANCE, seed=report.seed
+                )
+            except (GoalError, UnsupportedJointError):
+                show(1.0)
+                report.tracks[name, number] = Track(len(course.targets), refused=True)
+            else:
+                report.tracks[name, number] = track(problem, course.targets, course.robot.home, show)
             done += 1
     report.complete = True
     return report

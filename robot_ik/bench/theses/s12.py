@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
+from robot_ik.compiled_goals import length_scale
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.jobs.results import png_of, require_plots
@@ -125,19 +126,19 @@ def _curve(arm: Robot, lap: float) -> Array:
     return np.array([q[name] for name in arm.joints])
 
 
-def make_method(variant: str, name: str, problem: Problem) -> Solver:
-    """A method with the parameters of a variant (``VARIANTS``)."""
+def make_method(variant: str, name: str, length: float) -> Solver:
+    """A method with the parameters of a variant (``VARIANTS``); ``length``: metres a radian."""
     if variant == "best":
         return make_solver(name)
     # 100 steps, whatever they do.
-    options: dict[str, Any] = {"restarts": 0, "patience": 1000, "progress": 0.0}
+    options: dict[str, Any] = {"patience": 1000, "progress": 0.0}
     if name != "ccd":
         free = 1e6  # no clamping, no longest step: he states none
         gain = ALPHA if variant == "same" else IN_DEGREES
         options |= {"gain": gain, "alternative": True, "clamp": free, "max_step": free}
     if name == "dls":
-        # Our rows are lengths over ``problem.length``, so that λ, which is a length here, is too.
-        options |= {"damping": LAMBDA / problem.length(problem.goals[0]), "max_step": MAX_STEP}
+        # Our rows are lengths divided by ``length``, so that λ, which is a length here, is too.
+        options |= {"damping": LAMBDA / length, "max_step": MAX_STEP}
     return make_solver(name, **options)
 
 
@@ -158,10 +159,17 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
             for name in methods:
                 show = share_of(progress, f"case {case.number}: {name}, {COLUMNS[variant]}", done, jobs)
                 goal = PositionGoal("tip", targets[0].position)
-                problem = Problem(arm, goal, tolerance=TOLERANCE, budget=budget, seed=report.seed)
-                solver = make_method(variant, name, problem)
-                found = track(problem, solver, targets, witnesses[0], show)
-                report.tracks[variant, name, case.number] = found
+                problem = Problem(
+                    arm,
+                    goal,
+                    solver=make_method(variant, name, length_scale(arm, goal)),
+                    tolerance=TOLERANCE,
+                    budget=budget,
+                    seed=report.seed,
+                )
+                report.tracks[variant, name, case.number] = track(
+                    problem, targets, witnesses[0], show
+                )
                 done += 1
     report.complete = True
     return report

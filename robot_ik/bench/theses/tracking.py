@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
-from robot_ik.solvers.base import Solver
 
 #: Version of the experiments' JSON files; raised when a field changes its meaning.
 SCHEMA = 1
@@ -47,7 +46,6 @@ class Track:
 
 def track(
     problem: Problem,
-    solver: Solver,
     targets: Sequence[Pose],
     start: Array,
     show: Callable[[float], None] = lambda share: None,
@@ -55,21 +53,16 @@ def track(
     """Follows ``targets`` from ``start`` (nq,) on; ``show`` is called with the share that is done."""
     count = len(targets)
     show(0.0)
-    if not solver.applies(problem):
-        show(1.0)
-        return Track(count, refused=True)
-    problem.retarget(targets[0])
-    solver.solve(problem, start)  # compiles what is not compiled yet: not to be counted
-    goal, allowed = problem.goals[0], problem.tolerance
+    problem.solve(start, target=targets[0])  # warm caches: not counted
+    allowed = problem.tolerance
     q, solved, lost, seconds, iterations, restarts = start, 0, None, 0.0, 0, 0
     for k, target in enumerate(targets):
-        problem.retarget(target)
-        solution = solver.solve(problem, q)
+        solution = problem.solve(q, target=target)
         q = solution.q
         seconds += solution.seconds
         iterations += solution.iterations
         restarts += solution.restarts
-        metres, radians = goal.off(problem.robot.measure(q, goal.frame), target)  # by MuJoCo
+        metres, radians = solution.goals[0].miss(problem.robot, q)  # by MuJoCo
         if metres <= allowed.position and radians <= allowed.angle:
             solved += 1
         elif lost is None:

@@ -14,10 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose, vector
-from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import require_positive

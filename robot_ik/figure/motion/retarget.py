@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
-from robot_ik.body_goals import PostureGoal
 from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.figure.motion.bvh import Bvh, data_at_rest
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes, free_base

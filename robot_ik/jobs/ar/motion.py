@@ -16,13 +16,12 @@ from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
-from robot_ik.problem import Problem
 from robot_ik.robot import Robot
-from robot_ik.solvers import SOLVERS
 
 # ------------------------------------------------------------------------------------------
 # A script's motion for the drawn robot: the script runs on simulated servos, their shafts are kept.
@@ -144,14 +143,14 @@ def replay(trajectory: Trajectory, notice: str = "") -> DrawnMotion:
 
 def following(robot: Robot, figure: DrawnRobot) -> DrawnMotion:
     """Reaches for the other marker with the tool; holds still while the marker is not seen."""
-    solver, last = SOLVERS["auto"](), np.array(robot.home)
+    last = np.array(robot.home)
 
     def q(time: float, seen: Seen | None) -> Array:
         wanted = None if seen is None else marker_from_base(seen, figure)
         if wanted is not None:
             here = robot.forward(last).position
             goal = PositionGoal(robot.tool, position=here + _CHASE * (wanted - here))
-            last[:] = solver.solve(Problem(robot, goal), last).q
+            last[:] = solve(robot, goal, start=last).q
         return last.copy()
 
     return DrawnMotion(q)

@@ -26,7 +26,6 @@ from robot_ik.jobs.scene import in_view
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
-from robot_ik.solvers import make_solver
 
 # ------------------------------------------------------------------------------------------
 # Whether an arm can stand at joint angles, and go straight between them in joint space, without touching.
@@ -246,8 +245,7 @@ def _candidates(
     """Configurations with what each would tell (12, 12)."""
     rng = np.random.default_rng(seed)
     aim = PoseGoal(task.frame, robot.forward(start, task.frame).position, (1.0, 0.0, 0.0, 0.0))
-    problem = Problem(robot, aim, tolerance=_NEAR, budget=_TRY, seed=seed)
-    solver = make_solver("lm")
+    problem = Problem(robot, aim, solver="lm", tolerance=_NEAR, budget=_TRY, seed=seed)
     found: list[tuple[Array, Array]] = []
     for attempt in range(_TRIES):
         if attempt == _HOPELESS and not found:
@@ -256,9 +254,8 @@ def _candidates(
         hand = _wanted_hand(robot, task, near, rng)
         if hand is None:
             continue
-        problem.retarget(hand)
         # An arm with few joints does not get there; where it gets may do all the same.
-        q = robot.clip(solver.solve(problem, near).q)
+        q = robot.clip(problem.solve(near, target=hand).q)
         information = _worth(robot, task, clearance, q)
         if information is not None:
             found.append((q, information))

@@ -10,13 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.body_goals import PosePriorGoal
 from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError, UnsupportedGoalError
 from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored, thinned
+from robot_ik.goals import PosePriorGoal
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.pose_prior import PosePrior, feature_names
 from robot_ik.problem import Problem
-from robot_ik.solvers import make_solver
 from tests.residual_rows import residual_and_jacobian
 
 Array = NDArray[np.float64]
@@ -188,7 +187,7 @@ def test_what_makes_no_sense_is_refused(humanoid: rik.Robot) -> None:
     with pytest.raises(ModelError, match="no pose prior ships with 'puma560'"):
         PosePrior.of(puma)
     with pytest.raises(UnsupportedGoalError, match="soft"):
-        make_solver("dls").solve(Problem(humanoid, PosePriorGoal(prior=prior)))
+        Problem(humanoid, PosePriorGoal(prior=prior), solver="dls").solve()
     goal = PosePriorGoal(prior=prior)
     with pytest.raises(InvalidGoalError, match="no pose to move"):
         goal.moved_to(rik.Pose())

@@ -42,7 +42,6 @@ from robot_ik.motion.sources import CurveSource
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
-from robot_ik.solvers import make_solver
 
 Judge = Callable[[], list[Finding]]
 """How far off it is: once all of that is right it has arrived."""
@@ -77,10 +76,10 @@ class Move(Tolerant, Action):
         """Judges by MuJoCo where the goal's frame is."""
 
         def judge() -> list[Finding]:
-            metres, radians = goal.off(now.robot.measure(now.arm.read().q, goal.frame), goal.target)
+            metres, radians = goal.miss(now.robot, now.arm.read().q)
             what = goal.frame or now.robot.tool
             found = [near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")]
-            if goal.has_angle:
+            if goal.weights[1] > 0.0:
                 degrees = float(np.degrees(radians))
                 found.append(near(degrees, self.tolerance_deg, "°", what, "off_deg"))
             return found
@@ -107,8 +106,8 @@ def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
     Raises:
         NotConvergedError: None was found.
     """
-    problem = Problem(now.robot, goal, tolerance=SOLVE_TOLERANCE, seed=now.seed)
-    solution = make_solver(now.solver).solve(problem, start)
+    problem = Problem(now.robot, goal, solver=now.solver, tolerance=SOLVE_TOLERANCE, seed=now.seed)
+    solution = problem.solve(start)
     now.status = solution.status.name
     q = np.array(solution.require().q)
     fingers = [k for k, name in enumerate(now.robot.joints) if name in gripper_joints(now.robot)]
@@ -367,8 +366,8 @@ class FollowStep(Framed, Action):
         setup = now.setup
         with self._goals(now, frame) as goals:
             report = follow(
-                goals, now.robot, now.solver, setup.sinks, rate=setup.rate, clock=setup.clock,
-                duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
+                now.robot, goals, sinks=setup.sinks, solver=now.solver, rate=setup.rate,
+                clock=setup.clock, duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
                 speed=self.speed or now.script.speed, source=now.arm, on_tick=note,
             )  # fmt: skip
         self._judge(now, report, behind, result)

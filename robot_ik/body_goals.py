@@ -1,2 +1,0 @@
-from robot_ik.goals import *
-from robot_ik.goals import GOALS

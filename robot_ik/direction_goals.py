@@ -1,1 +1,0 @@
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
