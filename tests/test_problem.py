@@ -56,7 +56,7 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
             problem.retarget(target)
             again = problem.solve()
             assert np.array_equal(again.q, fresh.q)
-            assert astuple(again.miss) == pytest.approx(astuple(fresh.miss), abs=1e-12)
+            assert astuple(again.error) == pytest.approx(astuple(fresh.error), abs=1e-12)
         assert problem.goals[0].target.distance(pose) == pytest.approx((0, 0), abs=1e-12)
     problem.retarget(poses[0].position)  # a position alone keeps the orientation
     assert problem.goals[0].target.distance(Pose(poses[0].position, poses[2].wxyz)) == pytest.approx(

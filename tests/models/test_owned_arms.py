@@ -292,7 +292,7 @@ def test_five_joints_solve_a_place_with_one_axis_and_not_every_pose(name: str) -
         pose = robot.forward(robot.sample(rng))
         goal = rik.PoseGoal(None, pose.position, pose.wxyz, free_axis="z")
         found = rik.solve(robot, goal, seed=k)
-        assert found.converged and found.miss.position < 1e-4 and found.miss.angle < 1e-3
+        assert found.converged and found.error.position < 1e-4 and found.error.angle < 1e-3
     # Leaning out of the upright plane of the arm: no place in reach has that.
     side = rik.PoseGoal(None, robot.forward(robot.home).position, (0.5, -0.5, 0.5, 0.5), free_axis="z")
     assert not rik.solve(robot, side).converged

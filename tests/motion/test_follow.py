@@ -266,6 +266,6 @@ def test_weights_may_change_at_every_tick_without_a_new_problem(monkeypatch):
     for w in (1.0, 0.05):
         script = ScriptSource([(0.0, far[10]), (0.01, far[0 if w == 1.0 else -1])])
         report, _ = run(puma, script, duration=3.0)
-        angles[w] = report.last.miss.angle
+        angles[w] = report.last.error.angle
         assert report.last.goals[0].weights == (w, 1.0)
     assert angles[0.05] < 0.3 * angles[1.0]
