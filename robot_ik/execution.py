@@ -449,7 +449,7 @@ class _FollowState:
         self._tolerance = tolerance
         self._largest_allowed = step
         self._problem: Problem | None = None
-        self._kinds: list[object] = []
+        self._kinds: Sequence[object] = []
         self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:

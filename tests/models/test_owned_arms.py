@@ -199,7 +199,8 @@ def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     # The arm file is nowhere wider than the model, and narrower by a servo's tick or so at most.
     assert np.all(config.lower >= robot.lower - 1e-9) and np.all(config.upper <= robot.upper + 1e-9)
     assert np.all(config.upper - config.lower > 0.999 * (robot.upper - robot.lower) - 0.004)
-    assert np.all(config.velocity >= robot.velocity_limits) and np.all(config.acceleration >= robot.acceleration_limits)
+    assert np.all(config.velocity >= robot.velocity_limits)
+    assert np.all(config.acceleration >= robot.acceleration_limits)
     for joint in config.joints:
         servos = 1 if joint.twin is None else 2
         motor = joint.table.motor
