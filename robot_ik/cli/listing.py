@@ -166,8 +166,8 @@ def _print_robot(robot: Robot) -> None:
     for name, kind, at_q, at_v in zip(robot.joints, joint_kinds(robot), tree.qadr, tree.vadr, strict=True):
         rotary = kind in ("hinge", "ball")
         limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
-        limits = (robot.velocity_limits, robot.acceleration_limits)
-        speeds = [_number(values[at_v], rotary) for values in limits]
+        motion = (robot.velocity_limits, robot.acceleration_limits)
+        speeds = [_number(values[at_v], rotary) for values in motion]
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
         rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))
