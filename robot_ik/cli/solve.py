@@ -56,7 +56,9 @@ class SolveOptions:
     angle_tolerance: Annotated[float, arg(metavar="RAD")] = 1e-3
     """Largest angle that still counts as reached, radians."""
     iterations: int = 20_000
-    """Steps in all tries together before it gives up."""
+    """Steps of all descents together before the solve ends."""
+    restarts: Annotated[int | None, single("INT", "the method's own")] = None
+    """Random restarts; 0 for a local solution near the start."""
     json: bool = True
     """Print JSON; --no-json prints a table in degrees and millimetres."""
 
@@ -73,7 +75,7 @@ def run(options: SolveOptions) -> int:
     name = solver_name(options.solver, robot.file)
     solver = make_solver(name, **solver_options(name, options.set))
     tolerance = Tolerance(position=options.position_tolerance, angle=options.angle_tolerance)
-    budget = Budget(iterations=options.iterations)
+    budget = Budget(iterations=options.iterations, restarts=options.restarts)
     problem = Problem(
         robot, goal, solver=solver, tolerance=tolerance, budget=budget, seed=options.seed
     )

@@ -101,7 +101,7 @@ def test_every_method_can_be_asked_for(name: str, robot_ik: Any) -> None:
 
 def test_options_of_the_method_reach_it(robot_ik: Any) -> None:
     far = ("solve", "--solver", "lm", "--goal", "-0.4", "-0.1", "0.2", "0", "0.3", "0.4", "0.5", "--seed", 1)
-    assert json.loads(robot_ik(*far, "--set", "restarts=0").out)["restarts"] == 0
+    assert json.loads(robot_ik(*far, "--restarts", 0).out)["restarts"] == 0
 
 
 def test_an_unreachable_goal_is_a_result(puma: Robot, robot_ik: Any) -> None:
@@ -160,10 +160,10 @@ def test_any_model_by_path(extra: list[str], robot_ik: Any, tmp_path: Path) -> N
         (["--goal", *GOAL, "--position-tolerance", "0"], ["tolerance"]),
         (["--goal", *GOAL, "--angle-tolerance", "nan"], ["tolerance"]),
         (["--goal", *GOAL, "--iterations", "-5"], ["iterations"]),
-        (["--solver", "lm", "--goal", *GOAL, "--set", "rstarts=5"], ["'restarts'"]),
-        (["--solver", "lm", "--goal", *GOAL, "--set", "restarts=-5"], ["restarts", "0 …"]),
-        (["--solver", "lm", "--goal", *GOAL, "--set", "restarts=many"], ["restarts=many", "int"]),
-        (["--goal", *GOAL, "--set", "restarts"], ["restarts", "NAME=VALUE"]),
+        (["--solver", "lm", "--goal", *GOAL, "--set", "patence=5"], ["'patience'"]),
+        (["--solver", "lm", "--goal", *GOAL, "--set", "patience=-5"], ["patience", "1 to"]),
+        (["--solver", "lm", "--goal", *GOAL, "--set", "patience=many"], ["patience=many", "int"]),
+        (["--goal", *GOAL, "--set", "patience"], ["patience", "NAME=VALUE"]),
     ],
 )
 def test_wrong_input(arguments: list[str], named: list[str], robot_ik: Any) -> None:

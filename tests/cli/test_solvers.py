@@ -57,14 +57,14 @@ def test_unknown_method_names_the_close_one(robot_ik: Any) -> None:
 
 
 def test_choices_are_shown_and_taken(robot_ik: Any) -> None:
-    run = robot_ik("solvers", "dls")
-    line = next(line for line in run.out.splitlines() if line.startswith("mode "))
-    assert "constant | adaptive | svd" in line
-    rows = {row["name"]: row for row in json.loads(robot_ik("solvers", "dls", "--json").out)["options"]}
-    assert rows["mode"]["choices"] == ["constant", "adaptive", "svd"] and rows["clamp"]["choices"] == []
-    goal = ("--goal", "-0.4", "-0.1", "0.7", "--solver", "dls", "--set")
-    solved = robot_ik("solve", *goal, "mode=svd", "alternative=true")
-    assert solved.code == 0 and json.loads(solved.out)["solver"] == "dls"
-    refused = robot_ik("solve", *goal, "mode=clever")
+    run = robot_ik("solvers", "pseudoinverse")
+    line = next(line for line in run.out.splitlines() if line.startswith("aim "))
+    assert "none | rest | limits" in line
+    rows = {row["name"]: row for row in json.loads(robot_ik("solvers", "pseudoinverse", "--json").out)["options"]}
+    assert rows["aim"]["choices"] == ["none", "rest", "limits"] and rows["clamp"]["choices"] == []
+    goal = ("--goal", "-0.4", "-0.1", "0.7", "--solver", "pseudoinverse", "--set")
+    solved = robot_ik("solve", *goal, "aim=rest", "alternative=true")
+    assert solved.code == 0 and json.loads(solved.out)["solver"] == "pseudoinverse"
+    refused = robot_ik("solve", *goal, "aim=clever")
     refused.assert_one_screen_error()
-    assert "constant, adaptive, svd" in refused.err
+    assert "none, rest, limits" in refused.err

@@ -89,7 +89,7 @@ def by_camera(miss: float, angle: float, sigma: float, bound: Bound):  # type: i
     body = pose_world_camera.inverse().compose(tool).compose(pose_body_tool.inverse())
     seen = BodyObservation(body, np.diag([sigma**2] * 3 + [1e-18] * 3), 0.1, (20,))
     goal = PoseGoal("gripper", position=target.position, wxyz=target.wxyz)
-    return judge_by_camera(seen, pose_world_camera, pose_body_tool, goal, bound)
+    return judge_by_camera(load_robot("puma560"), seen, pose_world_camera, pose_body_tool, goal, bound)
 
 
 @pytest.mark.parametrize(

@@ -220,11 +220,11 @@ def test_one_joint_is_an_arm(make_robot, name):
         0.2: AimGoal(None, robot.forward([0.2]).apply([9, 0, 0]), axis="x"),
         -0.4: PostureGoal(q=[-0.4]),
     }
-    served = {q: goal for q, goal in goals.items() if served(robot, goal, solver=solver) is not None}
-    for q, goal in served.items():
+    able = {q: goal for q, goal in goals.items() if served(robot, goal, solver=solver) is not None}
+    for q, goal in able.items():
         solution = Problem(robot, goal, solver=solver).solve()
         assert solution.converged and solution.q == pytest.approx([q], abs=2e-3)
-    assert bool(served) == (name != "analytic")  # which knows no arm of one joint
+    assert bool(able) == (name != "analytic")  # which knows no arm of one joint
     for goal in (
         PositionGoal(None, (0, 0.5, 0)),
         PositionGoal(None, (0, 0, 0)),

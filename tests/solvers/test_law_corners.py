@@ -8,7 +8,6 @@ import pytest
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
-from robot_ik.solvers import make_solver
 from tests.solvers.law_cases import general, goal_of, inside, measured, outcome
 
 
@@ -66,9 +65,9 @@ def test_a_trace_grows_as_it_is_used(name="ccd"):
     """However large the budget; and a solve that hands its rows over in between is the same to the bit."""
     robot = load_robot("puma560")
     goal, never = PositionGoal(None, (-0.45, -0.10, 0.80)), Tolerance(1e-300, 1e-300)
-    endless = Problem(robot, goal, budget=Budget(10**12), trace=True)
-    assert sum(array.nbytes for array in endless.arrays.values()) < 1_000_000
-    assert len(make_solver(name).solve(endless).trace) > 0
+    endless = Problem(robot, goal, solver=name, budget=Budget(10**12), trace=True)
+    assert endless.search.arrays["trace"].nbytes < 1_000_000
+    assert len(endless.solve().trace) > 0
     budget = Budget(iterations=2500)
     traced, plain = (
         Problem(robot, goal, tolerance=never, budget=budget, trace=trace, solver=name).solve()

@@ -7,12 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Settings
 from robot_ik.bench.methods.runner import Bench, prepare
-from robot_ik.goals import PoseGoal
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Solution, Status
@@ -30,14 +28,19 @@ class Scripted(Solver):
     solutions: tuple[tuple[float, ...], ...] = ()
     name: ClassVar[str] = "scripted"
 
-    def make(self, problem: Problem) -> None:
-        """Nothing is compiled."""
+    def __post_init__(self) -> None:
+        """No options to check."""
 
-    def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        calls.append(np.array(start))
+    def prepare(self, problem: Problem) -> Scripted:  # type: ignore[override]
+        return self
+
+    def run(self, problem: Problem, budget: Budget) -> Solution:
+        calls.append(problem.search.arrays["start"].copy())
         q = np.array(self.solutions[(len(calls) - 1) % len(self.solutions)])
-        goals, targets = tuple(problem.goals), problem.target.copy()
-        return Solution(q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, goals, targets)
+        targets = problem.search.arrays["target"].reshape(-1, 4, 4).copy()
+        return Solution(
+            q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets
+        )
 
 
 calls: list[np.ndarray] = []
@@ -117,6 +120,5 @@ def test_a_method_without_poses_is_asked_for_positions() -> None:
 
     bones, steps = make_solver("triangulation"), make_solver("dls")
     problems = make_set("cold", arm, 3)
-    assert not bones.supports(PoseGoal(None, (0, 0, 0)))
     assert prepare(bones, arm, problems, SETTINGS).cell.goal == "position"
     assert prepare(steps, arm, problems, SETTINGS).cell.goal == "pose"
