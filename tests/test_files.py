@@ -33,6 +33,8 @@ from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.drawing.renderers import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
+from robot_ik.figure.motion.bvh import Bvh, export_bvh
+from robot_ik.figure.motion.retarget import SkeletonMap
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
@@ -46,10 +48,8 @@ from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.hand_guiding import load_motion
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory
-from robot_ik.figure.motion.bvh import Bvh, export_bvh
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
-from robot_ik.figure.motion.retarget import SkeletonMap
 from robot_ik.testbed.commands import CommandLog, Reset, Start
 
 ROOT = Path(robot_ik.__file__).parent

@@ -8,11 +8,22 @@ from functools import partial
 import numpy as np
 import pytest
 
-from robot_ik.goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    GOALS,
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PosePriorGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 
 QUARTER = (np.sqrt(0.5), 0, 0, np.sqrt(0.5))
 
@@ -42,13 +53,13 @@ MADE = [
 ]
 
 
-@pytest.mark.parametrize("goal", MADE, ids=lambda goal: f"{goal.name} {goal.rows.mask}")
+@pytest.mark.parametrize("goal", MADE, ids=range(len(MADE)))
 def test_a_goal_moves_and_keeps_all_but_its_target(goal):
     there = Pose((4, 5, 6), (0, 1, 0, 0))
     before = goal.target
     moved = goal.moved_to(there)
-    assert type(moved) is type(goal) and moved.frame == goal.frame and moved.signature == goal.signature
-    if goal.has_position or isinstance(goal, AimGoal):
+    assert type(moved) is type(goal) and moved.frame == goal.frame and moved.kind == goal.kind
+    if not isinstance(goal, OrientationGoal):
         assert moved.target.position.tolist() == [4, 5, 6]
     if isinstance(goal, (OrientationGoal, PoseGoal)):
         assert moved.target.wxyz.tolist() == [0, 1, 0, 0]
@@ -68,7 +79,7 @@ def test_messages_name_a_goal_with_its_article():
 def test_every_kind_is_tried_above_and_below():
     assert {type(goal) for goal in MADE} | {PostureGoal, PosePriorGoal} == set(GOALS)
     rest = PostureGoal(q=(0.1, 0.2), joints={"elbow": 2.0}, priority=3)
-    assert replace(rest, q=(0.3, 0.4)).signature == rest.signature
+    assert replace(rest, q=(0.3, 0.4)).kind == rest.kind
     with pytest.raises(InvalidGoalError, match="no pose to move"):
         rest.moved_to(Pose())
 

@@ -169,8 +169,8 @@ def compiled(monkeypatch):
 
 
 def fresh_answer(robot, goal, name, start, budget, seed):
-    problem = Problem(robot, goal, budget=budget, seed=seed)
-    return make_solver(name).solve(problem, start)
+    problem = Problem(robot, goal, budget=budget, seed=seed, solver=name)
+    return problem.solve(start)
 
 
 @pytest.mark.parametrize("name", SOLVERS)

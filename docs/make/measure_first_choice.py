@@ -64,13 +64,13 @@ def mean_times(robot: Robot, problems: ProblemSet, methods: tuple[str, ...]) -> 
     times = {name: np.inf for name in methods}
     for _ in range(_ROUNDS):
         for name in methods:
-            problem, solver = Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0))), make_solver(name)
+            problem, solver = Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0)), solver=name), make_solver(name)
             q = problems.first
             solver.load(problem)
             began = time.thread_time()
             for target in problems.targets:
                 problem.retarget(target)
-                found = solver.solve(problem, q)
+                found = problem.solve(q)
                 q = found.q if problems.tracking and found.converged else problems.first
             times[name] = min(times[name], 1e6 * (time.thread_time() - began) / len(problems))
     return times

@@ -109,13 +109,13 @@ def targets_table(tables: ModuleType) -> str:
     sets = {kind: singular_cases(robot, kind) for kind in ("wrist", "elbow", "both")}
     rows = []
     for name in methods():
-        problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)))
+        problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), solver=name)
         solver, cells = rik.make_solver(name), []
         for cases in sets.values():
             found = []
             for q, start in cases:
                 problem.retarget(robot.forward(q))
-                found.append(solver.solve(problem, start))
+                found.append(problem.solve(start))
             steps = [s.iterations for s in found if s.converged]
             share = f"{100 * len(steps) / len(found):.0f} %"
             cells.append(f"{share}, {_steps(steps)}" if steps else share)
@@ -147,11 +147,11 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
     q = robot.home.copy()
     q[_WRIST] = _SWING
     q = rik.solve(robot, rik.PoseGoal.at(None, poses[0]), solver="lm", start=q).require().q
-    problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), budget=rik.Budget(iterations=100, restarts=0))
+    problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), budget=rik.Budget(iterations=100, restarts=0), solver=name)
     solver, changes, misses = rik.make_solver(name), [], []
     for pose in poses[1:]:
         problem.retarget(pose)
-        solution = solver.solve(problem, q)
+        solution = problem.solve(q)
         changes.append(float(np.abs(solution.q - q).max()))
         misses.append(solution.miss.angle)
         q = solution.q

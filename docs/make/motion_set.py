@@ -176,12 +176,12 @@ def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tu
     """What is solved for a pose of which feet and right hand alone are known; miss in m, seconds."""
     goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
     goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
-    problem, solver = Problem(robot, [*goals, *extra]), make_solver("lm")
+    problem, solver = Problem(robot, [*goals, *extra], solver="lm"), make_solver("lm")
     start = np.array(robot.home)
     start[:7] = truth[:7]
-    solver.solve(problem, start)
+    problem.solve(start)
     begin = time.perf_counter()
-    found = solver.solve(problem, start)
+    found = problem.solve(start)
     seconds = time.perf_counter() - begin
     return np.array(found.q), found.miss.position, seconds
 
@@ -228,13 +228,13 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
     goals: list[rik.Goal] = [
         rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES
     ]
-    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra])
+    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra], solver="lm")
     stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(position)]
     solver, q = make_solver("lm"), np.array(robot.home)
     for one, two in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
             problem.retarget(one + share * (two - one), len(goals))
-            q = np.array(solver.solve(problem, q).q)
+            q = np.array(problem.solve(q).q)
     return q
 
 

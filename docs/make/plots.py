@@ -81,7 +81,7 @@ def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
     robot, rng = task.robot(), np.random.default_rng(7)
     pose = robot.forward(robot.home)
     goal = rik.PoseGoal.at(None, pose) if task.pose else rik.PositionGoal(None, pose.position)
-    problem = rik.Problem(robot, goal, tolerance=TOLERANCE, budget=BUDGET, trace=True)
+    problem = rik.Problem(robot, goal, tolerance=TOLERANCE, budget=BUDGET, trace=True, solver=name)
     solver = rik.make_solver(name)
     if not solver.applies(problem):
         return None
@@ -92,7 +92,7 @@ def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
         metres, radians = pose.distance(target)
         weight = problem.weights[0]
         first = np.hypot(weight[0] * metres, weight[1] * radians)
-        solution = solver.solve(problem, robot.home)
+        solution = problem.solve(robot.home)
         rows = np.array([row.cost for row in solution.trace])
         residuals.append(np.minimum.accumulate([first, *np.sqrt(2.0 * rows)]))
         steps.append(float(solution.iterations) if solution.converged else np.inf)

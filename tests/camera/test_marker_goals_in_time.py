@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.goals import PostureGoal
 from robot_ik.camera.marker_goals import LEAST_WEIGHT, MarkerGoalSource, WhenLost, goal_weight
 from robot_ik.camera.motion_filter import OneEuro
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraError, MarkerNotFoundError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
 CAMERA_IN_WORLD = Pose((0.3, 0.1, 0.6), FACING)

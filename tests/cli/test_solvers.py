@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.goals import GOALS
 from robot_ik.cli.listing import goals_text, solver_facts
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.goals import GOALS, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.damped_least_squares import DampedLeastSquares
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels.tree import BALL
@@ -90,12 +91,12 @@ def linear_model() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
         for goal in problem.goals:
             here, whole = robot.measure(q, goal.frame), robot.jacobian(q, goal.frame)
             off = goal.target.position - here.position
-            if goal.has_position:
-                weight = goal.weights[0] / problem.length(goal)
+            if goal.weights[0] > 0.0:
+                weight = goal.weights[0] / length_scale(robot, goal)
                 moved = np.cross(whole[3:].T, off).T if alternative else 0.0
                 rows.append(weight * (whole[:3] + moved))
                 errors.append(weight * off)
-            if goal.has_angle:
+            if goal.weights[1] > 0.0:
                 quat = Pose.from_rotation(goal.target.rotation @ here.rotation.T, np.zeros(3)).wxyz
                 quat = quat if quat[0] >= 0 else -quat
                 sine = float(np.linalg.norm(quat[1:]))
@@ -112,10 +113,11 @@ def one_step() -> Callable[..., np.ndarray]:
     """``one_step(solver, problem, q)``: the step (nu,) that a method takes from q."""
 
     def step(solver: IterativeSolver, problem: Problem, q: np.ndarray) -> np.ndarray:
-        problem.budget = Budget(iterations=1, restarts=0)
-        solution = solver.solve(problem, q)
+        budget = Budget(iterations=1, restarts=0)
+        one = Problem(problem.robot, problem.goals, solver=solver, budget=budget)
+        solution = one.solve(q)
         assert solution.iterations == 1
-        taken: np.ndarray = list(problem._made_by_tests.values())[-1][1].search.arrays["step"].copy()
+        taken: np.ndarray = one.search.arrays["step"].copy()
         assert np.isfinite(taken).all()
         return taken
 

@@ -8,9 +8,18 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from robot_ik.goals import CenterOfMassGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 
 TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 KINDS = (

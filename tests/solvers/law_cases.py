@@ -29,16 +29,16 @@ def serves(name, robot_name, kind):
     return kind in row
 
 
-def cases(*kinds):
+def cases(*kinds, names=NAMES):
     """Every (name, robot_name, kind) of the contract."""
-    found = itertools.product(NAMES, ROBOTS, kinds or KINDS)
+    found = itertools.product(names, ROBOTS, kinds or KINDS)
     return pytest.mark.parametrize(("name", "robot_name", "kind"), [c for c in found if serves(*c)])
 
 
 # Methods that serve every robot and every kind of goal.
 GENERAL = [n for n in NAMES if all(serves(n, r, k) for r in ROBOTS for k in KINDS)]
 # Of those, the ones that take steps until a budget ends them.
-STEPPING = [n for n in GENERAL if (issubclass(SOLVERS[n], IterativeSolver) or hasattr(SOLVERS[n], 'first_steps'))]
+STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
 general = pytest.mark.parametrize("name", GENERAL)
 stepping = pytest.mark.parametrize("name", STEPPING)
 all_robots = pytest.mark.parametrize("robot_name", ROBOTS)
@@ -60,7 +60,8 @@ def measured(robot, q, goal):
     wxyz = np.zeros(4)
     mujoco.mju_mat2Quat(wxyz, data.site_xmat[site])
     metres, radians = Pose(data.site_xpos[site], wxyz).distance(goal.target)
-    return metres if goal.has_position else 0.0, radians if goal.has_angle else 0.0
+    position_weight, angle_weight = goal.weights
+    return metres if position_weight > 0.0 else 0.0, radians if angle_weight > 0.0 else 0.0
 
 
 def inside(robot, q):

@@ -93,15 +93,15 @@ def test_what_is_reported_is_true_and_inside_the_limits(name, robot_name):
     for position in targets(robot, 8):
         start = robot.sample(rng)
         before = start.copy()
-        problem = Problem(robot, PositionGoal(None, position), tolerance=TOLERANCE)
-        solution = make_solver(name).solve(problem, start)
+        problem = Problem(robot, PositionGoal(None, position), tolerance=TOLERANCE, solver=name)
+        solution = problem.solve(start)
         miss = measured(robot, solution.q, position)
         assert solution.miss.position == pytest.approx(miss, abs=1e-12)
         assert solution.converged == (miss <= TOLERANCE.position)
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
         assert miss <= measured(robot, start, position) + 1e-12
         assert np.array_equal(start, before)
-        again = make_solver(name).solve(problem, start)
+        again = problem.solve(start)
         assert outcome(again) == outcome(solution)
 
 
@@ -110,7 +110,7 @@ def test_what_is_reported_is_true_and_inside_the_limits(name, robot_name):
 def test_a_start_at_the_goal_is_the_answer(name, robot_name):
     robot = robot_named(robot_name)
     q = robot.sample(np.random.default_rng(3))
-    solution = make_solver(name).solve(Problem(robot, PositionGoal(None, robot.forward(q).position)), q)
+    solution = Problem(robot, PositionGoal(None, robot.forward(q).position), solver=name).solve(q)
     assert solution.converged and solution.iterations == 0 and solution.q.tobytes() == q.tobytes()
 
 
@@ -120,22 +120,22 @@ def test_a_goal_out_of_reach_is_said_and_budgets_hold(name, robot_name):
     robot = robot_named(robot_name)
     centre, radius = robot.reach()
     far = PositionGoal(None, centre + np.array([0.6, -0.48, 0.64]) * 1.5 * radius)
-    solution = make_solver(name).solve(Problem(robot, far))
+    solution = Problem(robot, far, solver=name).solve()
     assert solution.status is Status.UNREACHABLE and np.isfinite(solution.q).all()
     for steps in (0, 1, 3):
-        solution = make_solver(name).solve(Problem(robot, far, budget=Budget(iterations=steps)))
+        solution = Problem(robot, far, budget=Budget(iterations=steps), solver=name).solve()
         assert solution.iterations <= steps and not solution.converged
-    problem = Problem(robot, far, budget=Budget(iterations=0))
-    assert np.array_equal(make_solver(name).solve(problem).q, robot.home)
+    problem = Problem(robot, far, budget=Budget(iterations=0), solver=name)
+    assert np.array_equal(problem.solve().q, robot.home)
 
 
 @methods
 def test_the_trace_and_slices_of_time_change_nothing(name):
     robot = robot_named("puma560")
     goal = PositionGoal(None, targets(robot, 1)[0])
-    quiet = make_solver(name, restarts=5).solve(Problem(robot, goal, seed=2))
-    traced = make_solver(name, restarts=5).solve(Problem(robot, goal, seed=2, trace=True))
-    sliced = make_solver(name, restarts=5).solve(Problem(robot, goal, seed=2, budget=Budget(seconds=60.0)))
+    quiet = Problem(robot, goal, seed=2, solver=make_solver(name, restarts=5)).solve()
+    traced = Problem(robot, goal, seed=2, trace=True, solver=make_solver(name, restarts=5)).solve()
+    sliced = Problem(robot, goal, seed=2, budget=Budget(seconds=60.0), solver=make_solver(name, restarts=5)).solve()
     assert outcome(quiet) == outcome(traced) == outcome(sliced)
     assert [row.iteration for row in traced.trace] == list(range(1, traced.iterations + 1))
 
@@ -147,7 +147,7 @@ def test_frozen_joints_and_joints_that_do_not_matter_stay(name):
     robot = of_xml(text + branch)
     q = np.array([0.4, 0.6, 0.7])
     goal = PositionGoal(None, robot.forward([0.9, 1.2, 0.0]).position)
-    solution = make_solver(name).solve(Problem(robot, goal), q)
+    solution = Problem(robot, goal, solver=name).solve(q)
     assert solution.converged and solution.q[2] == 0.7
 
 
@@ -155,9 +155,7 @@ def test_frozen_joints_and_joints_that_do_not_matter_stay(name):
 
 
 def sound(name: str, robot: Robot, position, start=None, **options):
-    solution = make_solver(name, **options).solve(
-        Problem(robot, PositionGoal(None, position), tolerance=TOLERANCE), start
-    )
+    solution = Problem(robot, PositionGoal(None, position), tolerance=TOLERANCE, solver=make_solver(name, **options)).solve(start)
     assert np.isfinite(solution.q).all()
     assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
     return solution
@@ -202,9 +200,9 @@ def test_a_planar_arm_meets_targets_beside_its_plane_and_on_its_axes(name):
 @methods
 def test_a_frame_that_nothing_moves(name):
     robot = of_xml(links([ELBOW], [0.4]) + '<site name="nail" pos="0.3 0.3 0"/>')
-    there = make_solver(name).solve(Problem(robot, PositionGoal("nail", (0.3, 0.3, 0.0))))
+    there = Problem(robot, PositionGoal("nail", (0.3, 0.3, 0.0)), solver=name).solve()
     assert there.converged and there.iterations == 0
-    never = make_solver(name).solve(Problem(robot, PositionGoal("nail", (0.5, 0.3, 0.0))))
+    never = Problem(robot, PositionGoal("nail", (0.5, 0.3, 0.0)), solver=name).solve()
     assert not never.converged and np.array_equal(never.q, robot.home)
 
 
@@ -215,11 +213,11 @@ def test_a_frame_that_nothing_moves(name):
 def test_what_cannot_be_served_is_refused_with_the_methods_that_can(name):
     robot = robot_named("puma560")
     with pytest.raises(UnsupportedGoalError, match=rf"{name}.*orientation goal") as caught:
-        make_solver(name).solve(Problem(robot, OrientationGoal(None, (1, 0, 0, 0))))
+        Problem(robot, OrientationGoal(None, (1, 0, 0, 0)), solver=name).solve()
     assert "lm" in caught.value.able and name not in caught.value.able
     rotated = PoseGoal(None, (0.4, 0, 0.8), position_weight=0.0)
     with pytest.raises(UnsupportedGoalError, match="pose goal"):
-        make_solver(name).solve(Problem(robot, rotated))
+        Problem(robot, rotated, solver=name).solve()
 
 
 @pytest.mark.parametrize("name", ["triangulation", "recursive"])
@@ -227,10 +225,10 @@ def test_one_chain_one_position_only(name):
     robot = robot_named("puma560")
     goal = PositionGoal(None, (0.4, 0.0, 0.8))
     with pytest.raises(UnsupportedGoalError, match="several goals"):
-        make_solver(name).solve(Problem(robot, [goal, PositionGoal("flange", (0.4, 0.0, 0.7))]))
+        Problem(robot, [goal, PositionGoal("flange", (0.4, 0.0, 0.7))], solver=name).solve()
     with pytest.raises(UnsupportedGoalError, match="pose goal") as caught:
-        make_solver(name).solve(Problem(robot, PoseGoal(None, (0.4, 0, 0.8))))
+        Problem(robot, PoseGoal(None, (0.4, 0, 0.8)), solver=name).solve()
     assert "fabrik" in caught.value.able
     rail = of_xml(links(['<joint name="rail" type="slide" axis="1 0 0" range="0 1"/>', ELBOW], [0.1, 0.3]))
     with pytest.raises(UnsupportedJointError, match="slide joint 'rail'"):
-        make_solver(name).solve(Problem(rail, PositionGoal(None, (0.4, 0.0, 0.0))))
+        Problem(rail, PositionGoal(None, (0.4, 0.0, 0.0)), solver=name).solve()

@@ -17,8 +17,8 @@ both_axes = pytest.mark.parametrize("axis", AXES)
 
 
 def one_sweep(robot, goal, start, **options):
-    problem = Problem(robot, goal, budget=Budget(iterations=1, restarts=0))
-    solution = CyclicCoordinateDescent(**options).solve(problem, start)
+    problem = Problem(robot, goal, budget=Budget(iterations=1, restarts=0), solver=CyclicCoordinateDescent(**options))
+    solution = problem.solve(start)
     assert solution.iterations == 1
     return problem.arrays["q"].copy()
 
@@ -105,7 +105,7 @@ def test_collinear_vectors_have_no_axis_and_do_no_harm(axis, order, factor):
     assert np.isfinite(stuck).all()
     if axis == "free" or factor > 1.0:  # real axes have a best angle behind the bone: π
         np.testing.assert_array_equal(stuck, chain.home)
-    found = CyclicCoordinateDescent(axis=axis, order=order).solve(Problem(chain, goal))
+    found = Problem(chain, goal, solver=CyclicCoordinateDescent(axis=axis, order=order)).solve()
     assert found.converged == (abs(factor) <= 1.0) and np.isfinite(found.q).all()
     if factor > 1.0:
         assert found.miss.position == pytest.approx((factor - 1) * np.linalg.norm(tip), abs=1e-6)
@@ -117,10 +117,10 @@ def test_collinear_vectors_have_no_axis_and_do_no_harm(axis, order, factor):
 def test_limits_are_kept_at_every_sweep_and_reached_exactly(axis, order, robot_name, robots, reachable):
     robot, at_limits = robots(robot_name), 0
     for start, there in zip(reachable(robot, 3, 80), reachable(robot, 3, 81), strict=True):
-        problem = Problem(robot, PositionGoal(None, 2.0 * robot.forward(there).position))
+        problem = Problem(robot, PositionGoal(None, 2.0 * robot.forward(there).position), solver=CyclicCoordinateDescent(axis=axis, order=order))
         for sweeps in (1, 2, 3, 10):
             problem.budget = Budget(iterations=sweeps, restarts=0)
-            CyclicCoordinateDescent(axis=axis, order=order).solve(problem, start)
+            problem.solve(start)
             q = problem.arrays["q"]
             if robot_name == "puma560":
                 assert (q >= robot.lower).all() and (q <= robot.upper).all()
@@ -134,10 +134,10 @@ def test_limits_are_kept_at_every_sweep_and_reached_exactly(axis, order, robot_n
 def test_every_option_reaches_positions(order, axis, least, robots, reachable):
     for robot in (robots("puma560"), robots("tree"), make_chain(5)):
         solver, solved, count = CyclicCoordinateDescent(order=order, axis=axis), 0, 20
-        problem = Problem(robot, PositionGoal(None, (0, 0, 0)))
+        problem = Problem(robot, PositionGoal(None, (0, 0, 0)), solver=solver)
         for there in reachable(robot, count, 90):
             problem.retarget(robot.forward(there).position)
-            solved += solver.solve(problem).converged
+            solved += problem.solve().converged
         # A single hinge takes less of a free rotation than would be best for it, and creeps.
         assert solved >= (least if robot.name == "puma560" else 1.0) * count, robot.name
 
@@ -148,7 +148,7 @@ def test_orientations_and_poses_turn_free_bones_too(axis):
     for _ in range(5):
         pose = chain.forward(chain.sample(rng))
         for goal in (OrientationGoal(None, pose.wxyz), PoseGoal.at(None, pose)):
-            found = CyclicCoordinateDescent(axis=axis).solve(Problem(chain, goal))
+            found = Problem(chain, goal, solver=CyclicCoordinateDescent(axis=axis)).solve()
             assert found.converged, goal
 
 

@@ -7,8 +7,6 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.batch import solve_batch
-from robot_ik.goals import CenterOfMassGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import (
     ConfigError,
     GoalError,
@@ -18,7 +16,18 @@ from robot_ik.errors import (
     UnknownSolverError,
     UnsupportedGoalError,
 )
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
@@ -190,10 +199,10 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
     ]
     solver = make_solver(name)
     for asked in [*goals, goals]:
-        problem = Problem(puma, asked)
+        problem = Problem(puma, asked, solver=solver)
         if not solver.applies(problem):
             continue
-        solution = solver.solve(problem, np.full(6, 0.1))
+        solution = problem.solve(np.full(6, 0.1))
         assert solution.converged and solution.iterations == 0 and solution.miss == rik.solution.Miss(0, 0)
         assert np.array_equal(solution.q, puma.clip(np.full(6, 0.1)))
 
@@ -207,12 +216,12 @@ def test_the_same_goal_twice_is_that_goal(puma, name):
         goal = PositionGoal(None, pose.position) if kind == "position" else PoseGoal.at(None, pose)
         if not solver.applies(Problem(puma, goal)):
             continue
-        once = solver.solve(Problem(puma, goal))
+        once = Problem(puma, goal, solver=solver).solve()
         if not solver.applies(Problem(puma, [goal] * 3)):
             with pytest.raises(UnsupportedGoalError, match=name):
-                solver.solve(Problem(puma, [goal] * 3))
+                Problem(puma, [goal] * 3, solver=solver).solve()
             continue
-        thrice = solver.solve(Problem(puma, [goal] * 3))
+        thrice = Problem(puma, [goal] * 3, solver=solver).solve()
         assert once.converged and thrice.converged and len(thrice.misses) == 3
         assert len(set(thrice.misses)) == 1
         np.testing.assert_allclose(thrice.q, once.q, atol=2e-3)

@@ -6,12 +6,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robot_ik as rik
-from robot_ik.goals import CenterOfMassGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import (
     ModelError,
 )
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
@@ -141,17 +150,17 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
             CenterOfMassGoal(None, (0, far, 0)),
             PostureGoal(q=np.full(6, far)),
         ):
-            problem = Problem(puma, goal, budget=SHORT)
+            problem = Problem(puma, goal, budget=SHORT, solver=solver)
             if not solver.applies(problem):
                 continue
-            solution = solver.solve(problem)
+            solution = problem.solve()
             honest(puma, solution, Tolerance())
             assert not solution.converged
             if not isinstance(goal, CenterOfMassGoal | PostureGoal):
                 assert solution.status is Status.UNREACHABLE
-    problem = Problem(puma, AimGoal(None, (1e9, 1e9, 1e9)))
+    problem = Problem(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
     if solver.applies(problem):  # one may try it all the same
-        honest(puma, solver.solve(problem), Tolerance())
+        honest(puma, problem.solve(), Tolerance())
 
 
 @names
@@ -168,9 +177,9 @@ def test_size_does_not_matter(make_robot, name, scale):
             PoseGoal.at(None, here),
             AimGoal(None, here.position + size * here.rotation[:, 2]),
         ):
-            problem = Problem(robot, goal, tolerance=tolerance, budget=Budget(iterations=3000))
+            problem = Problem(robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver)
             if solver.applies(problem):
-                solution = solver.solve(problem, [0, 0.1, 0.1])
+                solution = problem.solve([0, 0.1, 0.1])
                 honest(robot, solution, tolerance)
                 results.append((solution.status, solution.q))
     half = len(results) // 2
@@ -186,10 +195,10 @@ def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
     tolerance, solver = Tolerance(fine, fine), make_solver(name)
     there = puma.forward(puma.home + 0.2)
     for goal in (PositionGoal(None, there.position), PoseGoal.at(None, there)):
-        problem = Problem(puma, goal, tolerance=tolerance, budget=SHORT)
+        problem = Problem(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
         if not solver.applies(problem):
             continue
-        solution = solver.solve(problem)
+        solution = problem.solve()
         assert np.isfinite(solution.q).all() and not puma.outside(solution.q)
         if solution.converged:  # by the compiled forward pass; MuJoCo's differs by some rounding
             assert max(solution.miss.position, solution.miss.angle) <= fine + 4e-15
@@ -212,7 +221,7 @@ def test_one_joint_is_an_arm(make_robot, name):
     }
     served = {q: goal for q, goal in goals.items() if solver.applies(Problem(robot, goal))}
     for q, goal in served.items():
-        solution = solver.solve(Problem(robot, goal))
+        solution = Problem(robot, goal, solver=solver).solve()
         assert solution.converged and solution.q == pytest.approx([q], abs=2e-3)
     assert bool(served) == (name != "analytic")  # which knows no arm of one joint
     for goal in (
@@ -221,7 +230,7 @@ def test_one_joint_is_an_arm(make_robot, name):
         PositionGoal(None, (-0.5, 0, 0)),
     ):
         if solver.applies(Problem(robot, goal)):
-            honest(robot, solver.solve(Problem(robot, goal)), Tolerance())
+            honest(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
 
 
 @names
@@ -238,10 +247,10 @@ def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
             AimGoal(frame, here.apply([moved, 0, 1])),
             LineGoal(frame, here.position + world, "z"),
         ):
-            problem = Problem(robot, goal)
+            problem = Problem(robot, goal, solver=solver)
             if not solver.applies(problem):
                 continue
-            solution = solver.solve(problem)
+            solution = problem.solve()
             assert solution.converged is met
             assert np.array_equal(solution.q, robot.home)
             if met:

@@ -45,9 +45,8 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
             # The last pass, not the best: a longer budget would begin from the same start.
             problem = Problem(
                 robot, PositionGoal(None, target), tolerance=Tolerance(1e-12, 1e-12),
-                budget=Budget(iterations=passes), trace=True,
-            )  # fmt: skip
-            solution = make_solver("fabrik").solve(problem, start)
+                budget=Budget(iterations=passes), trace=True, solver="fabrik")  # fmt: skip
+            solution = problem.solve(start)
             if len(solution.trace) < passes:
                 break
             miss = np.linalg.norm(points[-1] - target)
@@ -66,10 +65,10 @@ def test_balls_reach_everything_inside_and_stretch_towards_the_rest(n):
     for reach in rng.uniform(0.02, 0.98, 6):
         direction = rng.normal(size=3)
         target = direction / np.linalg.norm(direction) * reach * 0.5 * n
-        solution = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, target)), robot.sample(rng))
+        solution = Problem(robot, PositionGoal(None, target), solver="fabrik").solve(robot.sample(rng))
         assert solution.converged and solution.restarts == 0
         far = target / reach * 1.3
-        beyond = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, far)), robot.sample(rng))
+        beyond = Problem(robot, PositionGoal(None, far), solver="fabrik").solve(robot.sample(rng))
         assert beyond.status is Status.UNREACHABLE
         assert beyond.miss.position == pytest.approx(0.3 * 0.5 * n, abs=1e-9)
         tip = robot.measure(beyond.q).position
@@ -85,8 +84,8 @@ def test_the_last_ball_takes_the_orientation(n):
         pose, start = robot.forward(robot.sample(rng)), robot.sample(rng)
         if np.linalg.norm(pose.position - pose.rotation[:, 2]) > 0.97 * (n - 1):
             continue  # nearly stretched: hundreds of passes
-        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=Tolerance(1e-6, 1e-6))
-        solution = make_solver("fabrik").solve(problem, start)
+        problem = Problem(robot, PoseGoal.at(None, pose), tolerance=Tolerance(1e-6, 1e-6), solver="fabrik")
+        solution = problem.solve(start)
         assert solution.converged and solution.restarts == 0
         tried += 1
 
@@ -94,7 +93,7 @@ def test_the_last_ball_takes_the_orientation(n):
 def test_half_a_turn_of_the_last_link_is_no_trap():
     robot = rik.make_chain(3)
     goal = PoseGoal(None, (0.5, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
-    assert make_solver("fabrik", restarts=0).solve(Problem(robot, goal)).converged
+    assert Problem(robot, goal, solver=make_solver("fabrik", restarts=0)).solve().converged
 
 
 Y = """<mujoco><compiler angle="radian"/><worldbody>
@@ -117,7 +116,7 @@ def test_a_tree_serves_several_goals_through_its_sub_base():
     for _ in range(20):
         q = robot.sample(rng)
         goals = [PositionGoal(side, robot.forward(q, side).position) for side in ("left", "right")]
-        solution = make_solver("fabrik").solve(Problem(robot, goals))
+        solution = Problem(robot, goals, solver="fabrik").solve()
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
         assert solution.converged == (max(m.position for m in solution.misses) <= 1e-4)
         solved += solution.converged
@@ -132,7 +131,7 @@ def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
             PositionGoal("left", (0.0, 2.0, 0.5), weight=weight),
             PositionGoal("right", (0.0, -2.0, 0.5), weight=1.0),
         ]
-        solution = make_solver("fabrik").solve(Problem(robot, goals, budget=Budget(restarts=0)))
+        solution = Problem(robot, goals, budget=Budget(restarts=0), solver="fabrik").solve()
         assert not solution.converged
         misses.append(solution.misses[0].position)
     assert misses[1] < misses[0] - 0.05
@@ -144,12 +143,12 @@ def test_slides_and_floating_bases_come_along():
      <joint type="ball"/><geom size="0.1"/><site name="tip" pos="0 0 0.3"/></body></body></body>
      </worldbody></mujoco>"""
     robot = rik.load_robot(rail, tool="tip")
-    solution = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, (1.2, 0.2, 0.3))))
+    solution = Problem(robot, PositionGoal(None, (1.2, 0.2, 0.3)), solver="fabrik").solve()
     assert solution.converged and -1.0 <= solution.q[0] <= 1.0
     floating = rail.replace('<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>', "<freejoint/>")
     robot = rik.load_robot(floating, tool="tip")
     goals = [PositionGoal("tip", (3.0, 0.2, 0.3)), PositionGoal("car", (2.7, 0.0, 0.1))]
-    assert make_solver("fabrik").solve(Problem(robot, goals)).converged
+    assert Problem(robot, goals, solver="fabrik").solve().converged
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])
@@ -160,5 +159,5 @@ def test_solve_rate_on_the_puma(kind):
     for _ in range(40):
         pose = robot.forward(robot.sample(rng))
         goal = PositionGoal(None, pose.position) if kind == "position" else PoseGoal.at(None, pose)
-        solved += make_solver("fabrik").solve(Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4))).converged
+        solved += Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4), solver="fabrik").solve().converged
     assert solved / 40 >= {"position": 0.95, "pose": 0.5}[kind], solved

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from robot_ik.batch import solve_batch
-from robot_ik.goals import GOALS, PosePriorGoal
 from robot_ik.branches import solve_all
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.execution import follow
 from robot_ik.geometry import Pose
-from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
+from robot_ik.goals import GOALS, PoseGoal, PosePriorGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion import RecorderSink, ScriptSource
 from robot_ik.ports import VirtualClock
@@ -39,7 +38,7 @@ def _serving():
 NAMES_OF = _serving()
 cases = pytest.mark.parametrize(("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]])
 # Methods that reach every goal near home; others may stall at limits or saddles, and say so.
-SURE = ("auto", "lm", "combined", "sdls", "bfgs")
+SURE = ("auto", "lm", "sdls", "bfgs")
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +56,7 @@ def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
     # A pose prior is of one robot, always soft and never missed: tests/figure/motion/test_pose_prior.py.
     tried = {type(goal) for goal in goals_near(robots["puma560"], 0).values()}
     assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_judge.py) has one of each"
-    general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}
+    general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose"}
     for kind in KINDS:
         assert general <= set(NAMES_OF[kind]), kind
 
@@ -65,13 +64,13 @@ def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
 @kinds
 def test_methods_that_do_not_serve_a_kind_refuse_it_by_name(robots, kind):
     for robot in robots.values():
-        problem = Problem(robot, goals_near(robot, 0)[kind])
+        problem = Problem(robot, goals_near(robot, 0)[kind], solver=name)
         able = [name for name in NAMES if make_solver(name).applies(problem)]
         for name in set(NAMES) - set(able):
             with pytest.raises(
                 (UnsupportedGoalError, UnsupportedJointError), match=f"'{name}' cannot"
             ) as caught:
-                make_solver(name).solve(problem)
+                problem.solve()
             if caught.type is UnsupportedJointError:  # of the figure's floating base
                 continue
             # ``analytic`` names two that take over where no closed form is known.
@@ -85,10 +84,10 @@ def test_laws_1_2_what_is_reported_is_true(robots, name, kind):
     for robot in robots.values():
         for seed in range(2):
             goal = goals_near(robot, seed)[kind]
-            problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=2000))
+            problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=2000), solver=solver)
             if not solver.applies(problem):
                 continue
-            solution = solver.solve(problem)
+            solution = problem.solve()
             metres, radians = measured(robot, solution.q, goal)
             assert solution.miss.position == pytest.approx(metres, abs=1e-12)
             assert solution.miss.angle == pytest.approx(radians, abs=1e-7)
@@ -105,9 +104,9 @@ def test_law_3_a_start_at_the_goal_is_the_answer(robots, name, kind):
     tried = []
     for robot in robots.values():
         q = near(robot, 1)
-        problem = Problem(robot, goals_near(robot, 1)[kind], tolerance=TOLERANCE)
+        problem = Problem(robot, goals_near(robot, 1)[kind], tolerance=TOLERANCE, solver=name)
         if make_solver(name).applies(problem):
-            solution = make_solver(name).solve(problem, q)
+            solution = problem.solve(q)
             assert solution.converged and solution.iterations == 0 and solution.restarts == 0
             assert solution.q.tobytes() == q.tobytes() and solution.q is not q
             tried.append(robot.name)
@@ -126,7 +125,7 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
         start.flags.writeable = False
         kept = start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy()
         fresh = [
-            outcome(make_solver(name).solve(Problem(robot, g, budget=budget, seed=3), start)) for g in goals
+            outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals
         ]
         for k in (0, 1, 0):
             hot.retarget(goals[k])
@@ -145,18 +144,18 @@ def test_laws_7_8_budgets_hold_and_frozen_joints_stay(robots, name, kind):
     goal = goals_near(robot, 1)[kind]
     if not make_solver(name).applies(Problem(robot, goal)):
         return
-    solution = make_solver(name).solve(Problem(robot, goal, tolerance=TOLERANCE))
+    solution = Problem(robot, goal, tolerance=TOLERANCE, solver=name).solve()
     assert solution.iterations > 0
     qpos = robot.qpos(solution.q)
     for joint in (whole.joints[0], whole.joints[5]):
         first = int(robot.model.joint(joint).qposadr[0])
         assert qpos[first] == robot.frozen_qpos[first]
     for iterations in (0, 1, 3):
-        short = make_solver(name).solve(Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations)))
+        short = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations), solver=name).solve()
         assert short.iterations <= iterations
         assert short.converged or short.status in (Status.ITERATION_LIMIT, Status.STALLED)
         assert iterations or np.array_equal(short.q, robot.home)
-    late = make_solver(name).solve(Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(seconds=0.0)))
+    late = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(seconds=0.0), solver=name).solve()
     assert late.converged or late.status in (Status.TIME_LIMIT, Status.STALLED)
 
 
@@ -166,15 +165,13 @@ def test_a_goal_is_met_by_its_own_tolerance(robots, name, kind):
     wide, fine = Tolerance(0.2, 0.3), Tolerance(1e-6, 1e-6)
     q, made = near(robot, 1), goals_near(robot, 1)[kind]
     goal = dataclasses.replace(made, tolerance=wide)
-    problem = Problem(robot, goal, tolerance=fine, budget=Budget(iterations=2000))
+    problem = Problem(robot, goal, tolerance=fine, budget=Budget(iterations=2000), solver=name)
     if not make_solver(name).applies(problem):
         return
-    solution = make_solver(name).solve(problem, robot.clip(q - 0.8))
+    solution = problem.solve(robot.clip(q - 0.8))
     metres, radians = measured(robot, solution.q, goal)
     assert solution.converged == (metres <= wide.position and radians <= wide.angle)
-    narrow = make_solver(name).solve(
-        Problem(robot, dataclasses.replace(made, tolerance=fine), tolerance=wide)
-    )
+    narrow = Problem(robot, dataclasses.replace(made, tolerance=fine), tolerance=wide, solver=name).solve()
     metres, radians = measured(robot, narrow.q, goal)
     assert narrow.converged == (metres <= fine.position and radians <= fine.angle)
 

@@ -5,10 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from robot_ik.goals import CenterOfMassGoal, PostureGoal
-from robot_ik.goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.geometry import Pose
-from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
@@ -73,13 +81,13 @@ def slope(problem, q):
 
 
 @unreachable
-@pytest.mark.parametrize("name", ["auto", "lm", "combined"])
+@pytest.mark.parametrize("name", ["auto", "lm"])
 def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
     # The default budget polishes the best of all tries; one that runs out between two tries does not.
     budget = Budget() if name == "lm" else Budget(restarts=0)
     for robot in tied.values():
-        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget)
-        solution = make_solver(name).solve(problem, near(robot, 2, 0.1))
+        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name)
+        solution = problem.solve(near(robot, 2, 0.1))
         assert not solution.converged
         if kind == "posture":  # each joint by itself: as far as it may
             np.testing.assert_allclose(solution.q, robot.clip(problem.goals[0].q), atol=1e-6)
@@ -96,8 +104,8 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
         far = pose.position / np.linalg.norm(pose.position) * rng.uniform(1.5, 4.0)
         two = [PositionGoal(None, far), PositionGoal("flange", -far)]  # the way down is between them
         for goal in (PositionGoal(None, far), PoseGoal(None, far, pose.wxyz), two):
-            problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0))
-            solution = make_solver(name).solve(problem, robot.home)
+            problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0), solver=name)
+            solution = problem.solve(robot.home)
             assert not solution.converged
             assert slope(problem, solution.q) < 1e-3
 
@@ -106,11 +114,11 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
     for robot in tied.values():
-        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200))
+        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name)
         if not make_solver(name).applies(problem):
             continue
         start = near(robot, 2, 0.1)
-        solution = make_solver(name).solve(problem, start)
+        solution = problem.solve(start)
         metres, radians = measured(robot, solution.q, problem.goals[0])
         assert not solution.converged and not robot.outside(solution.q)
         assert solution.status is not Status.NUMERICAL
@@ -125,12 +133,12 @@ def test_law_6_tracking_comes_to_rest(tied, name, kind):
     for robot in tied.values():
         budget = Budget(restarts=0)
         problem, solver = (
-            Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget),
+            Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=solver),
             make_solver(name),
         )
         q, largest = robot.home, 0.0
         for tick in range(60):
-            solution = solver.solve(problem, q)
+            solution = problem.solve(q)
             if tick >= 30:
                 largest = max(largest, float(np.abs(solution.q - q).max()))
             q = solution.q
@@ -181,11 +189,11 @@ def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothin
     )
     solver = make_solver("lm")
     for budget in (Budget(iterations=k) for k in (1, 7, 20, 35, 60, 20_000)):
-        problem = Problem(robot, [pose, far], budget=budget)
+        problem = Problem(robot, [pose, far], budget=budget, solver=solver)
         weights = problem.weights.copy()
-        first = solver.solve(problem, robot.home)
+        first = problem.solve(robot.home)
         assert np.array_equal(problem.weights, weights)
-        assert first.q.tobytes() == solver.solve(problem, robot.home).q.tobytes()
+        assert first.q.tobytes() == problem.solve(robot.home).q.tobytes()
         assert cost(problem, first.q) <= cost(problem, robot.home)
         assert first.iterations <= budget.iterations
 
@@ -193,10 +201,10 @@ def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothin
 def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
     robot, rng = load_robot("puma560"), np.random.default_rng(3)
     pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
-    problem, solver = Problem(robot, [pose, PositionGoal(None, (3.0, 0, 0.5))]), make_solver("lm")
+    problem, solver = Problem(robot, [pose, PositionGoal(None, (3.0, 0, 0.5))], solver="lm"), make_solver("lm")
     q, steps = robot.home, []
     for _ in range(60):
-        solution = solver.solve(problem, q)
+        solution = problem.solve(q)
         steps.append(float(np.abs(solution.q - q).max()))
         q = solution.q
     assert max(steps[30:]) <= 1e-3
@@ -208,8 +216,8 @@ def test_length_says_how_many_metres_are_worth_a_radian():
     q, far = robot.home, PoseGoal(None, (-1.1, -0.4, 0.7), (0.5, 0.5, 0.5, -0.5))
     for degrees in (600.0, 60.0, 6.0):  # that count as much as one metre
         goal = dataclasses.replace(far, length=360 / (2 * np.pi * degrees))
-        problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0))
-        solution = make_solver("lm").solve(problem, q)
+        problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0), solver="lm")
+        solution = problem.solve(q)
         assert problem.length(goal) == goal.length and slope(problem, solution.q) < 1e-3
         q = solution.q
         misses.append(solution.miss)

@@ -35,15 +35,16 @@ def test_a_step_is_busss(robot_name, kind, near_problems, linear_model, one_step
 @cases
 def test_every_step_leads_down_near_a_goal(robot_name, kind, near_problems):
     for problem, q in near_problems(robot_name, kind):
-        traced = Problem(problem.robot, problem.goals, trace=True, budget=Budget(iterations=30, restarts=0))
-        costs = [row.cost for row in JacobianTranspose().solve(traced, q).trace]
+        budget = Budget(iterations=30, restarts=0)
+        traced = Problem(problem.robot, problem.goals, solver="transpose", trace=True, budget=budget)
+        costs = [row.cost for row in traced.solve(q).trace]
         assert len(costs) > 1 and all(b <= a for a, b in pairwise(costs))
 
 
-def test_the_fixed_gain(near_problems, linear_model, one_step):
+def test_the_fixed_alpha(near_problems, linear_model, one_step):
     for problem, q in near_problems("puma560", "pose"):
         jacobian, e = linear_model(problem, q)
-        step = one_step(JacobianTranspose(fixed_gain=0.03, **FREE_STEP), problem, q)
+        step = one_step(JacobianTranspose(fixed_alpha=0.03, **FREE_STEP), problem, q)
         np.testing.assert_allclose(step, 0.03 * jacobian.T @ e, atol=1e-9)
 
 
@@ -90,7 +91,6 @@ def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, o
 
 def test_stretched_out_with_the_goal_on_the_line_no_slope_is_no_step(robots, one_step):
     robot = robots("planar")
-    problem = Problem(robot, PositionGoal(None, (0.8, 0, 0)))
+    problem = Problem(robot, PositionGoal(None, (0.8, 0, 0)), solver=JacobianTranspose())
     assert not one_step(JacobianTranspose(), problem, np.zeros(3)).any()
-    problem.budget = Budget()
-    assert JacobianTranspose().solve(problem, np.zeros(3)).converged  # by a restart
+    assert problem.solve(np.zeros(3)).converged  # by a restart

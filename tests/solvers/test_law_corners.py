@@ -17,20 +17,18 @@ def test_a_start_outside_the_limits_is_brought_inside(name, robots):
     robot = robots("planar")
     outside = np.array([3.1, -2.9, 2.5])
     kept = outside.copy()
-    solution = make_solver(name).solve(Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position")), outside)
+    solution = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position"), solver=name).solve(outside)
     assert solution.converged and inside(robot, solution.q) and np.array_equal(outside, kept)
-    none = make_solver(name).solve(
-        Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0)), outside
-    )
+    none = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0), solver=name).solve(outside)
     assert none.q.tolist() == [2.8, -2.6, 2.0]
 
 
 @general
 def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
     robot = robots("planar")
-    there = make_solver(name).solve(Problem(robot, PositionGoal("nail", (0.3, 0.3, 0))))
+    there = Problem(robot, PositionGoal("nail", (0.3, 0.3, 0)), solver=name).solve()
     assert there.converged and there.iterations == 0
-    never = make_solver(name).solve(Problem(robot, PoseGoal("nail", (0.5, 0.3, 0))))
+    never = Problem(robot, PoseGoal("nail", (0.5, 0.3, 0)), solver=name).solve()
     assert not never.converged and np.array_equal(never.q, robot.home)
     assert never.miss.position == pytest.approx(0.2)
 
@@ -40,7 +38,7 @@ def test_several_goals_at_once(name, robots, reachable):
     robot = robots("tree")
     for q in reachable(robot, 4):
         goals = [goal_of(robot, q, "position"), goal_of(robot, q, "position", "lamp")]
-        solution = make_solver(name).solve(Problem(robot, goals, tolerance=Tolerance(1e-4, 1e-3)))
+        solution = Problem(robot, goals, tolerance=Tolerance(1e-4, 1e-3), solver=name).solve()
         worst = max(measured(robot, solution.q, goal)[0] for goal in goals)
         assert solution.miss.position == pytest.approx(worst, abs=1e-12) and len(solution.misses) == 2
         assert solution.converged == (worst <= 1e-4)
@@ -51,8 +49,8 @@ def test_several_goals_at_once(name, robots, reachable):
 def test_the_trace_tells_the_same_story(name, robots, reachable):
     robot = robots("puma560")
     goal = goal_of(robot, reachable(robot, 1)[0])
-    quiet = make_solver(name).solve(Problem(robot, goal, seed=2))
-    solution = make_solver(name).solve(Problem(robot, goal, seed=2, trace=True))
+    quiet = Problem(robot, goal, seed=2, solver=name).solve()
+    solution = Problem(robot, goal, seed=2, trace=True, solver=name).solve()
     assert outcome(quiet) == outcome(solution) and quiet.trace == ()
     trace = solution.trace
     assert [row.iteration for row in trace] == list(range(1, solution.iterations + 1))
@@ -73,7 +71,7 @@ def test_a_trace_grows_as_it_is_used(name="ccd"):
     assert len(make_solver(name).solve(endless).trace) > 0
     budget = Budget(iterations=2500)
     traced, plain = (
-        make_solver(name).solve(Problem(robot, goal, tolerance=never, budget=budget, trace=trace))
+        Problem(robot, goal, tolerance=never, budget=budget, trace=trace, solver=name).solve()
         for trace in (True, False)
     )
     assert traced.iterations > 1024  # more than are kept in the work space

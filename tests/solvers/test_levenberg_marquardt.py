@@ -33,11 +33,11 @@ def test_a_joint_goes_round_in_later_tries_where_it_has_a_turn(tmp_path, low, th
     robot = arm(tmp_path, low, 3.2)
     goal = PoseGoal.at("tool", robot.forward([0.4, there], "tool"))
     # From home the short way to the goal is past the limit.
-    stuck = make_solver("lm").solve(Problem(robot, goal, budget=Budget(restarts=0)))
+    stuck = Problem(robot, goal, budget=Budget(restarts=0), solver="lm").solve()
     assert not stuck.converged and stuck.q[1] == pytest.approx(3.2)
     # One random start: where it stands must not matter to a joint that may go round.
     once = [
-        make_solver("lm", draws=1).solve(Problem(robot, goal, budget=Budget(restarts=1), seed=seed))
+        Problem(robot, goal, budget=Budget(restarts=1), seed=seed, solver=make_solver("lm", draws=1)).solve()
         for seed in range(20)
     ]
     assert all(low <= solution.q[1] <= 3.2 for solution in once)
@@ -75,18 +75,18 @@ def test_these_options_and_priorities_exclude_each_other_by_name(robots):
     goals = [PositionGoal(None, (0.4, 0.1, 0.3)), PositionGoal("flange", (0.4, 0.1, 0.3), priority=1)]
     assert make_solver("lm").applies(Problem(robot, goals))
     with pytest.raises(UnsupportedGoalError, match="together with clamp"):
-        make_solver("lm", gain=0.5).solve(Problem(robot, goals))
+        Problem(robot, goals, solver=make_solver("lm", gain=0.5)).solve()
 
 
 def test_better_random_starts_need_fewer_restarts(robots, reachable):
     robot = robots("puma560")
-    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=Tolerance(1e-6, 1e-6))
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=Tolerance(1e-6, 1e-6), solver=make_solver("lm", draws=draws))
     restarts = {}
     for draws in (1, 8):
         solver, restarts[draws] = make_solver("lm", draws=draws), 0
         for q in reachable(robot, 100):
             problem.retarget(robot.forward(q))
-            restarts[draws] += solver.solve(problem).restarts
+            restarts[draws] += problem.solve().restarts
     assert restarts[8] < 0.8 * restarts[1]
 
 
@@ -94,12 +94,12 @@ def test_better_random_starts_need_fewer_restarts(robots, reachable):
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_a_start_that_is_not_finite_is_refused(robots, name, wrong):
     robot = robots("puma560")
-    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)))
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), solver=name)
     start = robot.home.copy()
     start[3] = wrong
     with pytest.raises(ModelError, match="finite"):
-        make_solver(name).solve(problem, start)
-    assert make_solver(name).solve(problem, robot.home).converged
+        problem.solve(start)
+    assert problem.solve(robot.home).converged
 
 
 def test_matrices_of_all_sorts_move_a_target_alike(robots, reachable):
@@ -144,12 +144,12 @@ def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
     robot = robots("puma560")
     there, far = robot.forward(robot.home).matrix, robot.forward(robot.home).matrix
     far[:3, 3] = 3.0, 1.0, 1.0
-    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)))
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), solver=name)
     for name in ("lm", "auto", "dls"):
         solver = make_solver(name)
         for matrix, status in ((far, Status.UNREACHABLE), (there, Status.CONVERGED)) * 2:
             problem.retarget(matrix)
-            assert solver.solve(problem).status is status
+            assert problem.solve().status is status
 
 
 def test_steps_among_rows_and_among_columns_are_the_same():

@@ -24,8 +24,8 @@ def test_balls_reach_everything_inside(n):
     for reach in [*rng.uniform(0.0, 1.0, 8), 1e-6, 1.0 - 1e-6]:
         direction = rng.normal(size=3)
         target = direction / np.linalg.norm(direction) * reach * 0.4 * n
-        problem = Problem(robot, PositionGoal(None, target), tolerance=TIGHT)
-        solution = make_solver("recursive").solve(problem, robot.sample(rng))
+        problem = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver="recursive")
+        solution = problem.solve(robot.sample(rng))
         assert solution.converged and solution.iterations == 1
 
 
@@ -36,9 +36,7 @@ def test_only_the_bones_that_must_move_do():
     before = positions(robot, start, 6)
     direction = np.array([0.6, 0.0, 0.8])
     target = before[4] + 1.3 * direction  # within 2 of the base of the last bone but one
-    solution = make_solver("recursive").solve(
-        Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start
-    )
+    solution = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver="recursive").solve(start)
     assert solution.converged
     np.testing.assert_allclose(positions(robot, solution.q, 6)[:5], before[:5], atol=1e-12)
     np.testing.assert_allclose(solution.q[:16], start[:16], atol=1e-15)
@@ -47,9 +45,7 @@ def test_only_the_bones_that_must_move_do():
 def test_two_rings_meet_on_the_circle_nearest_to_where_they_were():
     robot = rik.make_chain(2)
     start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.4, 0.0])
-    solution = make_solver("recursive").solve(
-        Problem(robot, PositionGoal(None, (1.0, 0, 0)), tolerance=TIGHT), start
-    )
+    solution = Problem(robot, PositionGoal(None, (1.0, 0, 0)), tolerance=TIGHT, solver="recursive").solve(start)
     np.testing.assert_allclose(positions(robot, solution.q, 2)[1], [0.5, 0.0, np.sqrt(0.75)], atol=1e-9)
 
 
@@ -57,9 +53,7 @@ def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
     robot = rik.make_chain(3)
     start = robot.sample(np.random.default_rng(9))
     target = positions(robot, start, 3)[2] + [0.0, 1.0, 0.0]
-    solution = make_solver("recursive").solve(
-        Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start
-    )
+    solution = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver="recursive").solve(start)
     assert solution.converged
     np.testing.assert_allclose(solution.q[:8], start[:8], atol=1e-15)
 
@@ -78,7 +72,7 @@ def test_a_failure_is_undone_to_the_bit(where):
         else:
             direction = rng.normal(size=3)
             target = direction / np.linalg.norm(direction) * (0.3 if where == "too near" else 4.2)
-        solution = make_solver("recursive").solve(Problem(robot, PositionGoal(None, target)), start)
+        solution = Problem(robot, PositionGoal(None, target), solver="recursive").solve(start)
         if solution.converged:
             continue
         failed += 1
@@ -94,7 +88,7 @@ def test_without_the_guard_it_is_the_published_one_which_loses_some():
     for _ in range(60):
         goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
         for guard in solved:
-            solution = make_solver("recursive", guard=guard).solve(Problem(robot, goal, tolerance=TIGHT))
+            solution = Problem(robot, goal, tolerance=TIGHT, solver=make_solver("recursive", guard=guard)).solve()
             solved[guard] += solution.converged
             if not solution.converged:
                 assert solution.q.tobytes() == robot.home.tobytes()
@@ -107,8 +101,8 @@ def test_restarts_are_tries_from_other_starts():
     solved = 0
     for _ in range(20):
         goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
-        problem = Problem(robot, goal, tolerance=Tolerance(1e-4, 1e-3), budget=Budget(restarts=500))
-        solution = make_solver("recursive").solve(problem)
+        problem = Problem(robot, goal, tolerance=Tolerance(1e-4, 1e-3), budget=Budget(restarts=500), solver="recursive")
+        solution = problem.solve()
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
         solved += solution.converged
     assert solved >= 4, solved

@@ -26,7 +26,7 @@ def test_balls_reach_everything_inside_in_one_pass(n, improved):
     robot = rik.make_chain(n, 0.7)
     solver = make_solver("triangulation", improved=improved)
     for target, start in draws(robot, n, 0.7, n):
-        solution = solver.solve(Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start)
+        solution = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver=solver).solve(start)
         assert solution.converged and solution.iterations <= 1
 
 
@@ -37,7 +37,7 @@ def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
     solver = make_solver("triangulation", improved=improved)
     for target, start in draws(robot, n, 1.0, n):
         far = target / np.linalg.norm(target) * n * 1.2
-        solution = solver.solve(Problem(robot, PositionGoal(None, far), tolerance=TIGHT), start)
+        solution = Problem(robot, PositionGoal(None, far), tolerance=TIGHT, solver=solver).solve(start)
         assert solution.status is Status.UNREACHABLE
         for i in range(2, n + 1):
             position = robot.measure(solution.q, f"link{i}").position
@@ -50,7 +50,7 @@ def test_the_textbook_triangle():
     robot = rik.make_chain(2)
     solver = make_solver("triangulation", improved=False)
     start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.0, 0.0])  # leans towards +x
-    solution = solver.solve(Problem(robot, PositionGoal(None, (1.0, 0.0, 0.0)), tolerance=TIGHT), start)
+    solution = Problem(robot, PositionGoal(None, (1.0, 0.0, 0.0)), tolerance=TIGHT, solver=solver).solve(start)
     np.testing.assert_allclose(
         robot.measure(solution.q, "link2").position, [0.5, 0.0, np.sqrt(0.75)], atol=1e-9
     )
@@ -65,9 +65,7 @@ def test_the_improved_version_turns_less_near_the_root():
         start = robot.sample(rng)
         target = robot.forward(start).position + rng.normal(size=3) * 0.3
         for improved in angle_sums:
-            solution = make_solver("triangulation", improved=improved).solve(
-                Problem(robot, PositionGoal(None, target)), start
-            )
+            solution = Problem(robot, PositionGoal(None, target), solver=make_solver("triangulation", improved=improved)).solve(start)
             assert solution.converged
             q, p = solution.q.reshape(8, 4), start.reshape(8, 4)
             angles = 2.0 * np.arccos(np.clip(np.abs((q * p).sum(axis=1)), 0.0, 1.0))
@@ -84,7 +82,7 @@ def test_on_hinges_a_miss_is_honest(improved):
     solver = make_solver("triangulation", improved=improved, restarts=3)
     for _ in range(10):
         target = robot.forward(robot.sample(rng)).position
-        solution = solver.solve(Problem(robot, PositionGoal(None, target), budget=Budget(iterations=100)))
+        solution = Problem(robot, PositionGoal(None, target), budget=Budget(iterations=100), solver=solver).solve()
         miss = np.linalg.norm(robot.measure(solution.q).position - target)
         assert solution.converged == (miss <= 1e-4)
         assert np.array_equal(robot.clip(solution.q), solution.q)
@@ -96,6 +94,6 @@ def test_solve_rate_on_the_puma():
     solved = 0
     for _ in range(40):
         goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
-        problem = Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4))
-        solved += make_solver("triangulation").solve(problem).converged
+        problem = Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4), solver="triangulation")
+        solved += problem.solve().converged
     assert solved / 40 >= 0.95, solved

@@ -56,8 +56,8 @@ def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
     arm, rng = s12.make_arm(case.limited), np.random.default_rng(8)
     q, target = arm.sample(rng), arm.measure(arm.sample(rng)).position
     problem = Problem(arm, PositionGoal("tip", target), tolerance=s12.TOLERANCE,
-                      budget=Budget(iterations=1, restarts=0))  # fmt: skip
-    step = s12.make_method("same", name, problem).solve(problem, q).q - q
+                      budget=Budget(iterations=1, restarts=0), solver=s12.make_method("same", name, problem))  # fmt: skip
+    step = problem.solve(q).q - q
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(q)
     mujoco.mj_kinematics(arm.model, data)

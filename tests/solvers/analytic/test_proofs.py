@@ -94,7 +94,7 @@ def test_most_of_what_has_no_solution_is_proven(name, tmp_path):
     proven = called_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
     solver, missed = make_solver("analytic"), 0
     for goal, never in zip(goals, proven, strict=True):
-        solution = solver.solve(Problem(robot, goal))
+        solution = Problem(robot, goal, solver=solver).solve()
         missed += not solution.converged
         assert not (never and solution.converged)
     # A limb's swivel is not followed by the proof: its limits alone prove nothing.

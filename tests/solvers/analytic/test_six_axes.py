@@ -134,13 +134,13 @@ def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_na
     robot = load_robot(robot_name)
     rng = np.random.default_rng(3)
     solver = make_solver("analytic")
-    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=TIGHT)
+    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=TIGHT, solver=solver)
     for _ in range(60):
         q = robot.sample(rng)
         q[4] = 0.0  # axes 4 and 6 in line (PUMA), axis 6 parallel to 2, 3 and 4 (UR)
         problem.retarget(robot.forward(q))
-        assert solver.solve(problem).converged
-        near = solver.solve(problem, q + 1e-3 * rng.normal(size=6))
+        assert problem.solve().converged
+        near = problem.solve(q + 1e-3 * rng.normal(size=6))
         assert near.converged and np.abs(near.q - q).max() < 0.02
 
 
@@ -244,12 +244,12 @@ def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
     rng = np.random.default_rng(8)
     robot = random_arm(rng, tmp_path, "spherical", limit=6.2)
     q0 = rng.uniform(-0.5, 0.5, 6)
-    problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT)
+    problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT, solver=name)
     solver, q = make_solver(name), q0
     for t in np.linspace(0.0, 1.0, 400):
         wanted = q0 + t * np.array([5.0, 0.3, -0.3, 0.2, 0.2, 5.0])
         problem.retarget(robot.forward(wanted))
-        solution = solver.solve(problem, q)
+        solution = problem.solve(q)
         assert solution.converged and np.abs(solution.q - wanted).max() < off
         q = solution.q
 
@@ -310,11 +310,11 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
     rng = np.random.default_rng(seed)
     robot = random_arm(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
     solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
-    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance)
+    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance, solver=solver)
     for _ in range(40):
         luck = rng.random(6)
         q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))
         pose = robot.forward(q)
         rotated = quat_multiply(rotation_exp(0.9999 * tolerance.angle * unit(rng)), pose.wxyz)
         problem.retarget(Pose(pose.position + 0.9999 * tolerance.position * unit(rng), rotated))
-        assert solver.solve(problem).status is not Status.UNREACHABLE
+        assert problem.solve().status is not Status.UNREACHABLE
