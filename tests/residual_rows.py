@@ -54,12 +54,6 @@ class Rows:
     dofs: NDArray[np.int64]
 
 
-def columns_of(problem: Problem) -> NDArray[np.int64]:
-    """Return the degree of freedom of each column of the Jacobian (u,)."""
-    dofs: NDArray[np.int64] = problem.compiled.block.arrays["dofs"]
-    return dofs
-
-
 def rows_at(problem: Problem, q: ArrayLike) -> Rows:
     """Return the rows of a problem at q (nq,)."""
     blocks = {
@@ -76,5 +70,11 @@ def rows_at(problem: Problem, q: ArrayLike) -> Rows:
         arrays["residual"].copy(),
         arrays["miss"].copy(),
         run.arrays["jacobian"],
-        columns_of(problem),
+        problem.compiled.block.arrays["dofs"],
     )
+
+
+def columns_of(problem: Problem) -> NDArray[np.int64]:
+    """Return the degree of freedom of each column of the Jacobian (u,)."""
+    dofs: NDArray[np.int64] = problem.compiled.block.arrays["dofs"]
+    return dofs

@@ -6,8 +6,8 @@ Prints one line per case. Two versions of the library agree if their lines are e
 runs with both forms of the call: ``Problem(…, solver=…).solve(q)`` and the former
 ``solver.solve(problem, q)``.
 
-``--compile NAME`` solves one goal with one method and prints the seconds of CPU time that this took.
-With an empty ``NUMBA_CACHE_DIR`` this is the time of the first compile.
+``--compile NAME`` solves one goal with one method and prints the CPU seconds of that solve.
+With an empty cache (``XDG_CACHE_HOME``) this is the time of the first compile.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.solvers import make_solver
 
 GOALS = 40
-BUDGET = Budget(iterations=4000)
+# Steps granted to each goal.
+ITERATIONS = 4000
 
-# A carriage on a rail with a column, a ball joint with a cone, two hinges, and a branch beside them.
-TREE = """<mujoco model="tree"><compiler angle="radian"/><worldbody>
+# A carriage on a rail with a column, a ball joint with a cone, two hinges, and a branch.
+TREE = """\
+<mujoco model="tree"><compiler angle="radian"/><worldbody>
 <body name="carriage" pos="0 0 0.2" quat="0.9 0.1 -0.2 0.3">
  <joint name="rail" type="slide" axis="1 0 0" range="-0.5 0.5"/>
- <joint name="column" type="slide" axis="0 0 1" range="0 0.6" ref="0.1"/><geom size="0.05"/>
+ <joint name="column" type="slide" axis="0 0 1" range="0 0.6" ref="0.1"/>
+ <geom size="0.05"/>
  <body name="arm" pos="0 0 0.3"><joint name="shoulder" type="ball" range="0 1.2" limited="true"/>
   <geom size="0.05"/>
-  <body name="forearm" pos="0.4 0 0"><joint name="elbow" pos="0.05 0 0" axis="0 1 0.2" range="-2.2 2.2"/>
-   <geom size="0.05"/>
+  <body name="forearm" pos="0.4 0 0">
+   <joint name="elbow" pos="0.05 0 0" axis="0 1 0.2" range="-2.2 2.2"/><geom size="0.05"/>
    <body name="hand" pos="0.3 0 0"><joint name="roll" axis="1 0 0"/><geom size="0.05"/>
     <site name="tool" pos="0.1 0 0" quat="0.7 0 0.7 0.1"/></body></body></body>
  <body name="branch" pos="0 0.2 0"><joint name="swing" axis="0 0 1" range="-1 1"/><geom size="0.05"/>
@@ -43,10 +46,11 @@ TREE = """<mujoco model="tree"><compiler angle="radian"/><worldbody>
 </body></worldbody></mujoco>"""
 
 # A trunk with two arms.
-TWO_ARMS = """<mujoco><compiler angle="radian"/><worldbody>
+TWO_ARMS = """\
+<mujoco><compiler angle="radian"/><worldbody>
 <body name="trunk"><joint type="ball"/><geom size="0.05"/>
- <body name="chest" pos="0 0 0.5"><joint name="waist" type="ball" range="0 0.9" limited="true"/>
-  <geom size="0.05"/>
+ <body name="chest" pos="0 0 0.5">
+  <joint name="waist" type="ball" range="0 0.9" limited="true"/><geom size="0.05"/>
   <body name="left1" pos="0 0.2 0.3"><joint type="ball"/><geom size="0.05"/>
    <body name="left2" pos="0 0.3 0"><joint axis="0 0 1" range="-0.2 2.4"/><geom size="0.05"/>
     <site name="left" pos="0 0.3 0"/></body></body>
@@ -56,7 +60,8 @@ TWO_ARMS = """<mujoco><compiler angle="radian"/><worldbody>
 </body></body></worldbody></mujoco>"""
 
 # Four ball joints with cones.
-CONES = """<mujoco><compiler angle="radian"/><worldbody>
+CONES = """\
+<mujoco><compiler angle="radian"/><worldbody>
 <body><joint type="ball" range="0 1.2" limited="true"/><geom size="0.01"/>
  <body pos="0.4 0 0"><joint type="ball" range="0 0.8" limited="true"/><geom size="0.01"/>
   <body pos="0.3 0 0"><joint type="ball" range="0 0.9" limited="true"/><geom size="0.01"/>
@@ -78,10 +83,15 @@ def robots() -> dict[str, Any]:
     }
 
 
-# Method, options, robots and kinds of goals.
+# Method, options (``restarts`` belong to the budget), robots and kinds of goals.
 CASES = (
     ("ccd", {}, "puma560 seven_segment chain5 cones tree", "position orientation pose far"),
-    ("ccd", {"axis": "free"}, "puma560 seven_segment chain5 cones tree", "position orientation pose"),
+    (
+        "ccd",
+        {"axis": "free"},
+        "puma560 seven_segment chain5 cones tree",
+        "position orientation pose",
+    ),
     ("ccd", {}, "two_arms", "two half"),
     ("fabrik", {}, "puma560 seven_segment chain2 chain5 cones tree", "position pose far line"),
     ("fabrik", {"pull": 0.5, "sweeps": 1}, "puma560 tree", "position"),
@@ -100,7 +110,10 @@ def goals_of(robot: Any, kind: str) -> Iterator[tuple[Any, Any]]:
         q = robot.sample(rng)
         start = robot.home if row % 2 else robot.sample(rng)
         if kind in ("two", "half"):
-            sides = [rik.PositionGoal(name, robot.forward(q, name).position) for name in ("left", "right")]
+            sides = [
+                rik.PositionGoal(name, robot.forward(q, name).position)
+                for name in ("left", "right")
+            ]
             if kind == "half":  # one goal beyond all links laid end to end
                 sides[1] = rik.PositionGoal("right", (0.0, -4.0, 1.0))
             yield sides, start
@@ -126,10 +139,12 @@ def goals_of(robot: Any, kind: str) -> Iterator[tuple[Any, Any]]:
 
 def solve(robot: Any, goal: Any, start: Any, name: str, options: dict[str, Any]) -> Any:
     """Return a solution, by the present form of the call or the former one."""
+    options = dict(options)
+    budget = Budget(iterations=ITERATIONS, restarts=options.pop("restarts", None))
     try:
-        problem = Problem(robot, goal, solver=name, budget=BUDGET, seed=1, **options)
+        problem = Problem(robot, goal, solver=name, budget=budget, seed=1, **options)
     except TypeError:
-        problem = Problem(robot, goal, budget=BUDGET, seed=1)
+        problem = Problem(robot, goal, budget=budget, seed=1)
         return make_solver(name, **options).solve(problem, start)
     return problem.solve(start)
 
@@ -170,6 +185,7 @@ def first_compile(name: str) -> None:
 
 
 def main() -> None:
+    """Run the script."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="one method")
     parser.add_argument("--compile", default="", metavar="NAME", help="time the first compile")

@@ -220,7 +220,7 @@ def find_path(tree, bones):
 
 @outlined
 def inner_radius(bones, first, end):
-    """Return the smallest distance between the ends of bones ``first`` … ``end`` - 1 of the path."""
+    """Return the smallest distance between the ends of bones first … end − 1 of the path."""
     longest = 0.0
     total = 0.0
     for i in range(first, end):

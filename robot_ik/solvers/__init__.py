@@ -31,6 +31,7 @@ _ROWS: dict[str, tuple[str, str]] = {
     "fabrik": ("fabrik", "Fabrik"),
     "triangulation": ("triangulation", "Triangulation"),
     "recursive": ("recursive", "Recursive"),
+    "combined": ("combined", "Combined"),
 }
 
 

@@ -37,7 +37,7 @@ from robot_ik.kernels.tree import BALL
 from robot_ik.solvers.iterative import IterativeSolver, run_layout
 from robot_ik.solvers.options import option, options_layout
 
-# A shorter Σ w² (s − p) × (t − p) has no direction: the vectors are on one line, and the bone stays.
+# A shorter Σ w² (s − p) × (t − p) has no direction: the vectors are on one line. The bone stays.
 _COLLINEAR = 1e-12
 
 

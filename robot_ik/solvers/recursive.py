@@ -88,10 +88,7 @@ def intersect_spheres(bones, e, b, p, radius):
     point = offset(bones.point, b, bones, p)
     side = so3.subtract(point, so3.scale(so3.dot(point, line), line))
     length = so3.norm(side)
-    if length > _MIN_SINE * gap:
-        side = so3.scale(1.0 / length, side)
-    else:
-        side = so3.perpendicular(line)
+    side = so3.scale(1.0 / length, side) if length > _MIN_SINE * gap else so3.perpendicular(line)
     center = so3.add(so3.read_vector(bones.point, p, 0), so3.scale(along, line))
     so3.write_row(bones.target, b, 0, so3.add(center, so3.scale(across, side)))
     return True
@@ -119,10 +116,7 @@ def drag_bone(bones, e, b, root, low, high):
         largest = triangle_angle(bone, gap, high)
         allowed = min(max(angle, smallest), largest)
         if allowed != angle:
-            if sine > _MIN_SINE:
-                side = so3.scale(1.0 / sine, side)
-            else:
-                side = so3.perpendicular(back)
+            side = so3.scale(1.0 / sine, side) if sine > _MIN_SINE else so3.perpendicular(back)
             direction = so3.add(
                 so3.scale(math.cos(allowed), back), so3.scale(math.sin(allowed), side)
             )

@@ -71,9 +71,7 @@ class Triangulation(BoneSolver):
     title: ClassVar[str] = (
         "triangles by the law of cosines, root to tip; balls without limits in one pass"
     )
-    source: ClassVar[str] = (
-        "Müller-Cajar & Mukundan, IVCNZ 2007; improved: Mukundan, IJCAT 2009"
-    )
+    source: ClassVar[str] = "Müller-Cajar & Mukundan, IVCNZ 2007; improved: Mukundan, IJCAT 2009"
 
 
 OPTIONS = options_layout(Triangulation)
@@ -92,9 +90,7 @@ def bone_direction(tree, search, bones, i, j, count, improved):
     for m in range(j + 1, count):
         rest += bones.length[bones.path[m]]
     direction = so3.scale(1.0 / length, offset(bones.point, c, bones, p))
-    line = so3.subtract(
-        so3.read_matrix_point(search.target, 0), so3.read_vector(bones.point, p, 0)
-    )
+    line = so3.subtract(so3.read_matrix_point(search.target, 0), so3.read_vector(bones.point, p, 0))
     reach = so3.norm(line)
     if reach <= _NO_BONE:  # the rest is equally far from the target in all directions
         return direction

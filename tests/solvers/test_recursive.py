@@ -1,4 +1,4 @@
-"""recursive: a chain of rings pulled by its end; all or nothing."""
+"""recursive: a chain pulled by its end; it reaches the goal or changes nothing."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,12 @@ import robot_ik as rik
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Status
-from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-8, angle=1e-9)
+
+
+def solve(robot, target, start=None, **options):
+    return Problem(robot, PositionGoal(None, target), solver="recursive", **options).solve(start)
 
 
 def positions(robot, q, n):
@@ -24,9 +27,9 @@ def test_balls_reach_everything_inside(n):
     for reach in [*rng.uniform(0.0, 1.0, 8), 1e-6, 1.0 - 1e-6]:
         direction = rng.normal(size=3)
         target = direction / np.linalg.norm(direction) * reach * 0.4 * n
-        problem = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver="recursive")
-        solution = problem.solve(robot.sample(rng))
-        assert solution.converged and solution.iterations == 1
+        solution = solve(robot, target, robot.sample(rng), tolerance=TIGHT)
+        assert solution.converged
+        assert solution.iterations == 1
 
 
 def test_only_the_bones_that_must_move_do():
@@ -36,7 +39,7 @@ def test_only_the_bones_that_must_move_do():
     before = positions(robot, start, 6)
     direction = np.array([0.6, 0.0, 0.8])
     target = before[4] + 1.3 * direction  # within 2 of the base of the last bone but one
-    solution = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver="recursive").solve(start)
+    solution = solve(robot, target, start, tolerance=TIGHT)
     assert solution.converged
     np.testing.assert_allclose(positions(robot, solution.q, 6)[:5], before[:5], atol=1e-12)
     np.testing.assert_allclose(solution.q[:16], start[:16], atol=1e-15)
@@ -45,15 +48,17 @@ def test_only_the_bones_that_must_move_do():
 def test_two_rings_meet_on_the_circle_nearest_to_where_they_were():
     robot = rik.make_chain(2)
     start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.4, 0.0])
-    solution = Problem(robot, PositionGoal(None, (1.0, 0, 0)), tolerance=TIGHT, solver="recursive").solve(start)
-    np.testing.assert_allclose(positions(robot, solution.q, 2)[1], [0.5, 0.0, np.sqrt(0.75)], atol=1e-9)
+    solution = solve(robot, (1.0, 0, 0), start, tolerance=TIGHT)
+    np.testing.assert_allclose(
+        positions(robot, solution.q, 2)[1], [0.5, 0.0, np.sqrt(0.75)], atol=1e-9
+    )
 
 
 def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
     robot = rik.make_chain(3)
     start = robot.sample(np.random.default_rng(9))
     target = positions(robot, start, 3)[2] + [0.0, 1.0, 0.0]
-    solution = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver="recursive").solve(start)
+    solution = solve(robot, target, start, tolerance=TIGHT)
     assert solution.converged
     np.testing.assert_allclose(solution.q[:8], start[:8], atol=1e-15)
 
@@ -61,9 +66,12 @@ def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
 @pytest.mark.parametrize("where", ["out of reach", "too near", "hinges"])
 def test_a_failure_is_undone_to_the_bit(where):
     rng = np.random.default_rng(2)
-    robot = (
-        rik.load_robot("puma560") if where == "hinges" else rik.make_chain(1 if where == "too near" else 4)
-    )
+    robots = {
+        "hinges": rik.load_robot("puma560"),
+        "too near": rik.make_chain(1),
+        "out of reach": rik.make_chain(4),
+    }
+    robot = robots[where]
     failed = 0
     for _ in range(20):
         start = robot.sample(rng)
@@ -72,7 +80,7 @@ def test_a_failure_is_undone_to_the_bit(where):
         else:
             direction = rng.normal(size=3)
             target = direction / np.linalg.norm(direction) * (0.3 if where == "too near" else 4.2)
-        solution = Problem(robot, PositionGoal(None, target), solver="recursive").solve(start)
+        solution = solve(robot, target, start)
         if solution.converged:
             continue
         failed += 1
@@ -81,28 +89,22 @@ def test_a_failure_is_undone_to_the_bit(where):
     assert failed >= 10
 
 
-def test_without_the_guard_it_is_the_published_one_which_loses_some():
+def test_a_dragged_bone_stays_where_the_bones_before_it_can_follow():
+    """The published method, which drags bones anywhere, loses some of these goals."""
     robot = rik.make_chain(5)
-    solved = {True: 0, False: 0}
     rng = np.random.default_rng(20)
     for _ in range(60):
-        goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
-        for guard in solved:
-            solution = Problem(robot, goal, tolerance=TIGHT, solver=make_solver("recursive", guard=guard)).solve()
-            solved[guard] += solution.converged
-            if not solution.converged:
-                assert solution.q.tobytes() == robot.home.tobytes()
-    assert solved[True] == 60 and 30 < solved[False] < 60
+        target = robot.forward(robot.sample(rng)).position
+        assert solve(robot, target, tolerance=TIGHT).converged
 
 
-def test_restarts_are_tries_from_other_starts():
+def test_restarts_are_attempts_from_other_points():
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(20)
     solved = 0
     for _ in range(20):
-        goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
-        problem = Problem(robot, goal, tolerance=Tolerance(1e-4, 1e-3), budget=Budget(restarts=500), solver="recursive")
-        solution = problem.solve()
+        target = robot.forward(robot.sample(rng)).position
+        solution = solve(robot, target, budget=Budget(restarts=500))
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
         solved += solution.converged
     assert solved >= 4, solved

@@ -1,4 +1,4 @@
-"""triangulation: one pass on balls, exactly; the improved version spares the root; honest on hinges."""
+"""triangulation: exact on balls in one pass; the improved version spares the root; hinges."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,14 @@ import robot_ik as rik
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Status
-from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-9, angle=1e-9)
 both = pytest.mark.parametrize("improved", [False, True])
+
+
+def problem_of(robot, **options):
+    """A position goal, to be moved."""
+    return Problem(robot, PositionGoal(None, (0.0, 0.0, 0.0)), solver="triangulation", **options)
 
 
 def draws(robot, n, length, seed):
@@ -24,20 +28,21 @@ def draws(robot, n, length, seed):
 @pytest.mark.parametrize("n", range(2, 11))
 def test_balls_reach_everything_inside_in_one_pass(n, improved):
     robot = rik.make_chain(n, 0.7)
-    solver = make_solver("triangulation", improved=improved)
+    problem = problem_of(robot, tolerance=TIGHT, improved=improved)
     for target, start in draws(robot, n, 0.7, n):
-        solution = Problem(robot, PositionGoal(None, target), tolerance=TIGHT, solver=solver).solve(start)
-        assert solution.converged and solution.iterations <= 1
+        solution = problem.solve(start, target=target)
+        assert solution.converged
+        assert solution.iterations <= 1
 
 
 @both
 @pytest.mark.parametrize("n", range(1, 11))
 def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
     robot = rik.make_chain(n)
-    solver = make_solver("triangulation", improved=improved)
+    problem = problem_of(robot, tolerance=TIGHT, improved=improved)
     for target, start in draws(robot, n, 1.0, n):
         far = target / np.linalg.norm(target) * n * 1.2
-        solution = Problem(robot, PositionGoal(None, far), tolerance=TIGHT, solver=solver).solve(start)
+        solution = problem.solve(start, target=far)
         assert solution.status is Status.UNREACHABLE
         for i in range(2, n + 1):
             position = robot.measure(solution.q, f"link{i}").position
@@ -48,9 +53,9 @@ def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
 def test_the_textbook_triangle():
     """Two links of 1 and a target at distance 1: the corner of an equilateral triangle."""
     robot = rik.make_chain(2)
-    solver = make_solver("triangulation", improved=False)
+    problem = problem_of(robot, tolerance=TIGHT, improved=False)
     start = robot.integrate(robot.home, [0.0, 0.3, 0.0, 0.0, 0.0, 0.0])  # leans towards +x
-    solution = Problem(robot, PositionGoal(None, (1.0, 0.0, 0.0)), tolerance=TIGHT, solver=solver).solve(start)
+    solution = problem.solve(start, target=(1.0, 0.0, 0.0))
     np.testing.assert_allclose(
         robot.measure(solution.q, "link2").position, [0.5, 0.0, np.sqrt(0.75)], atol=1e-9
     )
@@ -59,16 +64,17 @@ def test_the_textbook_triangle():
 def test_the_improved_version_turns_less_near_the_root():
     robot = rik.make_chain(8)
     rng = np.random.default_rng(4)
+    problems = {improved: problem_of(robot, improved=improved) for improved in (False, True)}
     angle_sums = {False: 0.0, True: 0.0}
     moved = {False: 0, True: 0}
     for _ in range(20):
         start = robot.sample(rng)
         target = robot.forward(start).position + rng.normal(size=3) * 0.3
         for improved in angle_sums:
-            solution = Problem(robot, PositionGoal(None, target), solver=make_solver("triangulation", improved=improved)).solve(start)
+            solution = problems[improved].solve(start, target=target)
             assert solution.converged
-            q, p = solution.q.reshape(8, 4), start.reshape(8, 4)
-            angles = 2.0 * np.arccos(np.clip(np.abs((q * p).sum(axis=1)), 0.0, 1.0))
+            cosines = np.abs((solution.q.reshape(8, 4) * start.reshape(8, 4)).sum(axis=1))
+            angles = 2.0 * np.arccos(np.clip(cosines, 0.0, 1.0))
             angle_sums[improved] += angles[0]
             moved[improved] += int((angles > 1e-6).sum())
     assert angle_sums[True] < 0.2 * angle_sums[False]
@@ -79,10 +85,11 @@ def test_the_improved_version_turns_less_near_the_root():
 def test_on_hinges_a_miss_is_honest(improved):
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(6)
-    solver = make_solver("triangulation", improved=improved, restarts=3)
+    budget = Budget(iterations=100, restarts=3)
+    problem = problem_of(robot, improved=improved, budget=budget)
     for _ in range(10):
         target = robot.forward(robot.sample(rng)).position
-        solution = Problem(robot, PositionGoal(None, target), budget=Budget(iterations=100), solver=solver).solve()
+        solution = problem.solve(target=target)
         miss = np.linalg.norm(robot.measure(solution.q).position - target)
         assert solution.converged == (miss <= 1e-4)
         assert np.array_equal(robot.clip(solution.q), solution.q)
@@ -91,9 +98,8 @@ def test_on_hinges_a_miss_is_honest(improved):
 def test_solve_rate_on_the_puma():
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(20)
+    problem = problem_of(robot, tolerance=Tolerance(1e-5, 1e-4))
     solved = 0
     for _ in range(40):
-        goal = PositionGoal(None, robot.forward(robot.sample(rng)).position)
-        problem = Problem(robot, goal, tolerance=Tolerance(1e-5, 1e-4), solver="triangulation")
-        solved += problem.solve().converged
+        solved += problem.solve(target=robot.forward(robot.sample(rng)).position).converged
     assert solved / 40 >= 0.95, solved

@@ -1,0 +1,219 @@
+"""``PreparedSequence``: prepared methods that are tried in turn.
+
+The first attempt that converges ends the solve. Else the solution with the lowest cost is kept. All
+attempts share one budget, and the solution reports the steps, restarts and time of all of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from robot_ik.geometry import Array
+from robot_ik.problem import Budget, Problem
+from robot_ik.solution import Solution, Status
+from robot_ik.solvers.base import BatchResult, Ints, Prepared
+
+_CONVERGED = Status.CONVERGED
+# A method with such a status was stopped; it did not fail.
+_STOPPED = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
+
+
+@dataclass(frozen=True)
+class _Progress:
+    """What the attempts so far have used and found."""
+
+    best: Solution
+    best_cost: float
+    iterations: int
+    restarts: int
+    unreachable: bool  # proven
+    last: Status
+
+    @classmethod
+    def of(cls, solution: Solution, cost: float) -> _Progress:
+        unreachable = solution.status is Status.UNREACHABLE
+        return cls(
+            solution, cost, solution.iterations, solution.restarts, unreachable, solution.status
+        )
+
+    def after(self, solution: Solution, cost: float) -> _Progress:
+        """Return the progress after one more attempt."""
+        improved = solution.converged or cost < self.best_cost
+        return _Progress(
+            best=solution if improved else self.best,
+            best_cost=cost if improved else self.best_cost,
+            iterations=self.iterations + solution.iterations,
+            restarts=self.restarts + solution.restarts,
+            unreachable=self.unreachable or solution.status is Status.UNREACHABLE,
+            last=solution.status,
+        )
+
+    def status(self) -> Status:
+        if self.best.converged:
+            return _CONVERGED
+        if self.unreachable:
+            return Status.UNREACHABLE
+        return self.last if self.last in _STOPPED else self.best.status
+
+
+class PreparedSequence:
+    """Prepared methods, tried in turn.
+
+    Args:
+        name: Key of the solver in ``SOLVERS``.
+        problem: What the methods are prepared for.
+        attempts: The methods, in their order.
+        hand_over: Each method starts from the best q of the methods before it, not from the start
+            of the solve. All but the last make no random restarts.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        problem: Problem,
+        attempts: Sequence[Prepared],
+        *,
+        hand_over: bool = False,
+    ) -> None:
+        self.name = name
+        self._search = problem.search
+        self._start = problem.search.arrays["start"]
+        self._weight = problem.compiled.block.arrays["weight"][0]
+        self._attempts = attempts
+        self._hand_over = hand_over and len(attempts) > 1
+
+    def run(self, problem: Problem, budget: Budget) -> Solution:
+        """Solve with the first attempt that converges."""
+        return self._run(problem, self._attempts, budget)
+
+    def _run(self, problem: Problem, attempts: Sequence[Prepared], budget: Budget) -> Solution:
+        first_budget = replace(budget, restarts=0) if self._hand_over else budget
+        solution = attempts[0].run(problem, first_budget)
+        if solution.status is _CONVERGED:
+            return solution
+        return self._continue(problem, solution, attempts, budget)
+
+    def _continue(
+        self, problem: Problem, first: Solution, attempts: Sequence[Prepared], budget: Budget
+    ) -> Solution:
+        """Try the other methods after ``first`` has failed, within what is left of the budget."""
+        if first.status is Status.UNREACHABLE and attempts[0].name == attempts[-1].name:
+            return first  # proven, and the last attempt would find the same point
+        began = time.perf_counter() - first.seconds
+        traces = [] if first.trace_rows is None else [first.trace_rows]
+        progress = _Progress.of(first, self._search["best_cost"])
+        one_goal = len(problem.given) == 1
+        for attempt in attempts[1:]:
+            seconds = time.perf_counter() - began
+            futile = progress.unreachable and one_goal  # other goals may still be met
+            if self._hand_over:
+                self._start[...] = progress.best.q
+                futile = futile or attempt is not attempts[-1]
+            rest = remaining(budget, progress.iterations, progress.restarts, seconds, futile)
+            solution = attempt.run(problem, rest)
+            if solution.trace_rows is not None:
+                solution.trace_rows[:, 0] += progress.iterations
+                solution.trace_rows[:, 1] += progress.restarts
+                traces.append(solution.trace_rows)
+            progress = progress.after(solution, self._search["best_cost"])
+            if solution.converged:
+                break
+        best = progress.best
+        best.status = progress.status()
+        best.iterations = progress.iterations
+        best.restarts = progress.restarts
+        best.trace_rows = np.concatenate(traces) if traces else None
+        best.seconds = time.perf_counter() - began
+        return best
+
+    def run_many(
+        self,
+        problem: Problem,
+        targets: Array,
+        starts: Array,
+        results: BatchResult,
+        budget: Budget,
+    ) -> None:
+        """Run each attempt on all poses that the earlier attempts did not reach."""
+        self._run_attempts(problem, self._attempts, targets, starts, results, budget)
+
+    def _run_attempts(
+        self,
+        problem: Problem,
+        attempts: Sequence[Prepared],
+        targets: Array,
+        starts: Array,
+        results: BatchResult,
+        budget: Budget,
+    ) -> None:
+        first_budget = replace(budget, restarts=0) if self._hand_over else budget
+        attempts[0].run_many(problem, targets, starts, results, first_budget)
+        best_cost = self._costs(results)
+        unreachable = results.status == Status.UNREACHABLE
+        last = results.status.copy()
+        open_rows = np.flatnonzero(results.status != _CONVERGED)
+        if attempts[0].name == attempts[-1].name:
+            open_rows = open_rows[~unreachable[open_rows]]
+        for attempt in attempts[1:]:
+            futile = unreachable | (self._hand_over and attempt is not attempts[-1])
+            for rows, rest in shares(budget, open_rows, results, futile):
+                part = BatchResult.empty(len(rows), results.q.shape[1])
+                begin = results.q[rows] if self._hand_over else starts[rows]
+                attempt.run_many(problem, targets[rows], begin, part, rest)
+                cost = self._costs(part)
+                better = cost < best_cost[rows]
+                best_cost[rows[better]] = cost[better]
+                for name in ("q", "miss", "status"):
+                    getattr(results, name)[rows[better]] = getattr(part, name)[better]
+                results.iterations[rows] += part.iterations
+                results.restarts[rows] += part.restarts
+                unreachable[rows] |= part.status == Status.UNREACHABLE
+                last[rows] = part.status
+            open_rows = open_rows[results.status[open_rows] != _CONVERGED]
+        for status in _STOPPED:
+            results.status[open_rows[last[open_rows] == status]] = status
+        results.status[open_rows[unreachable[open_rows]]] = Status.UNREACHABLE
+
+    def _costs(self, results: BatchResult) -> Array:
+        """(n,) weighted squares of the misses; below zero for a result that converged."""
+        costs = ((results.miss * self._weight) ** 2).sum(axis=1)
+        costs[results.status == _CONVERGED] = -1.0
+        return np.asarray(costs)
+
+
+def remaining(
+    budget: Budget, iterations: int, restarts: int, seconds: float, futile: bool
+) -> Budget:
+    """Return what is left of a budget; no restarts if they are futile."""
+    spare = None if budget.restarts is None else max(0, budget.restarts - restarts)
+    return Budget(
+        iterations=max(0, budget.iterations - iterations),
+        seconds=None if budget.seconds is None else max(0.0, budget.seconds - seconds),
+        restarts=0 if futile else spare,
+    )
+
+
+def shares(
+    budget: Budget, rows: Ints, results: BatchResult, futile: Array
+) -> list[tuple[Ints, Budget]]:
+    """Return the rows in groups with the same rest of the budget, and that rest.
+
+    Args:
+        budget: For each row.
+        rows: (k,) rows of the batch.
+        results: What the rows have used.
+        futile: (n,) whether restarts are futile.
+    """
+    if not len(rows):
+        return []
+    spent = np.column_stack([results.iterations[rows], results.restarts[rows], futile[rows]])
+    groups, group_of = np.unique(spent, axis=0, return_inverse=True)
+    parts = []
+    for group, (iterations, restarts, is_futile) in enumerate(groups.tolist()):
+        rest = remaining(budget, iterations, restarts, 0.0, bool(is_futile))
+        parts.append((rows[group_of.ravel() == group], rest))
+    return parts
