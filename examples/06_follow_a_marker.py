@@ -46,7 +46,7 @@ def main(late: bool = False) -> None:
         options = {"predict": not late, "clock": arm.clock}
         goals = MarkerGoalSource(camera, tracker, eye, scene.marker_id, hover, robot.tool, **options)
         with LatestGoals(goals, arm.clock, rate_hz=10.0) as latest:
-            rik.follow(latest, robot, "lm", [arm], source=arm, duration=3.0, on_tick=compare)
+            rik.follow(robot, latest, sinks=[arm], solver="lm", source=arm, duration=3.0, on_tick=compare)
 
     goal, tool = 1e3 * np.median(off[-80:], axis=0)
     print(f"pictures when they were used: {goals.picture_ages.summary()}")

@@ -13,10 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import robot_ik as rik
-from robot_ik.goals import PosePriorGoal
 from robot_ik.figure.motion.bvh import export_bvh
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.pose_prior import PosePrior
 
 POSITIONS = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}
 
@@ -25,7 +23,7 @@ def recorded(figure: rik.Robot) -> KeyPoses:
     """Home and the two reaches, under their names."""
     book = KeyPoses(figure)
     book.record("stand", figure.home)
-    natural = PosePriorGoal(prior=PosePrior.of(figure))
+    natural = rik.PosePriorGoal(prior=rik.PosePrior.of(figure))
     feet = [rik.PoseGoal.at(foot, figure.forward(figure.home, foot)) for foot in ("left_foot", "right_foot")]
     for name, position in POSITIONS.items():
         found = rik.solve(figure, [*feet, rik.PositionGoal("right_hand", position), natural], solver="lm")

@@ -71,10 +71,11 @@ _HOME = {
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "DHRow", "Goal", "HalfSpaceGoal", "LineGoal", "Miss",
-    "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal", "PosePrior", "PosePriorGoal", "PositionGoal", "PostureGoal",
-    "Problem", "RealClock", "Robot", "RobotIkError", "Solution", "Status", "Tolerance", "Trajectory",
-    "VirtualClock", "__version__", "catalogue", "execute", "follow", "from_dh", "joint_move", "line_move", "load_robot",
+    "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "DHRow", "Goal", "HalfSpaceGoal",
+    "LineGoal", "Miss", "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal",
+    "PosePrior", "PosePriorGoal", "PositionGoal", "PostureGoal", "Problem", "RealClock", "Robot",
+    "RobotIkError", "Solution", "Status", "Tolerance", "Trajectory", "VirtualClock", "__version__",
+    "catalogue", "execute", "follow", "from_dh", "joint_move", "line_move", "load_robot",
     "make_chain", "make_solver", "solve", "solve_all", "solve_batch", "warm_up",
 ]  # fmt: skip
 

@@ -11,7 +11,7 @@ from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.problem import Problem
-from robot_ik.robot import Robot
+from robot_ik.robot import Robot, require_robot
 from robot_ik.solution import short_numbers
 from robot_ik.solvers.analytic import SERVED
 
@@ -65,6 +65,7 @@ def solve_all(
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
     """
+    require_robot(robot)
     origin = robot.home if start is None else robot.check_q(start, "start")
     try:
         problem = Problem(robot, goal, solver="analytic")

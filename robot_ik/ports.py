@@ -1,8 +1,8 @@
-"""What the parts of the program plug into each other with: protocols, and the clocks of a run.
+"""Protocols that connect the parts of a program, and the clocks of a run.
 
-Nothing here knows a robot, a solver or a servo.  Joint vectors are ``q`` of shape (nq,) in
-radians (metres for slides), in the robot's joint order; times are seconds on the clock of
-whoever runs the loop.
+This module depends on no robot, solver or servo. Joint vectors are ``q`` of shape (nq,) in the order
+of the joints of the robot, in radians (metres for slides). Times are seconds on the clock of the
+loop.
 """
 
 from __future__ import annotations
@@ -19,9 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: A picture (height, width) or (height, width, 3), BGR; and which of its pixels.
+
 Image = NDArray[np.uint8]
+"""A picture (height, width) or (height, width, 3), BGR."""
+
 Mask = NDArray[np.bool_]
+"""Selected pixels (height, width) of a picture."""
+
 Goal_co = TypeVar("Goal_co", covariant=True)
 
 
@@ -30,8 +34,8 @@ class JointReading:
     """Measured joint angles.
 
     Attributes:
-        q: (nq,) rad or m, never clipped to limits.
-        time: When they were sampled, seconds on the run's clock.
+        q: Joint angles (nq,), rad or m, never clipped to limits.
+        time: Time of the measurement, seconds on the clock of the run.
     """
 
     q: Array
@@ -40,10 +44,13 @@ class JointReading:
 
 @runtime_checkable
 class JointSink(Protocol):
-    """Takes joint angles: a viewer, a recorder, a servo arm."""
+    """Takes joint angles. Examples are a viewer, a recorder and a servo arm."""
 
     def send(self, q: Array, now: float) -> None:
-        """Takes the commanded ``q`` (nq,) for the time ``now`` in seconds.  Must not keep or change ``q``."""
+        """Take the commanded ``q`` (nq,) for the time ``now`` in seconds.
+
+        The method must neither keep nor change ``q``.
+        """
         ...
 
 
@@ -52,32 +59,32 @@ class JointSource(Protocol):
     """Gives measured joint angles."""
 
     def read(self) -> JointReading:
-        """The newest measured joint angles."""
+        """Return the latest measured joint angles."""
         ...
 
 
 class GoalSource(Protocol[Goal_co]):
-    """Feeds goals to ``follow``: a hand, a curve, a script, a camera."""
+    """Gives goals to ``follow``. Examples are a slider, a curve, a script and a camera."""
 
     def poll(self, now: float) -> Goal_co | None:
-        """The goal for the time ``now`` in seconds; ``None`` means: hold where you are."""
+        """Return the goal for the time ``now`` in seconds. None means: keep the last position."""
         ...
 
 
 class Clock(Protocol):
-    """Gives the time and waits; real, or virtual so that tests and simulated buses run at full speed."""
+    """Gives the time and waits. A virtual clock lets tests and simulations run at full speed."""
 
     def now(self) -> float:
-        """Seconds, monotonic."""
+        """Return the time in seconds. It never decreases."""
         ...
 
     def sleep_until(self, deadline: float) -> None:
-        """Returns at ``deadline`` (seconds on this clock) or at once if that has passed."""
+        """Return at ``deadline``, seconds on this clock, or at once if it has passed."""
         ...
 
 
 class RealClock:
-    """The machine's monotonic clock: jumps of the wall clock have no effect."""
+    """The monotonic clock of the machine. Changes of the wall clock have no effect."""
 
     def __repr__(self) -> str:
         return "RealClock()"
@@ -91,50 +98,8 @@ class RealClock:
             time.sleep(wait)
 
 
-class Closing:
-    """A context manager whose block ends with its own ``close``."""
-
-    def close(self) -> None:
-        """Lets go of what it holds."""
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
-_SWITCH_INTERVAL_S = 0.0005
-_switch_lock = threading.Lock()
-_switch_users, _usual_interval_s = 0, 0.0
-
-
-@contextlib.contextmanager
-def short_switch_interval() -> Iterator[None]:
-    """Threads of this process take turns every 0.5 ms while anybody is inside, for loops in real time.
-
-    The interpreter's default of 5 ms is half a period of a loop of 100 Hz: beside a thread that computes
-    pictures the loop lost a fifth of its rate, and answers of servos came too late.  The last one to leave
-    restores the interval that the first one found.
-    """
-    global _switch_users, _usual_interval_s
-    with _switch_lock:
-        if _switch_users == 0:
-            _usual_interval_s = sys.getswitchinterval()
-            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, _usual_interval_s))
-        _switch_users += 1
-    try:
-        yield
-    finally:
-        with _switch_lock:
-            _switch_users -= 1
-            if _switch_users == 0:
-                sys.setswitchinterval(_usual_interval_s)
-
-
 class VirtualClock:
-    """Time that passes only when somebody sleeps."""
+    """A clock whose time passes only in ``sleep_until``."""
 
     def __init__(self, start: float = 0.0) -> None:
         self._now = start
@@ -147,3 +112,48 @@ class VirtualClock:
 
     def sleep_until(self, deadline: float) -> None:
         self._now = max(self._now, deadline)
+
+
+class Closing:
+    """A context manager that calls ``close`` at the end of its block."""
+
+    def close(self) -> None:
+        """Release the resources."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+SWITCH_INTERVAL = 0.0005
+"""Seconds between two switches of threads in a real-time loop."""
+
+_switch_lock = threading.Lock()
+_switch_users = 0
+_usual_switch_interval = 0.0
+
+
+@contextlib.contextmanager
+def short_switch_interval() -> Iterator[None]:
+    """Switch the threads of this process every 0.5 ms, for loops in real time.
+
+    The interpreter's default of 5 ms is half a period of a loop at 100 Hz. Beside a thread that
+    computes pictures, such a loop lost a fifth of its rate, and replies of servos came too late. The
+    last block to end restores the interval that the first block found.
+    """
+    global _switch_users, _usual_switch_interval
+    with _switch_lock:
+        if _switch_users == 0:
+            _usual_switch_interval = sys.getswitchinterval()
+            sys.setswitchinterval(min(SWITCH_INTERVAL, _usual_switch_interval))
+        _switch_users += 1
+    try:
+        yield
+    finally:
+        with _switch_lock:
+            _switch_users -= 1
+            if _switch_users == 0:
+                sys.setswitchinterval(_usual_switch_interval)

@@ -1,4 +1,4 @@
-"""The robots that ship, and ``robot.toml``: what a model file cannot say."""
+"""``robot.toml``, which says what a model file cannot, and the catalogue of bundled robots."""
 
 from __future__ import annotations
 
@@ -11,21 +11,32 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from robot_ik.config import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
-from robot_ik.errors import ConfigError, InvalidModelError, ModelError, UnknownRobotError, close_matches
+from robot_ik.errors import (
+    ConfigError,
+    InvalidModelError,
+    ModelError,
+    UnknownRobotError,
+    close_matches,
+)
+from robot_ik.urdf import described_model
 
 SHOWN_ROBOT = "puma560"
-"""What the demonstrations move."""
+"""Default robot of the demonstrations."""
+
 SERVO_ROBOT = "tabletop_puma"
-"""What stands at a servo bus where nothing else is said: X servos move it, and no real PUMA 560."""
+"""Default robot of the commands with servos: X servos move it. A real PUMA 560 has no servo bus."""
+
 DESCRIPTIONS = "robot_descriptions:"
-"""What the name of a robot of that package begins with."""
-_MODELS = {".xml", ".mjcf", ".urdf", "robot.toml"}
-_WHAT_A_ROBOT_IS = (
-    "a robot is a name of the catalogue, the path or text of an MJCF or URDF file, or an MjSpec or MjModel"
+"""Prefix of the name of a robot in the package robot_descriptions."""
+
+_MODEL_SUFFIXES = {".xml", ".mjcf", ".urdf", "robot.toml"}
+_EXPECTED = (
+    "a robot is a name of the catalogue, the path or text of an MJCF or URDF file, "
+    "or an MjSpec or MjModel"
 )
-
-
-_PosQuat = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
+_PositionAndWxyz = Annotated[
+    tuple[float, float, float, float, float, float, float], Field(strict=False)
+]
 
 
 class Tool(Table):
@@ -37,20 +48,20 @@ class Tool(Table):
 
 
 class GalleryScene(Table):
-    """What `robot-ik robots --gallery` draws beside the home pose.
+    """The pose that ``robot-ik robots --gallery`` draws beside the home pose.
 
-    A goal is a position, or a position and a quaternion wxyz, in the world; frames of ``keep`` stay as at
-    home.  ``view_deg``: azimuth (from x towards y) and elevation of the viewing direction.
+    A goal is a position, or a position and a quaternion wxyz, in the world. The frames of ``keep``
+    stay at their home poses. ``view_deg`` is azimuth (from x to y) and elevation of the view.
     """
 
     about: str = "reaching"
-    goals: dict[str, Position | _PosQuat] = Field(default={})
+    goals: dict[str, Position | _PositionAndWxyz] = Field(default={})
     keep: Several[str] = ()
     view_deg: Pair = (-55.0, 16.0)
 
 
 class FigureParts(Table):
-    """Frames that make a model a figure, by side where there are two; ``bend``: a keyframe."""
+    """Frames of a figure, by side if there are two. ``bend`` is a keyframe."""
 
     hands: dict[str, str] = Field(default={})
     feet: dict[str, str] = Field(default={})
@@ -62,7 +73,7 @@ class FigureParts(Table):
 
 
 class Coupled(Table):
-    """A joint that follows another: joint = ratio · leader + offset, rad or m."""
+    """A joint that follows another joint: value = ratio · leader + offset, rad or m."""
 
     follows: str
     ratio: float
@@ -72,7 +83,7 @@ class Coupled(Table):
 class _MotionTable(Table):
     velocity_deg: Several[float] | None = None
     acceleration_deg: Several[float] | None = None
-    velocity_mm: dict[str, Positive] = Field(default={})  # of slides, by name
+    velocity_mm: dict[str, Positive] = Field(default={})  # slides by name
     acceleration_mm: dict[str, Positive] = Field(default={})
 
 
@@ -81,7 +92,7 @@ class _Provenance(Table):
 
 
 class _Keys(Table):
-    """Keys of ``robot.toml`` that count as they stand."""
+    """Keys of ``robot.toml`` that ``RobotFile`` has unchanged."""
 
     title: str = ""
     tool: str | None = None
@@ -92,7 +103,7 @@ class _Keys(Table):
     stiffness: dict[str, Positive] = Field(default={})
     couplings: dict[str, Coupled] = Field(default={})
     figure: FigureParts | None = None
-    reach: dict[str, Any] | None = None  # checked by whom it concerns: ``jobs/scene.py``
+    reach: dict[str, Any] | None = None  # jobs/scene.py checks it
     gallery: GalleryScene | None = None
 
 
@@ -106,18 +117,28 @@ class _RobotTable(_Keys):
 
 
 class RobotFile(_Keys):
-    """What ``robot.toml`` says; for a bare model file everything but the name is empty.
+    """Content of a ``robot.toml``. For a model file without one, only the name is set.
 
-    ``stiffness`` of joints by name: one of 4 moves half as far as one of 1 where both could serve.
+    Attributes:
+        name: Name of the robot.
+        path: The file, None without one.
+        velocity_limits: Speed limits by joint, rad/s or m/s.
+        acceleration_limits: Acceleration limits by joint, rad/s² or m/s².
+        slides: Joints whose limits are written in millimetres.
+        hinges: Joints whose limits are written in degrees.
+        speeds: Sets of speed limits, rad/s, by patterns of joint names. A later pattern has
+            priority.
+        sources: Sources of the numbers.
+        stiffness: Stiffness by joint. A joint of stiffness 4 moves half as far as a joint of
+            stiffness 1 where both have the same effect.
     """
 
     name: str
     path: Path | None = None
-    velocity_limits: dict[str, float] = Field(default={})  # per joint, rad/s (m/s for slides)
-    acceleration_limits: dict[str, float] = Field(default={})  # … and rad/s²
-    slides: tuple[str, ...] = ()  # joints with limits of motion in mm
-    hinges: tuple[str, ...] = ()  # … and in degrees
-    # Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
+    velocity_limits: dict[str, float] = Field(default={})
+    acceleration_limits: dict[str, float] = Field(default={})
+    slides: tuple[str, ...] = ()
+    hinges: tuple[str, ...] = ()
     speeds: dict[str, dict[str, float]] = Field(default={})
     sources: tuple[str, ...] = ()
 
@@ -128,77 +149,106 @@ class RobotFile(_Keys):
 
 
 def catalogue() -> dict[str, Path]:
-    """Folder of every robot that ships, by name."""
-    found = importlib.util.find_spec("robot_ik.models")  # a folder of its own in a checkout
-    assert found is not None and found.origin is not None
-    root = Path(found.origin).parent
-    return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "robot.toml").is_file()}
+    """Return the folders of the bundled robots by name."""
+    package = importlib.util.find_spec("robot_ik.models")  # in a checkout it is another folder
+    assert package is not None and package.origin is not None
+    root = Path(package.origin).parent
+    folders = [path for path in sorted(root.iterdir()) if (path / "robot.toml").is_file()]
+    return {folder.name: folder for folder in folders}
 
 
 def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
-    """Model file and contents of a ``robot.toml``; raises ``ConfigError`` as ``read_table``."""
-    parsed = read_table(_RobotTable, path, "robot.toml")
-    motion, model = parsed.motion, path.parent / parsed.model
-    slides = tuple(motion.velocity_mm | motion.acceleration_mm)
-    order = tuple(joint for joint in parsed.groups.get("arm", ()) if joint not in slides)
+    """Return the model file and the content of a ``robot.toml``.
+
+    Raises:
+        ConfigError: A key is wrong, or there is no such model file.
+    """
+    table = read_table(_RobotTable, path, "robot.toml")
+    motion = table.motion
+    model = path.parent / table.model
     if not model.is_file():
-        beside = sorted(p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODELS)
-        raise ConfigError(
-            f"there is no file {model}", file=path, key="model",
-            allowed=f"a model file, such as {', '.join(beside)}" if beside else "an MJCF or URDF file",
-        )  # fmt: skip
-    return model, RobotFile(
-        **{key: getattr(parsed, key) for key in _Keys.model_fields},
+        models = _models_in(path.parent)
+        allowed = f"a model file, such as {', '.join(models)}" if models else "an MJCF or URDF file"
+        raise ConfigError(f"there is no file {model}", file=path, key="model", allowed=allowed)
+    slides = tuple(motion.velocity_mm | motion.acceleration_mm)
+    hinges = tuple(joint for joint in table.groups.get("arm", ()) if joint not in slides)
+    velocity = _radians_by_joint(path, "motion.velocity_deg", motion.velocity_deg, hinges)
+    velocity |= {joint: 1e-3 * value for joint, value in motion.velocity_mm.items()}
+    acceleration = _radians_by_joint(
+        path, "motion.acceleration_deg", motion.acceleration_deg, hinges
+    )
+    acceleration |= {joint: 1e-3 * value for joint, value in motion.acceleration_mm.items()}
+    speeds = {
+        name: {pattern: math.radians(speed) for pattern, speed in rows.items()}
+        for name, rows in table.speed_deg.items()
+    }
+    file = RobotFile(
+        **{key: getattr(table, key) for key in _Keys.model_fields},
         name=path.resolve().parent.name,
         path=path,
-        velocity_limits=_per_joint(path, "motion.velocity_deg", motion.velocity_deg, order)
-        | {joint: 1e-3 * value for joint, value in motion.velocity_mm.items()},
-        acceleration_limits=_per_joint(path, "motion.acceleration_deg", motion.acceleration_deg, order)
-        | {joint: 1e-3 * value for joint, value in motion.acceleration_mm.items()},
+        velocity_limits=velocity,
+        acceleration_limits=acceleration,
         slides=slides,
-        hinges=order if motion.velocity_deg or motion.acceleration_deg else (),
-        speeds={
-            name: {joint: math.radians(speed) for joint, speed in speeds.items()}
-            for name, speeds in parsed.speed_deg.items()
-        },
-        sources=parsed.provenance.sources,
+        hinges=hinges if motion.velocity_deg or motion.acceleration_deg else (),
+        speeds=speeds,
+        sources=table.provenance.sources,
     )
+    return model, file
 
 
-def _per_joint(
-    path: Path, key: str, values: tuple[float, ...] | None, joints: tuple[str, ...]
+def _radians_by_joint(
+    path: Path, key: str, degrees: tuple[float, ...] | None, joints: tuple[str, ...]
 ) -> dict[str, float]:
-    if values is None:
+    """Return limits in rad/s or rad/s² by joint, or raise ``ConfigError``."""
+    if degrees is None:
         return {}
-    wrong = [f"{v:g} of joint {j!r}" for j, v in zip(joints, values, strict=False) if not v > 0]
-    if len(values) != len(joints) or wrong:
+    pairs = list(zip(joints, degrees, strict=False))
+    problem = ""
+    if len(degrees) != len(joints):
+        problem = f"{len(degrees)} numbers for {len(joints)} joints"
+    for joint, value in pairs:
+        if not value > 0:
+            problem = f"{value:g} of joint {joint!r}"
+            break
+    if problem:
         allowed = "one positive number, deg/s or deg/s², for each joint of groups.arm that turns"
-        problem = wrong[0] if wrong else f"{len(values)} numbers for {len(joints)} joints"
         raise ConfigError(problem, file=path, key=key, allowed=allowed)
-    return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
+    return {joint: math.radians(value) for joint, value in pairs}
+
+
+def _models_in(folder: Path) -> list[str]:
+    """Return the names of the model files and of robot.toml in a folder."""
+    names = sorted(path.name for path in folder.glob("*"))
+    return [name for name in names if {Path(name).suffix.lower(), name} & _MODEL_SUFFIXES]
 
 
 def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
-    """Model file and ``robot.toml`` contents for a catalogue name, a path or a robot_descriptions name.
+    """Return the model file and ``robot.toml`` of a robot.
 
-    A ``robot.toml`` beside a model file counts when it names that file.  Raises as ``load_robot``;
-    ``ConfigError`` where it is wrong, ``MissingExtraError`` without the package robot_descriptions.
+    A ``robot.toml`` beside a model file counts if it names this file.
+
+    Args:
+        name: A catalogue name, a path, or a name of the package robot_descriptions.
+
+    Raises:
+        UnknownRobotError: There is no such robot.
+        ModelError: There is no such file.
+        ConfigError: A key of robot.toml is wrong.
+        MissingExtraError: The package robot_descriptions is not installed.
     """
     known = catalogue()
     given: object = name
     if not isinstance(given, str | os.PathLike):
-        raise InvalidModelError(f"{given!r} is no robot", hint=_WHAT_A_ROBOT_IS)
+        raise InvalidModelError(f"{given!r} is not a robot", hint=_EXPECTED)
     if str(name).startswith(DESCRIPTIONS):
-        from robot_ik.urdf import described_model  # which few robots need
-
-        described = str(name).removeprefix(DESCRIPTIONS)
-        return described_model(described), RobotFile(name=described)
+        description = str(name).removeprefix(DESCRIPTIONS)
+        return described_model(description), RobotFile(name=description)
     path = known.get(str(name)) or Path(name).expanduser()
     if path.is_dir() and (path / "robot.toml").is_file():
         path /= "robot.toml"
     if not path.is_file():
-        _refuse_missing(path)
-        raise UnknownRobotError(str(name), known, hint=_WHAT_A_ROBOT_IS)
+        _refuse_missing_file(path)
+        raise UnknownRobotError(str(name), known, hint=_EXPECTED)
     if path.name == "robot.toml":
         return read_robot_file(path)
     path = path.resolve()
@@ -209,13 +259,12 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     return path, RobotFile(name=path.stem)
 
 
-def _refuse_missing(path: Path) -> None:
-    """Raises ``ModelError`` where ``path`` is meant as a path and not as a name."""
+def _refuse_missing_file(path: Path) -> None:
+    """Raise ``ModelError`` if ``path`` looks like a path and not like a name."""
     if path.is_dir():
         hint = "name the MJCF or URDF file in it"
         raise ModelError(f"the folder {path} has no robot.toml", path=path, hint=hint)
-    if len(path.parts) > 1 or path.suffix.lower() in _MODELS | {".toml"}:
-        beside = [p.name for p in path.parent.glob("*") if {p.suffix.lower(), p.name} & _MODELS]
-        close = close_matches(path.name, beside)
+    if len(path.parts) > 1 or path.suffix.lower() in _MODEL_SUFFIXES | {".toml"}:
+        close = close_matches(path.name, _models_in(path.parent))
         hint = f"did you mean {path.parent / close[0]}?" if close else f"from {Path.cwd()}"
         raise ModelError(f"there is no file {path}", path=path, hint=hint)

@@ -1,14 +1,16 @@
-"""Residual and Jacobian of a problem as the solvers see them, for tests of goals and of couplings."""
+"""Residual and Jacobian of a problem as the solvers see them, for tests of goals and couplings."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.pose_prior import PRIOR_WORK, prior_jacobian, prior_residual
 from robot_ik.kernels.residuals import GOALS, goal_jacobian
 from robot_ik.kernels.search import SEARCH, count_all_goals, measure
 from robot_ik.kernels.tree import TREE
@@ -16,36 +18,63 @@ from robot_ik.problem import Problem
 
 Array = NDArray[np.float64]
 
-RUN = Layout("ResidualRun", tree=TREE, goals=GOALS, search=SEARCH)
+RUN = Layout(
+    "Rows",
+    jacobian="table m u",
+    tree=TREE,
+    goals=GOALS,
+    search=SEARCH,
+    prior=PRIOR_WORK,
+)
 open_run = RUN.open
 
 
 @kernel
-def residual_and_jacobian(address: Any, jacobian: Any) -> Any:
-    """Write residual, miss and Jacobian (m, u) at search.q; return the cost."""
+def measure_rows(address: Any) -> None:
+    """Write residual, miss, cost and Jacobian at q."""
     run = open_run(address)
-    count_all_goals(run.goals, run.search)
-    measure(run.tree, run.goals, run.search)
-    goal_jacobian(run.tree, run.goals, run.search, False, jacobian)
-    return run.search.cost
+    goals = run.goals
+    search = run.search
+    count_all_goals(goals, search)
+    measure(run.tree, goals, search)
+    goal_jacobian(run.tree, goals, search, False, run.jacobian)
+    if goals.prior_goal >= 0:
+        search.cost += 0.5 * prior_residual(goals, search, run.prior, goals.prior_goal)
+        prior_jacobian(run.tree, goals, search, run.prior, goals.prior_goal, run.jacobian)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Cost ½ |r|², residual (m,), miss (g, 2), Jacobian (m, u), and the dofs (u,) of its columns."""
+
+    cost: float
+    residual: Array
+    miss: Array
+    jacobian: Array
+    dofs: NDArray[np.int64]
+
+
+def rows_at(problem: Problem, q: ArrayLike) -> Rows:
+    """Return the rows of a problem at q (nq,)."""
+    blocks = {
+        "tree": problem.robot.tree.block,
+        "goals": problem.compiled.block,
+        "search": problem.search,
+    }
+    run = RUN.allocate(problem.sizes, blocks)
+    arrays = problem.search.arrays
+    arrays["q"][:] = q
+    measure_rows(run.address)
+    return Rows(
+        problem.search["cost"],
+        arrays["residual"].copy(),
+        arrays["miss"].copy(),
+        run.arrays["jacobian"],
+        problem.compiled.block.arrays["dofs"],
+    )
 
 
 def columns_of(problem: Problem) -> NDArray[np.int64]:
     """Return the degree of freedom of each column of the Jacobian (u,)."""
     dofs: NDArray[np.int64] = problem.compiled.block.arrays["dofs"]
     return dofs
-
-
-def evaluate(problem: Problem, q: Any) -> tuple[float, Array, Array, Array]:
-    """Return cost, residual (m,), miss (g, 2) and Jacobian (m, u) of a problem at q."""
-    blocks = {
-        "tree": problem.robot.tree.block,
-        "goals": problem.compiled.block,
-        "search": problem.search,
-    }
-    run = RUN.allocate(given=blocks)
-    arrays = problem.search.arrays
-    arrays["q"][:] = q
-    jacobian = np.zeros((problem.compiled.rows, problem.compiled.columns))
-    cost = residual_and_jacobian(run.address, jacobian)
-    return cost, arrays["residual"].copy(), arrays["miss"].copy(), jacobian

@@ -158,7 +158,7 @@ def test_a_number_that_is_none_is_named(where: str) -> None:
 @pytest.mark.parametrize("value", [5, None, 2.5, b"puma560", ["puma560"]])
 def test_what_is_no_name_at_all_is_a_value_error(value: object) -> None:
     with pytest.raises(
-        InvalidModelError, match="is no robot\na robot is a name of the catalogue, the path or text of"
+        InvalidModelError, match="is not a robot\na robot is a name of the catalogue, the path or text of"
     ) as caught:
         rik.load_robot(value)  # type: ignore[arg-type]
     assert isinstance(caught.value, ValueError) and repr(value) in str(caught.value)
@@ -207,7 +207,7 @@ def test_a_description_in_the_cache_is_a_robot(cache: Path, nameless: Path) -> N
 
 
 def test_a_description_that_git_cannot_get_says_how_to(cache: Path) -> None:
-    with pytest.raises(ModelError, match=r"could not get it(.|\n)*pull so_arm101_mj_description") as caught:
+    with pytest.raises(ModelError, match=r"could not download it(.|\n)*pull so_arm101_mj_description") as caught:
         rik.load_robot("robot_descriptions:so_arm101_mj_description")
     assert str(cache) in str(caught.value) and len(str(caught.value)) < 600
 
@@ -296,7 +296,7 @@ def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
         path.write_text(NAMELESS)
         with pytest.raises(ModelError) as told:
             rik.load_robot(path)
-        assert "end of its name, .xml or .urdf" in told.value.hint
+        assert "ends with .xml or .urdf" in told.value.hint
 
 
 def test_a_model_in_millimetres_is_a_robot_however_heavy() -> None:

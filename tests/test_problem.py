@@ -5,11 +5,12 @@ import pickle
 import subprocess
 import sys
 import textwrap
+from dataclasses import astuple
 
 import numpy as np
 import pytest
 
-from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError
+from robot_ik.errors import GoalError, InvalidGoalError, OptionError, UnknownFrameError
 from robot_ik.geometry import Pose
 from robot_ik.goals import CenterOfMassGoal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.problem import Budget, Problem
@@ -22,12 +23,17 @@ def puma():
     return load_robot("puma560")
 
 
+def targets_of(problem):
+    """The targets that the kernels read."""
+    return problem.search.arrays["target"].copy()
+
+
 def test_tolerances_and_budgets_must_make_sense():
     for bad in ({"position": 0.0}, {"angle": -1.0}, {"position": np.nan}):
         with pytest.raises(InvalidGoalError, match="positive"):
             Tolerance(**bad)
     for bad in ({"iterations": -1}, {"restarts": -1}, {"seconds": -0.1}, {"seconds": np.nan}):
-        with pytest.raises(InvalidGoalError, match="zero or more"):
+        with pytest.raises(OptionError, match=f"budget: {next(iter(bad))}: .*allowed: 0"):
             Budget(**bad)
 
 
@@ -49,7 +55,8 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
         for target in (pose, PoseGoal.at(None, pose), PoseGoal.at(puma.tool, pose)):
             problem.retarget(target)
             again = problem.solve()
-            assert np.array_equal(again.q, fresh.q) and again.miss == fresh.miss
+            assert np.array_equal(again.q, fresh.q)
+            assert astuple(again.miss) == pytest.approx(astuple(fresh.miss), abs=1e-12)
         assert problem.goals[0].target.distance(pose) == pytest.approx((0, 0), abs=1e-12)
     problem.retarget(poses[0].position)  # a position alone keeps the orientation
     assert problem.goals[0].target.distance(Pose(poses[0].position, poses[2].wxyz)) == pytest.approx(
@@ -62,17 +69,17 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
     [
         ((1, 2), "finite position"),
         ((1, np.nan, 2), "finite position"),
-        (PositionGoal("gripper", (1, 0, 0)), "built for a pose goal"),
+        (PositionGoal("gripper", (1, 0, 0)), "is a pose goal"),
         (PoseGoal("flange", (1, 0, 0)), "'flange'"),
-        (PoseGoal("gripper", (1, 0, 0), angle_weight=2.0), "weights"),
+        (PoseGoal("gripper", (1, 0, 0), angle_weight=2.0), "weight"),
     ],
 )
 def test_a_target_of_another_kind_is_refused_and_changes_nothing(puma, target, says):
     problem = Problem(puma, PoseGoal("gripper", (0.1, 0.2, 0.3)))
-    before = problem.target.copy()
+    before = targets_of(problem)
     with pytest.raises(InvalidGoalError, match=says):
         problem.retarget(target)
-    assert np.array_equal(problem.target, before)
+    assert np.array_equal(targets_of(problem), before)
 
 
 def test_an_orientation_has_no_position_to_move(puma):
@@ -87,9 +94,9 @@ def test_a_copy_has_work_space_of_its_own(puma):
     moved = problem.solve().q
     for other in (copy.copy(problem), copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
         assert other.seed == 4
-        assert np.array_equal(make_solver("lm").solve(other).q, moved)  # the target it had
+        assert np.array_equal(other.solve().q, moved)  # the target it had
         other.retarget(puma.forward(puma.home + 0.2))
-        assert np.array_equal(make_solver("lm").solve(other).q, expected)
+        assert np.array_equal(other.solve().q, expected)
         assert np.array_equal(problem.solve().q, moved)
 
 
@@ -111,10 +118,10 @@ def test_several_targets_are_moved_at_once_by_frame_or_index(puma):
     at_once.retarget({"gripper": there, 1: lower, 2: there.matrix})
     for index, target in enumerate((there, lower, there.matrix)):
         one_by_one.retarget(target, index)
-    assert np.array_equal(at_once.target, one_by_one.target)
+    assert np.array_equal(targets_of(at_once), targets_of(one_by_one))
     assert at_once.goals == one_by_one.goals
     at_once.retarget({})
-    assert np.array_equal(at_once.target, one_by_one.target)
+    assert np.array_equal(targets_of(at_once), targets_of(one_by_one))
 
 
 @pytest.mark.parametrize(
@@ -124,19 +131,19 @@ def test_several_targets_are_moved_at_once_by_frame_or_index(puma):
         ({"elbow": (0, 0, 1)}, "no goals .* frame 'elbow'"),
         ({0: Pose(), 3: (0, 0, 1)}, "no goal 3"),
         ({-1: Pose()}, "no goal -1"),
-        ({None: Pose()}, "frame or its index"),
+        ({None: Pose()}, "no goal None"),
         ({0: Pose(), "gripper": Pose()}, "mean the same goal"),
         ({0: Pose(), 1: (np.nan, 0, 1)}, "finite"),
         ({0: Pose(), 2: (0, 0, 1)}, "no position"),
-        ({0: Pose(), 1: PositionGoal("gripper", (0, 0, 1))}, "built for"),
+        ({0: Pose(), 1: PositionGoal("gripper", (0, 0, 1))}, "is a position goal"),
     ],
 )
 def test_of_several_targets_all_are_taken_or_none(puma, targets, says):
     problem = several(puma)
-    before, goals = problem.target.copy(), problem.goals
+    before, goals = targets_of(problem), problem.goals
     with pytest.raises(InvalidGoalError, match=says):
         problem.retarget(targets)
-    assert np.array_equal(problem.target, before) and problem.goals == goals
+    assert np.array_equal(targets_of(problem), before) and problem.goals == goals
 
 
 def test_goals_for_parts_are_moved_with_others_or_stay(puma):
@@ -150,10 +157,10 @@ def test_goals_for_parts_are_moved_with_others_or_stay(puma):
     assert problem.goals == (
         goals[0], PostureGoal(q=puma.home + 0.2), CenterOfMassGoal(None, (0.1, 0, 0), axes="xy"),
     )  # fmt: skip
-    before = {name: array.copy() for name, array in problem.goal_arrays.items()}
+    before = problem.goals
     with pytest.raises(InvalidGoalError):
         problem.retarget({1: puma.home, 0: "nothing"})
-    assert all(np.array_equal(before[k], array) for k, array in problem.goal_arrays.items())
+    assert problem.goals == before
     with pytest.raises(InvalidGoalError, match="no goals"):
         problem.retarget({"left_hand": (0, 0, 1)})  # a centre of mass without a body is no frame's
 
@@ -161,7 +168,7 @@ def test_goals_for_parts_are_moved_with_others_or_stay(puma):
 def test_goals_show_the_targets_that_they_have_now(puma):
     first, then = puma.forward(puma.home + 0.1), puma.forward(puma.home - 0.2)
     goal = PoseGoal("gripper", first.position, first.wxyz, position_weight=2.0)
-    problem, solver = Problem(puma, goal, solver="auto"), make_solver("auto")
+    problem = Problem(puma, goal)
     assert problem.goals == (goal,) == problem.solve().goals
     for move in (then, then.matrix, PoseGoal.at("gripper", then)):
         problem.retarget(first)
@@ -176,14 +183,11 @@ def test_goals_show_the_targets_that_they_have_now(puma):
     assert problem.given[0] is move  # a goal is taken as it is
 
 
-def test_making_a_problem_compiles_nothing_and_its_first_solve_loads_what_later_ones_need():
-    """In a fresh process: compiled code that is there before and after."""
+def test_after_building_a_problem_nothing_more_is_compiled():
+    """In a fresh process: compiled code before and after."""
     code = """
         import sys
-        import numpy as np
         import robot_ik as rik
-        from robot_ik.problem import Problem
-        from robot_ik.solvers import make_solver
 
         def loaded():
             found = {}
@@ -196,44 +200,18 @@ def test_making_a_problem_compiles_nothing_and_its_first_solve_loads_what_later_
 
         robot = rik.load_robot("puma560")
         here, far = robot.forward(robot.home + 0.1), rik.Pose((3.0, 1.0, 1.0))
-        make_solver("auto")._members
-        before = loaded()
-        problem = Problem(robot, rik.PoseGoal.at(None, here))
-        assert loaded() == before, "the constructor"
-        way = sys.argv[1]
-        if way == "warm_up":
+        if sys.argv[1] == "warm_up":
             rik.warm_up(robot)
-            before = loaded()
-        elif way == "follow":
-            from robot_ik.motion import RecorderSink, ScriptSource
-            source = ScriptSource([(0.0, rik.PoseGoal.at(None, here)), (0.05, rik.PoseGoal.at(None, far))])
-            seen = []
-
-            def tick(one):
-                seen.append((one.solution.status.name, loaded()))
-
-            class Source:
-                def poll(self, now):
-                    seen or seen.append(("START", loaded()))
-                    return source.poll(now)
-
-            rik.follow(Source(), robot, "auto", [RecorderSink(robot.joints)], clock=rik.VirtualClock(),
-                       start=robot.home, duration=0.1, on_tick=tick)
-            assert {name for name, _ in seen} == {"START", "CONVERGED", "UNREACHABLE"}
-            assert all(found == seen[0][1] for _, found in seen), "follow"
-            sys.exit()
+            solve = lambda pose: rik.solve(robot, pose)
         else:
-            assert make_solver("auto").solve(problem).converged
-            problem.retarget(here.matrix)
-            before = loaded()
-        assert rik.solve(robot, rik.PoseGoal.at(None, here)).solver == "analytic"
-        assert rik.solve(robot, rik.PoseGoal.at(None, far)).status.name == "UNREACHABLE"
-        problem.retarget(far.matrix)
-        assert make_solver("auto").solve(problem).status.name == "UNREACHABLE"
+            problem = rik.Problem(robot, here)
+            solve = lambda pose: problem.solve(target=pose)
+        before = loaded()
+        assert solve(here).solver == "analytic"
+        assert solve(far).status.name == "UNREACHABLE"
         assert loaded() == before, [x for x in loaded() if x not in before]
     """
-    for way in ("bare", "warm_up", "follow"):
-        done = subprocess.run(
-            [sys.executable, "-c", textwrap.dedent(code), way], capture_output=True, text=True
-        )
+    for way in ("problem", "warm_up"):
+        command = [sys.executable, "-c", textwrap.dedent(code), way]
+        done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode == 0, way + done.stderr

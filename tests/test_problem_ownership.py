@@ -1,4 +1,4 @@
-"""Who owns what compiled code sees: no address outlives its array, whatever is called in which order."""
+"""The memory of a problem: calls in any order, threads, copies."""
 
 import copy
 import gc
@@ -7,17 +7,16 @@ import subprocess
 import sys
 import textwrap
 import threading
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import ProblemInUseError, RobotIkError
-from robot_ik.goals import Rows
-from robot_ik.kernels.residuals import ONE_SIDE
+from robot_ik.errors import ProblemInUseError
 from robot_ik.problem import Problem
-from robot_ik.solvers import SOLVERS, make_solver
-from robot_ik.solvers.base import BatchResult
+from robot_ik.solvers import SOLVERS
+from robot_ik.solvers.base import BatchResult, Solver
 
 
 @pytest.fixture(scope="module")
@@ -26,85 +25,28 @@ def puma():
 
 
 def problem_for(name, robot, seed=0):
-    """A problem of a kind that the method serves, and poses (5, 12) to move it to."""
+    """A problem of a kind that the method serves, and poses (5, 4, 4) to move it to."""
     rng = np.random.default_rng(seed)
     poses = [robot.forward(robot.sample(rng)) for _ in range(5)]
     kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
     goal = kind(None, poses[0].position)
-    rows = np.array([np.concatenate([pose.position, pose.rotation.ravel()]) for pose in poses])
+    matrices = np.array([pose.matrix for pose in poses])
     budget = rik.Budget(iterations=60, restarts=2)
-    return Problem(robot, goal, budget=budget), poses, rows
-
-
-def test_rows_of_a_new_sort_are_never_proven_out_of_reach(puma):
-    class OnSphere(
-        rik.PositionGoal
-    ):  # 2.5 m from the point, say: what the kernels must know is not asked here
-        @property
-        def rows(self):
-            return Rows(position=ONE_SIDE + 1)
-
-    far = (3.0, 0.0, 0.6)
-    assert np.isfinite(Problem(puma, rik.PositionGoal(None, far)).arrays["reach"][0, 3])
-    assert Problem(puma, OnSphere(None, far)).arrays["reach"][0, 3] == np.inf
-
-
-def owned(table):
-    """The arrays that a packed table points to and keeps alive, row by row; of another array: none."""
-    return getattr(table.base, "arrays", ())
-
-
-def tables_of(table, seen):
-    """The table and all tables that it leads to; each address in them must be that of an array it owns."""
-    seen.append(table)
-    arrays = owned(table)
-    assert len(arrays) == len(table)
-    for (address, *_), array in zip(table.tolist(), arrays, strict=True):
-        assert address == array.__array_interface__["data"][0]
-        if owned(array):
-            tables_of(array, seen)
-    return seen
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_every_address_is_held_together_with_what_it_points_to(puma, name):
-    problem, _, _ = problem_for(name, puma)
-    solver = make_solver(name)
-    solver.solve(problem)
-    known = [array for table in problem.tables for array in owned(table)]
-    assert {id(array) for array in (*problem.arrays.values(), *problem.goal_arrays.values())} <= {
-        id(array) for array in known
-    }
-    assert problem.made
-    for key, (owner, kept) in problem.made.items():
-        assert key == id(owner)  # so that no other solver gets this id
-        packed = [table for table in getattr(kept, "tables", ()) if owned(table)]
-        held = {table.__array_interface__["data"][0] for start in packed for table in tables_of(start, [])}
-        taken = getattr(kept, "arguments", getattr(kept, "addresses", ()))
-        assert {x for x in taken if isinstance(x, int)} <= held
-
-
-def test_a_table_keeps_its_arrays_when_nobody_else_does():
-    from robot_ik.kernels.bundle import Layout
-
-    table = Layout("One", numbers="floats").pack({"numbers": np.arange(1000.0)})
-    gc.collect()
-    assert owned(table)[0].sum() == 499500.0
+    return Problem(robot, goal, solver=name, budget=budget), poses, matrices
 
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_solve_and_batch_in_turn_give_what_each_gives_alone(puma, name):
-    solver = make_solver(name)
-    problem, _, rows = problem_for(name, puma)
-    alone = solver.solve(problem).q
-    starts, results = np.tile(puma.home, (5, 1)), BatchResult.empty(5, puma.nq)
-    solver.attempt_many(problem, rows, starts, results, problem.budget)
+    problem, _, matrices = problem_for(name, puma)
+    alone = problem.solve().q
+    starts = np.tile(puma.home, (5, 1))
+    results = BatchResult.empty(5, puma.nq)
+    problem.solve_many(matrices, starts, results)
     first = results.q.copy()
-    problem.target[0] = rows[0] if problem.given[0].has_angle else [*rows[0, :3], *np.eye(3).ravel()]
-    problem.exchange(problem.given)
+    problem.replace_goals(problem.given)
     gc.collect()
-    assert np.array_equal(solver.solve(problem).q, alone)
-    solver.attempt_many(problem, rows, starts, results, problem.budget)
+    assert np.array_equal(problem.solve().q, alone)
+    problem.solve_many(matrices, starts, results)
     assert np.array_equal(results.q, first)
 
 
@@ -114,7 +56,7 @@ STRESS = """
     import robot_ik as rik
     from robot_ik.errors import ProblemInUseError, RobotIkError
     from robot_ik.problem import Problem
-    from robot_ik.solvers import SOLVERS, make_solver
+    from robot_ik.solvers import SOLVERS
     from robot_ik.solvers.base import BatchResult
 
     def work(name, seed, shared):
@@ -122,18 +64,15 @@ STRESS = """
         own = rik.load_robot("puma560")
         kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
         budget = rik.Budget(iterations=20, restarts=1)
-        problem = Problem(own, kind(None, own.forward(own.home).position), budget=budget)
-        solvers = [make_solver(name), make_solver(name), make_solver("lm")]
+        goal = kind(None, own.forward(own.home).position)
+        problem = Problem(own, goal, solver=name, budget=budget)
         for _ in range(int(sys.argv[1])):
             what, pose = rng.integers(8), own.forward(own.sample(rng))
-            solver = solvers[rng.integers(3)]
             if what < 2:
-                solver.solve(problem, own.sample(rng))
+                problem.solve(own.sample(rng))
             elif what == 2:
-                row = np.concatenate([pose.position, pose.rotation.ravel()])
-                many, answers = np.tile(row, (9, 1)), BatchResult.empty(9, own.nq)
-                with problem.in_use():
-                    solver.attempt_many(problem, many, np.tile(own.home, (9, 1)), answers, budget)
+                many, answers = np.tile(pose.matrix, (9, 1, 1)), BatchResult.empty(9, own.nq)
+                problem.solve_many(many, np.tile(own.home, (9, 1)), answers)
                 assert np.isfinite(answers.q).all()
             elif what == 3:
                 problem.retarget(pose.matrix)
@@ -143,12 +82,12 @@ STRESS = """
                 again = copy.copy, copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))
                 problem = again[rng.integers(3)](problem)
             elif what == 6:
-                solvers[rng.integers(2)] = make_solver(name)
+                problem = Problem(own, problem.goals, solver=name, budget=budget)
                 gc.collect()
             else:
                 try:
                     shared.retarget(pose.matrix)
-                    make_solver("lm").solve(shared)
+                    shared.solve()
                 except ProblemInUseError:
                     pass
                 rik.solve(own, kind(None, pose.position), solver=name, budget=budget)
@@ -157,7 +96,7 @@ STRESS = """
     robot = rik.load_robot("puma560")
     rik.warm_up(robot)
     for name in sys.argv[2:]:
-        shared = Problem(robot, rik.PoseGoal(None, (0.4, 0.1, 0.9)))
+        shared = Problem(robot, rik.PoseGoal(None, (0.4, 0.1, 0.9)), solver="lm")
         failed = []
         def run(seed):
             try:
@@ -182,39 +121,68 @@ def test_solves_batches_moves_copies_collections_and_threads_in_any_order_never_
     assert done.stdout.split() == [word for name in SOLVERS for word in (name, "done")]
 
 
+class Waiting:
+    """A prepared method whose solve waits."""
+
+    name = "waiting"
+
+    def __init__(self):
+        self.running = threading.Event()
+        self.finish = threading.Event()
+
+    def run(self, problem, budget):
+        self.running.set()
+        assert self.finish.wait(30.0)
+
+    run_many = None
+
+
+@dataclass(frozen=True)
+class WaitingSolver(Solver):
+    """A method whose solve waits."""
+
+    prepared: Waiting = field(default_factory=Waiting, metadata={"choices": (), "low": None})
+    name = "waiting"
+
+    def __post_init__(self):
+        """No options to check."""
+
+    def prepare(self, problem):
+        return self.prepared
+
+
 def test_a_call_that_begins_while_another_is_under_way_is_refused(puma):
-    problem, poses, _ = problem_for("lm", puma)
-    solver = make_solver("lm")
-    before = problem.target.copy()
-    with problem.in_use():  # as during another thread's call
-        for call in (
-            lambda: solver.solve(problem),
-            lambda: make_solver("auto").solve(problem),
-            lambda: make_solver("analytic").branches(problem),
-            lambda: problem.retarget(poses[1]),
-            lambda: problem.retarget({0: poses[1]}),
-        ):
-            with pytest.raises(ProblemInUseError, match="another thread") as caught:
-                call()
-            assert isinstance(caught.value, RobotIkError)
-    assert np.array_equal(problem.target, before)
+    method = WaitingSolver()
+    problem = Problem(puma, puma.forward(puma.home), solver=method)
+    before = problem.search.arrays["target"].copy()
+    thread = threading.Thread(target=problem.solve)
+    thread.start()
+    assert method.prepared.running.wait(30.0)
+    there = puma.forward(puma.home + 0.1)
+    for call in (
+        problem.solve,
+        lambda: problem.retarget(there),
+        lambda: problem.retarget({0: there}),
+        lambda: problem.solve(target=there),
+    ):
+        with pytest.raises(ProblemInUseError, match="another thread"):
+            call()
+    assert np.array_equal(problem.search.arrays["target"], before)
+    method.prepared.finish.set()
+    thread.join()
     with pytest.raises(rik.RobotIkError):
-        solver.solve(problem, [0.0])
-    assert solver.solve(problem).iterations  # an error lets go of it too
+        problem.solve([0.0])
+    problem.solve()  # an error ends the call too
 
 
 def test_threads_may_use_a_problem_in_turn(puma):
     problem, poses, _ = problem_for("auto", puma)
-    solver, expected = make_solver("auto"), []
-    for pose in poses:
-        problem.retarget(pose)
-        expected.append(solver.solve(problem).q)
+    expected = [problem.solve(target=pose).q for pose in poses]
     found, lock = {}, threading.Lock()
 
     def one(k):
         with lock:
-            problem.retarget(poses[k])
-            found[k] = solver.solve(problem).q
+            found[k] = problem.solve(target=poses[k]).q
 
     threads = [threading.Thread(target=one, args=(k,)) for k in range(5)]
     for thread in threads:
@@ -228,7 +196,7 @@ def test_threads_may_use_a_problem_in_turn(puma):
 def test_robots_goals_solutions_and_problems_can_be_copied_and_pickled(puma, again):
     pose = puma.forward(puma.home + 0.2)
     goal = rik.PoseGoal.at(None, pose)
-    solution = rik.solve(puma, goal)  # the robot now has compiled problems in its memory
+    solution = rik.solve(puma, goal)
     robot = again(puma)
     assert np.array_equal(robot.home, puma.home) and robot.joints == puma.joints
     assert not robot.home.flags.writeable
@@ -242,5 +210,5 @@ def test_robots_goals_solutions_and_problems_can_be_copied_and_pickled(puma, aga
     moved = again(problem)
     del problem
     gc.collect()
-    assert np.array_equal(make_solver("auto").solve(moved).q, expected.q) and moved.goals == expected.goals
+    assert np.array_equal(moved.solve().q, expected.q) and moved.goals == expected.goals
     assert again(pose) == pose

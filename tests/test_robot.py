@@ -186,7 +186,7 @@ def test_a_model_without_moving_joints_is_no_robot(tmp_path):
     with pytest.raises(UnsupportedJointError, match="no joint that may move"):
         load_robot(path)
     path.write_text("<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>")
-    with pytest.raises(ModelError, match="nothing to aim"):
+    with pytest.raises(ModelError, match="no named site"):
         load_robot(path)
 
 

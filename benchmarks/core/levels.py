@@ -17,12 +17,6 @@ from robot_ik.figure.figure import load_figure
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.poses import STIFF
 from robot_ik.motion.timing import minimum_jerk
-from robot_ik.pose_prior import PosePrior
-
-try:
-    from robot_ik.goals import PosePriorGoal
-except ImportError:  # version 0.1
-    from robot_ik.goals import PosePriorGoal
 
 Case = tuple[rik.Robot, list[rik.Goal], np.ndarray | None]
 Cases = Callable[[], Iterator[Case]]
@@ -108,7 +102,7 @@ def figure_reaches(**posture: object) -> Iterator[Case]:
 def figure_prior() -> Iterator[Case]:
     """Hand and feet, and a pose prior."""
     figure = rik.load_robot("humanoid")
-    prior = PosePriorGoal(prior=PosePrior.of(figure))
+    prior = rik.PosePriorGoal(prior=rik.PosePrior.of(figure))
     rng = np.random.default_rng(4)
     for _ in range(30):
         ball = np.array([0.35, -0.25, 1.1]) + rng.uniform(-0.15, 0.15, size=3)
@@ -128,6 +122,7 @@ SETS: dict[str, Cases] = {
 
 
 def report(name: str, solves: int, met: int, steps: int, restarts: int, seconds: float) -> None:
+    """Print one line."""
     print(f"{name:28}{solves:6}{met:6}{steps:9}{restarts:7}{1e6 * seconds:10.0f} us", flush=True)
 
 

@@ -124,7 +124,7 @@ def write_features(prior, q, x):
         a = prior.features[i, ADDRESS]
         if kind == NUMBER:
             value = q[a]
-        elif kind == LEAN_X or kind == LEAN_Y:
+        elif kind in (LEAN_X, LEAN_Y):
             up = world_up(q, a)
             value = up[0] if kind == LEAN_X else up[1]
         else:
@@ -137,7 +137,7 @@ def feature_rate(kind, q, a, axis):
     """Return the change of a feature per unit of the degree of freedom ``axis`` of its joint."""
     if kind == NUMBER:
         return 1.0
-    if kind == LEAN_X or kind == LEAN_Y:
+    if kind in (LEAN_X, LEAN_Y):
         rate = so3.cross(world_up(q, a), unit(axis))
         return rate[0] if kind == LEAN_X else rate[1]
     phi = rotation_vector(q, a)

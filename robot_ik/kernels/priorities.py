@@ -204,10 +204,10 @@ def level_met(goals, search, level, tolerances):
 @inlined
 def levels_met(goals, search):
     """Return whether all needed levels are within tolerance."""
+    met = True
     for level in range(goals.needed_levels):
-        if not level_met(goals, search, level, 1.0):
-            return False
-    return True
+        met = met and level_met(goals, search, level, 1.0)
+    return met
 
 
 # One step
@@ -663,10 +663,10 @@ def begin_next_try(tree, goals, search, work):
 @inlined
 def level_0_is_beyond_reach(goals, search):
     """Return whether a goal of level 0 is proven out of reach."""
+    beyond = False
     for g in range(goals.row.shape[0]):
-        if goals.level[g] == 0 and search.unreachable[g] == 1:
-            return True
-    return False
+        beyond = beyond or (goals.level[g] == 0 and search.unreachable[g] == 1)
+    return beyond
 
 
 @outlined

@@ -45,7 +45,7 @@ _DAMPING = 1e-4
 _SLACK = 1e-10
 # Slack if the hard rows contradict each other within the bounds.
 _YIELDING = 1e-2
-# Cost of a step itself if it would be longer than ``_LONGEST``.
+# Damping of a step that would be longer than ``_LONGEST``.
 _CAUTIOUS = 10.0
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
 _MOMENTUM_SCALE = 0.1
@@ -242,7 +242,7 @@ def write_system(tree, body, q, target, weight, t, posture):
             continue
         kind = body.kind[g]
         at = t * groups + g
-        if kind == CENTER_OF_MASS or kind == MOMENTUM:
+        if kind in (CENTER_OF_MASS, MOMENTUM):
             mass_rows(tree, body, kind == MOMENTUM, target, at, g)
         else:
             kinematics.frame_pose(body.world, body.node[g], body.local, g, body.pose)
@@ -300,17 +300,20 @@ def add_soft_row(body, i, weight):
 
 
 @outlined
-def solve_held(body, slack):
+def solve_held(body, damping, slack):
     """Write the step with the held joints at their bounds to body.step.
 
-    The step is M⁻¹ (g + Jᵀμ) with (J M⁻¹ Jᵀ + slack) μ = e − J M⁻¹ g for the hard rows J dq = e.
+    The step is H⁻¹ (g + Jᵀμ) with (J H⁻¹ Jᵀ + slack) μ = e − J H⁻¹ g for the hard rows J dq = e and
+    the quadratic form H = M + ``damping``.
     """
     step = body.step
     factor = body.factor
     multiplier = body.multiplier
     count = body.hard_count
     n = step.shape[0]
-    reduced_system(body.matrix, 0.0, body.gradient, body.low, body.high, body.side, factor, step)
+    reduced_system(
+        body.matrix, damping, body.gradient, body.low, body.high, body.side, factor, step
+    )
     factorise(factor, body.first, n)
     copy(body.wanted, multiplier)
     for r in range(count):
@@ -341,7 +344,7 @@ def solve_held(body, slack):
 
 
 @outlined
-def hold_and_solve(body, slack):
+def hold_and_solve(body, damping, slack):
     """Write a step to body.step with joints held at the bounds it would cross; return its length.
 
     The length is that of its largest part.
@@ -350,7 +353,7 @@ def hold_and_solve(body, slack):
     for v in range(n):
         body.side[v] = 0
     for _ in range(_HOLDS):
-        solve_held(body, slack)
+        solve_held(body, damping, slack)
         held = 0
         for v in range(n):
             below = body.step[v] < body.low[v] - _BOUND_SLACK
@@ -368,16 +371,13 @@ def hold_and_solve(body, slack):
 @outlined
 def bounded_step(tree, body, q):
     """Take one step from q inside the bounds, in place; return the length of its largest part."""
-    longest = hold_and_solve(body, _SLACK)
-    n = body.step.shape[0]
+    longest = hold_and_solve(body, 0.0, _SLACK)
     if longest > _LONGEST:  # soft rows that cannot be met pull far; the hard rows still hold
-        for v in range(n):
-            body.matrix[v, v] += _CAUTIOUS
-        longest = hold_and_solve(body, _SLACK)
+        longest = hold_and_solve(body, _CAUTIOUS, _SLACK)
     if longest > _LONGEST:
-        longest = hold_and_solve(body, _YIELDING)
+        longest = hold_and_solve(body, _CAUTIOUS, _YIELDING)
     share = _LONGEST / longest if longest > _LONGEST else 1.0
-    for v in range(n):
+    for v in range(body.step.shape[0]):
         body.step[v] = min(max(share * body.step[v], body.low[v]), body.high[v])
     kinematics.integrate(tree, tree.every, q, body.step)
     return longest
@@ -387,7 +387,7 @@ def bounded_step(tree, body, q):
 def continue_motion(tree, body, q):
     """Move q, which is the frame before, as far as the body moved in that frame, inside the limits."""
     for k in range(tree.kind.shape[0]):
-        if tree.kind[k] == HINGE or tree.kind[k] == SLIDE:
+        if tree.kind[k] in (HINGE, SLIDE):
             a = tree.qadr[k]
             v = tree.vadr[k]
             position = min(max(q[a] + body.displacement[v], body.lower[v]), body.upper[v])

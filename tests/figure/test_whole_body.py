@@ -75,15 +75,15 @@ def test_no_joint_is_faster_than_its_limit(figure: Figure) -> None:
 
 
 def test_rows_that_contradict_each_other_are_missed_not_fled(figure: Figure) -> None:
-    """A hand that is to be five metres away: the body stays where it can be, and says by how much it
-    misses."""
+    """The target of the hand is five metres away: the body moves at most half the way, and the
+    result reports the miss."""
     rows = FrameRows(figure, 10)
     rows.feet(figure.feet_at_home)
     rows.position("right_hand", np.array([5.0, 0.0, 1.0]))
     found = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
     assert np.isfinite(found.q).all() and found.miss.min() > 1.0
     assert all(figure.robot.outside(row) == [] for row in found.q)
-    assert np.abs(found.q[-1, :3] - figure.home[:3]).max() < 2.0
+    assert np.abs(found.q[-1, :3] - figure.home[:3]).max() < 2.5
 
 
 def test_the_same_frames_are_the_same_bits(figure: Figure) -> None:

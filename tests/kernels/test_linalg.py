@@ -8,18 +8,32 @@ from numba import njit
 from scipy.optimize import lsq_linear
 
 from robot_ik.kernels import linalg
-from robot_ik.kernels.linalg import normal_equations, row_products, row_step, solve_definite
+from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.linalg import BOX_PROBLEM, normal_equations, solve_definite
+
+open_box = BOX_PROBLEM.open
 
 
-@njit
-def box_step(*arguments):
-    return linalg.box_step(*arguments)
+@kernel
+def solve_by_columns(address, matrix, damping, step):
+    return linalg.solve_box_by_columns(open_box(address), matrix, damping, step)
 
 
-def solve(matrix, gradient, low, high):
+@kernel
+def solve_by_rows(address, hits, hit_count, damping, step):
+    box = open_box(address)
+    linalg.row_products(box.jacobian, box.residual, hits, hit_count, box.matrix, box.gradient)
+    return linalg.solve_box_by_rows(box, hits, hit_count, damping, step)
+
+
+def solve(matrix, gradient, low, high, damping=0.0):
     n = len(gradient)
-    step, free = np.zeros(n), np.zeros(n, dtype=np.int64)
-    pressed = box_step(np.tril(matrix), gradient, low, high, step, free, free.copy(), np.zeros((n, n)))
+    box = BOX_PROBLEM.allocate({"m": 0, "u": n, "k": n})
+    box.arrays["gradient"][:] = gradient
+    box.arrays["low"][:] = low
+    box.arrays["high"][:] = high
+    step = np.zeros(n)
+    pressed = solve_by_columns(box.address, np.tril(matrix), damping, step)
     return pressed, step
 
 
@@ -139,15 +153,6 @@ def test_normal_equations_are_those_of_numpy(rows, n):
     np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-13)
 
 
-@njit
-def among_rows(jacobian, residual, damping, low, high, hits, counts, step, side, square, rows, gradient):
-    row_products(jacobian, residual, hits, counts, square, gradient)
-    return row_step(
-        jacobian, residual, square, gradient, damping, low, high, hits, counts, step, side.copy(), side,
-        rows, rows[-1].copy(),
-    )  # fmt: skip
-
-
 @settings(max_examples=100)
 @given(
     m=st.integers(1, 8), more=st.integers(0, 5), seed=st.integers(0, 2**32),
@@ -160,14 +165,47 @@ def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, 
     low, high = -bound * rng.uniform(size=n), bound * rng.uniform(size=n)
     low[rng.uniform(size=n) < 0.2] = 0.0
     high[rng.uniform(size=n) < 0.2] = 0.0
-    matrix = jacobian.T @ jacobian + 10.0**damping * np.eye(n)
-    pressed, expected = solve(matrix, jacobian.T @ residual, low, high)
+    products = jacobian.T @ jacobian
+    pressed, expected = solve(products, jacobian.T @ residual, low, high, 10.0**damping)
     hits = np.ascontiguousarray(np.argsort(jacobian == 0.0, axis=0, kind="stable").T)
-    counts, step, gradient = (jacobian != 0.0).sum(axis=0), np.zeros(n), np.zeros(n)
-    found = among_rows(
-        jacobian, residual, 10.0**damping, low, high, hits, counts, step, np.zeros(n, dtype=np.int64),
-        np.full((n, n), 7.0), np.full((m + 1, m + 1), 7.0), gradient,
-    )  # fmt: skip
-    assert found == pressed
+    hit_count = (jacobian != 0.0).sum(axis=0)
+    box = BOX_PROBLEM.allocate({"m": m, "u": n, "k": n})
+    box.arrays["jacobian"][:] = jacobian
+    box.arrays["residual"][:] = residual
+    box.arrays["low"][:] = low
+    box.arrays["high"][:] = high
+    step = np.zeros(n)
+    assert solve_by_rows(box.address, hits, hit_count, 10.0**damping, step) == pressed
+    gradient = box.arrays["gradient"]
     np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-14 + 1e-13 * 10.0**size)
     np.testing.assert_allclose(step, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max(initial=1e-300))
+
+
+@njit
+def solve_with_factors(matrix, first, x):
+    n = len(x)
+    linalg.factorise(matrix, first, n)
+    linalg.solve_lower(matrix, first, x, n)
+    linalg.divide_by_pivots(matrix, x, n)
+    linalg.solve_upper(matrix, first, x, n)
+
+
+@pytest.mark.parametrize("n", range(1, 11))
+def test_factors_solve_a_system_inside_its_skyline(n):
+    rng = np.random.default_rng(n)
+    lower = np.tril(rng.normal(size=(n, n))) + 3.0 * np.eye(n)
+    first = np.array([rng.integers(0, i + 1) for i in range(n)])
+    for i in range(n):
+        lower[i, : first[i]] = 0.0
+    matrix = lower @ lower.T
+    x = rng.normal(size=n)
+    wanted = np.linalg.solve(matrix, x)
+    solve_with_factors(np.tril(matrix), first, x)
+    np.testing.assert_allclose(x, wanted, rtol=1e-9, atol=1e-12)
+
+
+def test_an_unknown_without_a_pivot_is_zero():
+    matrix = np.array([[2.0, 0.0], [0.0, 0.0]])
+    x = np.array([4.0, 1.0])
+    solve_with_factors(matrix, np.zeros(2, dtype=np.int64), x)
+    assert x.tolist() == [2.0, 0.0]

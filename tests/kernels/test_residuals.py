@@ -21,7 +21,7 @@ from robot_ik.kernels import so3
 from robot_ik.kernels.frame_goals import orientation_error
 from robot_ik.kernels.jit import kernel
 from robot_ik.problem import Problem
-from tests.residual_rows import columns_of, evaluate
+from tests.residual_rows import rows_at
 
 
 @kernel
@@ -40,7 +40,7 @@ def make_goal(data, kind, robot, there, weights):
     frame = data.draw(st.sampled_from(robot.frames))
     pose = robot.forward(there, frame)
     extra = {"length": data.draw(st.sampled_from([None, 0.7]))}
-    if issubclass(kind, PositionGoal):
+    if kind is PositionGoal:
         return kind(frame, pose.position, weight=weights[0], axes=data.draw(AXES), **extra)
     free = data.draw(st.one_of(st.none(), AXIS))
     if kind is OrientationGoal:
@@ -68,18 +68,16 @@ def differences(problem, q, step=1e-6):
     """-d residual / d dq by central differences, columns as in the problem."""
     robot = problem.robot
     columns = []
-    for v in columns_of(problem):
+    for v in problem.compiled.block.arrays["dofs"]:
         dq = np.zeros(robot.nv)
         dq[v] = step
-        forward, backward = (
-            evaluate(problem, robot.integrate(q, dq))[1],
-            evaluate(problem, robot.integrate(q, -dq))[1],
-        )
+        forward = rows_at(problem, robot.integrate(q, dq)).residual
+        backward = rows_at(problem, robot.integrate(q, -dq)).residual
         columns.append((backward - forward) / (2 * step))
     return np.array(columns).T.reshape(problem.compiled.rows, problem.compiled.columns)
 
 
-# A pose prior is never met, and only the square of its rows is asked for: tests/figure/motion/test_pose_prior.py.
+# A pose prior is never met: see tests/figure/motion/test_pose_prior.py.
 KIND = st.sampled_from([kind for kind in GOALS if kind is not PosePriorGoal])
 WEIGHT = st.sampled_from([0.0, 0.3, 1.0, 5.0])
 
@@ -94,21 +92,22 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     kinds = data.draw(st.lists(KIND, min_size=1, max_size=3))
     goals = [make_goal(data, kind, robot, there, data.draw(st.tuples(WEIGHT, WEIGHT))) for kind in kinds]
     problem = Problem(robot, goals)
-    cost, residual, miss, _ = evaluate(problem, there)
-    assert cost < 1e-20 and np.abs(residual).max(initial=0) < 1e-10 and np.abs(miss).max() < 1e-10
+    met = rows_at(problem, there)
+    assert met.cost < 1e-20
+    assert np.abs(met.residual).max(initial=0) < 1e-10
+    assert np.abs(met.miss).max() < 1e-10
 
-    cost, residual, miss, jacobian = evaluate(problem, here)
-    assert cost == pytest.approx(0.5 * residual @ residual, rel=1e-12)
-    for goal, row in zip(goals, miss, strict=True):
+    rows = rows_at(problem, here)
+    assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
+    for goal, row in zip(goals, rows.miss, strict=True):
         metres, radians = goal.miss(robot, here)  # MuJoCo's forward pass
         asked = goal.weights
         assert row[0] == pytest.approx(metres, abs=1e-9) or asked[0] == 0.0
         assert row[1] == pytest.approx(radians, abs=2e-8) or asked[1] == 0.0
         if radians > np.pi - 1e-3:
             return  # within a step of pi the residual jumps, and differences say nothing; see below
-    np.testing.assert_allclose(
-        jacobian, differences(problem, here), atol=2e-6 * max(1, np.abs(jacobian).max(initial=0))
-    )
+    largest = np.abs(rows.jacobian).max(initial=0)
+    np.testing.assert_allclose(rows.jacobian, differences(problem, here), atol=2e-6 * max(1, largest))
 
 
 ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
@@ -125,10 +124,10 @@ def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, ang
     vector = angle * np.array(axis) / np.linalg.norm(axis)
     problem = Problem(robot, OrientationGoal(None, rotation_exp(vector)))
     start = np.array([1.0, 0, 0, 0])
-    _, residual, miss, jacobian = evaluate(problem, start)
-    np.testing.assert_allclose(residual, vector, atol=2e-12)
-    assert miss[0, 1] == pytest.approx(angle, abs=1e-12)
-    np.testing.assert_allclose(jacobian, differences(problem, start), atol=1e-5)
+    rows = rows_at(problem, start)
+    np.testing.assert_allclose(rows.residual, vector, atol=2e-12)
+    assert rows.miss[0, 1] == pytest.approx(angle, abs=1e-12)
+    np.testing.assert_allclose(rows.jacobian, differences(problem, start), atol=1e-5)
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 2, -3), (-1, 1e-9, 0)])
@@ -149,5 +148,7 @@ def test_a_part_that_weighs_nothing_is_not_asked_for(load_xml):
     robot = load_xml(ONE_BALL)
     far = PoseGoal(None, (9, 9, 9), (1, 0, 0, 0), position_weight=0.0)
     problem = Problem(robot, far, solver="lm")
-    cost, residual, _, _ = evaluate(problem, [1.0, 0, 0, 0])
-    assert cost == 0.0 and not residual.any() and problem.solve().converged
+    rows = rows_at(problem, [1.0, 0, 0, 0])
+    assert rows.cost == 0.0
+    assert not rows.residual.any()
+    assert problem.solve().converged

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.kernels import jacobian_step
+from robot_ik.kernels import linalg
 from robot_ik.kernels.jit import kernel
 
 
 @kernel
 def svd(matrix, left, sigma, right):
-    jacobian_step.svd(matrix, left, sigma, right)
+    linalg.svd(matrix, left, sigma, right)
 
 
 def decompose(matrix):

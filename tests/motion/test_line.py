@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -149,16 +149,25 @@ def test_a_joint_limit_in_the_way_is_named(puma):
 class OtherBranch(Solver):
     """A solver that changes to the other solution of the wrist half-way: same pose, other angles."""
 
-    calls: list = field(default_factory=list)
+    def __post_init__(self):
+        """No options to check."""
 
-    def make(self, problem):
-        pass
+    def prepare(self, problem):
+        return _OtherBranch(make_solver("lm").prepare(problem))
 
-    def attempt(self, problem, start, budget):
-        self.calls.append(start)
-        solution = make_solver("lm").attempt(problem, start, budget)
+
+class _OtherBranch:
+    name = "other branch"
+
+    def __init__(self, lm):
+        self.lm = lm
+        self.calls = 0
+
+    def run(self, problem, budget):
+        self.calls += 1
+        solution = self.lm.run(problem, budget)
         q = np.array(solution.q)
-        if len(self.calls) > 15:
+        if self.calls > 15:
             q[3] += np.pi if q[3] < 0 else -np.pi
             q[4] = -q[4]
         return replace(solution, q=q)

@@ -8,6 +8,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from robot_ik.compiled_goals import length_scale
 from robot_ik.goals import (
     AimGoal,
     CenterOfMassGoal,
@@ -156,5 +157,5 @@ def cost(problem, q):
     for goal in problem.goals:
         metres, radians = measured(problem.robot, q, goal)
         a, b = goal.weights
-        total += 0.5 * ((a * metres / problem.length(goal)) ** 2 + (b * radians) ** 2)
+        total += 0.5 * ((a * metres / length_scale(problem.robot, goal)) ** 2 + (b * radians) ** 2)
     return total

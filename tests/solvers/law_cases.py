@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.iterative import IterativeSolver
 
@@ -62,6 +64,14 @@ def measured(robot, q, goal):
     metres, radians = Pose(data.site_xpos[site], wxyz).distance(goal.target)
     position_weight, angle_weight = goal.weights
     return metres if position_weight > 0.0 else 0.0, radians if angle_weight > 0.0 else 0.0
+
+
+def served(robot, goal, *, solver, **options):
+    """The problem, or None where the method does not serve it."""
+    try:
+        return Problem(robot, goal, solver=solver, **options)
+    except UnsupportedGoalError:
+        return None
 
 
 def inside(robot, q):

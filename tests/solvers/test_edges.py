@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 import robot_ik as rik
 from robot_ik.batch import solve_batch
 from robot_ik.errors import (
-    ConfigError,
     GoalError,
     InvalidGoalError,
     ModelError,
+    OptionError,
     RobotIkError,
     UnknownSolverError,
     UnsupportedGoalError,
@@ -32,6 +32,7 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
+from tests.solvers.law_cases import served
 
 SHORT = Budget(iterations=300)
 FEW = settings(max_examples=50)
@@ -127,16 +128,16 @@ KINDS = [
 @given(odd=ODD, kind=st.sampled_from(KINDS))
 def test_whatever_is_given_as_a_new_target_is_one_or_is_refused_and_changes_nothing(puma, odd, kind):
     problem = Problem(puma, kind)
-    before = problem.target.copy(), problem.goals[0]
+    before = problem.search.arrays["target"].copy(), problem.goals[0]
     try:
         problem.retarget(odd)
     except InvalidGoalError:
-        assert np.array_equal(problem.target, before[0]) and problem.goals[0] is before[1]
+        assert np.array_equal(problem.search.arrays["target"], before[0]) and problem.goals[0] is before[1]
     else:
-        assert np.isfinite(problem.target).all()
+        assert np.isfinite(problem.search.arrays["target"]).all()
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.rows.whole][:-1])
+@pytest.mark.parametrize("kind", KINDS[2:-1])
 @pytest.mark.parametrize("matrix", [np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1])])
 def test_a_matrix_that_is_no_rotation_is_no_target(puma, kind, matrix):
     problem = Problem(puma, kind)
@@ -145,7 +146,7 @@ def test_a_matrix_that_is_no_rotation_is_no_target(puma, kind, matrix):
     assert problem.goals[0] is kind
 
 
-@pytest.mark.parametrize("nothing", [[], (), None, 5, "abc", np.zeros(3), rik.Pose(), [None], [[]]])
+@pytest.mark.parametrize("nothing", [[], (), None, 5, "abc", np.zeros(4), [None], [[]]])
 def test_no_goals_are_refused(puma, nothing):
     with pytest.raises(GoalError, match="one or more goals"):
         solve(puma, nothing)
@@ -180,7 +181,7 @@ def test_no_solver_is_an_unknown_solver(puma):
 
 
 def test_a_class_in_place_of_a_solver_is_named(puma):
-    with pytest.raises(ConfigError, match=r"LevenbergMarquardt is a class.*\n.*LevenbergMarquardt\(\)"):
+    with pytest.raises(OptionError, match=r"LevenbergMarquardt is a class.*\n.*LevenbergMarquardt\(\)"):
         solve(puma, KINDS[0], solver=SOLVERS["lm"])
 
 
@@ -199,8 +200,8 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
     ]
     solver = make_solver(name)
     for asked in [*goals, goals]:
-        problem = Problem(puma, asked, solver=solver)
-        if not solver.applies(problem):
+        problem = served(puma, asked, solver=solver)
+        if problem is None:
             continue
         solution = problem.solve(np.full(6, 0.1))
         assert solution.converged and solution.iterations == 0 and solution.miss == rik.solution.Miss(0, 0)
@@ -214,12 +215,12 @@ def test_the_same_goal_twice_is_that_goal(puma, name):
     for kind in ("position", "pose"):
         pose = puma.forward(puma.clip(puma.home + rng.uniform(-0.3, 0.3, 6)))
         goal = PositionGoal(None, pose.position) if kind == "position" else PoseGoal.at(None, pose)
-        if not solver.applies(Problem(puma, goal)):
+        if served(puma, goal, solver=solver) is None:
             continue
         once = Problem(puma, goal, solver=solver).solve()
-        if not solver.applies(Problem(puma, [goal] * 3)):
+        if served(puma, [goal] * 3, solver=solver) is None:
             with pytest.raises(UnsupportedGoalError, match=name):
-                Problem(puma, [goal] * 3, solver=solver).solve()
+                Problem(puma, [goal] * 3, solver=solver)
             continue
         thrice = Problem(puma, [goal] * 3, solver=solver).solve()
         assert once.converged and thrice.converged and len(thrice.misses) == 3

@@ -26,6 +26,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
+from tests.solvers.law_cases import served
 
 SHORT = Budget(iterations=300)
 FEW = settings(max_examples=50)
@@ -114,7 +115,7 @@ def test_limits_may_hold_a_joint_in_one_place(make_robot, name):
     robot = make_robot(chain(), tool="tip")
     held = robot.with_limits([-2, 0.3, -2], [2, 0.3, 2])
     goal = PositionGoal(None, held.forward([0.4, 0.3, 0.6]).position)
-    if not SOLVERS[name]().applies(Problem(held, goal)):
+    if served(held, goal, solver=name) is None:
         return
     solution = solve(held, goal, solver=name)
     assert solution.q[1] == 0.3
@@ -150,16 +151,16 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
             CenterOfMassGoal(None, (0, far, 0)),
             PostureGoal(q=np.full(6, far)),
         ):
-            problem = Problem(puma, goal, budget=SHORT, solver=solver)
-            if not solver.applies(problem):
+            problem = served(puma, goal, budget=SHORT, solver=solver)
+            if problem is None:
                 continue
             solution = problem.solve()
             honest(puma, solution, Tolerance())
             assert not solution.converged
             if not isinstance(goal, CenterOfMassGoal | PostureGoal):
                 assert solution.status is Status.UNREACHABLE
-    problem = Problem(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
-    if solver.applies(problem):  # one may try it all the same
+    problem = served(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
+    if problem is not None:  # one may try it all the same
         honest(puma, problem.solve(), Tolerance())
 
 
@@ -177,8 +178,8 @@ def test_size_does_not_matter(make_robot, name, scale):
             PoseGoal.at(None, here),
             AimGoal(None, here.position + size * here.rotation[:, 2]),
         ):
-            problem = Problem(robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver)
-            if solver.applies(problem):
+            problem = served(robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver)
+            if problem is not None:
                 solution = problem.solve([0, 0.1, 0.1])
                 honest(robot, solution, tolerance)
                 results.append((solution.status, solution.q))
@@ -195,8 +196,8 @@ def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
     tolerance, solver = Tolerance(fine, fine), make_solver(name)
     there = puma.forward(puma.home + 0.2)
     for goal in (PositionGoal(None, there.position), PoseGoal.at(None, there)):
-        problem = Problem(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
-        if not solver.applies(problem):
+        problem = served(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
+        if problem is None:
             continue
         solution = problem.solve()
         assert np.isfinite(solution.q).all() and not puma.outside(solution.q)
@@ -219,7 +220,7 @@ def test_one_joint_is_an_arm(make_robot, name):
         0.2: AimGoal(None, robot.forward([0.2]).apply([9, 0, 0]), axis="x"),
         -0.4: PostureGoal(q=[-0.4]),
     }
-    served = {q: goal for q, goal in goals.items() if solver.applies(Problem(robot, goal))}
+    served = {q: goal for q, goal in goals.items() if served(robot, goal, solver=solver) is not None}
     for q, goal in served.items():
         solution = Problem(robot, goal, solver=solver).solve()
         assert solution.converged and solution.q == pytest.approx([q], abs=2e-3)
@@ -229,7 +230,7 @@ def test_one_joint_is_an_arm(make_robot, name):
         PositionGoal(None, (0, 0, 0)),
         PositionGoal(None, (-0.5, 0, 0)),
     ):
-        if solver.applies(Problem(robot, goal)):
+        if served(robot, goal, solver=solver) is not None:
             honest(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
 
 
@@ -247,8 +248,8 @@ def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
             AimGoal(frame, here.apply([moved, 0, 1])),
             LineGoal(frame, here.position + world, "z"),
         ):
-            problem = Problem(robot, goal, solver=solver)
-            if not solver.applies(problem):
+            problem = served(robot, goal, solver=solver)
+            if problem is None:
                 continue
             solution = problem.solve()
             assert solution.converged is met
@@ -262,7 +263,7 @@ def test_frozen_joints_stay_and_the_active_ones_are_enough(puma, name):
     robot = load_robot("puma560", joints=["joint1", "joint2", "joint3"])
     q = robot.home + np.array([0.4, 0.2, -0.3])
     goal = PositionGoal(None, robot.forward(q).position)
-    solution = solve(robot, goal, solver=name) if SOLVERS[name]().applies(Problem(robot, goal)) else None
+    solution = solve(robot, goal, solver=name) if served(robot, goal, solver=name) is not None else None
     if solution is not None and name != "recursive":
         assert solution.converged and solution.q.shape == (3,)
         whole = robot.qpos(solution.q)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import (
     AimGoal,
@@ -22,7 +23,9 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
+from tests.residual_rows import columns_of
 from tests.solvers.goal_judge import BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near
+from tests.solvers.law_cases import served
 
 UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
 
@@ -71,7 +74,7 @@ def slope(problem, q):
     robot, step = problem.robot, 1e-6
     size = np.sqrt(2 * cost(problem, q))
     gradient = np.zeros(robot.nv)
-    for v in problem.dofs:
+    for v in columns_of(problem):
         dq = np.zeros(robot.nv)
         dq[v] = step
         forward, backward = cost(problem, robot.integrate(q, dq)), cost(problem, robot.integrate(q, -dq))
@@ -114,8 +117,8 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
     for robot in tied.values():
-        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name)
-        if not make_solver(name).applies(problem):
+        problem = served(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name)
+        if problem is None:
             continue
         start = near(robot, 2, 0.1)
         solution = problem.solve(start)
@@ -132,10 +135,9 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
 def test_law_6_tracking_comes_to_rest(tied, name, kind):
     for robot in tied.values():
         budget = Budget(restarts=0)
-        problem, solver = (
-            Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=solver),
-            make_solver(name),
-        )
+        problem = served(robot, never(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget)
+        if problem is None:
+            continue
         q, largest = robot.home, 0.0
         for tick in range(60):
             solution = problem.solve(q)
@@ -190,9 +192,7 @@ def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothin
     solver = make_solver("lm")
     for budget in (Budget(iterations=k) for k in (1, 7, 20, 35, 60, 20_000)):
         problem = Problem(robot, [pose, far], budget=budget, solver=solver)
-        weights = problem.weights.copy()
         first = problem.solve(robot.home)
-        assert np.array_equal(problem.weights, weights)
         assert first.q.tobytes() == problem.solve(robot.home).q.tobytes()
         assert cost(problem, first.q) <= cost(problem, robot.home)
         assert first.iterations <= budget.iterations
@@ -201,7 +201,7 @@ def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothin
 def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
     robot, rng = load_robot("puma560"), np.random.default_rng(3)
     pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
-    problem, solver = Problem(robot, [pose, PositionGoal(None, (3.0, 0, 0.5))], solver="lm"), make_solver("lm")
+    problem = Problem(robot, [pose, PositionGoal(None, (3.0, 0, 0.5))], solver="lm")
     q, steps = robot.home, []
     for _ in range(60):
         solution = problem.solve(q)
@@ -218,7 +218,7 @@ def test_length_says_how_many_metres_are_worth_a_radian():
         goal = dataclasses.replace(far, length=360 / (2 * np.pi * degrees))
         problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0), solver="lm")
         solution = problem.solve(q)
-        assert problem.length(goal) == goal.length and slope(problem, solution.q) < 1e-3
+        assert length_scale(problem.robot, goal) == goal.length and slope(problem, solution.q) < 1e-3
         q = solution.q
         misses.append(solution.miss)
     assert misses[0].position < misses[1].position - 1e-3 < misses[2].position - 2e-3

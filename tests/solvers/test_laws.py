@@ -55,7 +55,7 @@ def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
     name, robot_name, kind, robots, reachable
 ):
     robot = robots(robot_name)
-    solver = make_solver(name)
+    make_solver(name)
     goals = [goal_of(robot, q, kind) for q in reachable(robot, 6)]
     budget = Budget(iterations=600)
     fresh = [outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve()) for g in goals]
@@ -135,7 +135,7 @@ def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     robot = robots(robot_name)
     budget = Budget(restarts=FLOORS["tracking_restarts"][name])
     problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget, solver=name)
-    solver = make_solver(name)
+    make_solver(name)
     q, largest = robot.home, 0.0
     for tick in range(TICKS):
         solution = problem.solve(q)

@@ -16,7 +16,7 @@ from robot_ik.goals import (
     Tolerance,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget
+from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS
@@ -161,7 +161,43 @@ def test_laws_hold_with_priorities_too(arm):
 
 def test_methods_without_priorities_refuse_them_by_name(arm):
     goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PositionGoal("elbow", (0, 0, 1), priority=1)]
-    for name in sorted(set(SOLVERS) - {"auto", "lm", "combined"}):
+    for name in sorted(set(SOLVERS) - {"auto", "lm"}):
         with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
             solve(arm, goals, solver=name)
         assert "lm" in caught.value.able
+
+
+def test_a_problem_with_priorities_remembers_no_earlier_solve(arm):
+    rng = np.random.default_rng(8)
+    goals = [PoseGoal.at(None, arm.forward(arm.sample(rng))), PostureGoal(q=arm.home, priority=1)]
+    problem = Problem(arm, goals, solver="lm")
+    poses = [arm.forward(arm.sample(rng)) for _ in range(4)]
+    first = [problem.solve(target=pose) for pose in poses]
+    again = [problem.solve(target=pose) for pose in reversed(poses)]
+    for one, two in zip(first, reversed(again), strict=True):
+        assert one.q.tobytes() == two.q.tobytes()
+        assert (one.status, one.iterations) == (two.status, two.iterations)
+
+
+def test_the_trace_has_the_length_of_each_step(arm):
+    goals = [PoseGoal.at(None, arm.forward(arm.home + 0.3)), PostureGoal(q=arm.home, priority=1)]
+    traced = Problem(arm, goals, solver="lm", trace=True).solve()
+    assert all(step.step > 0.0 for step in traced.trace)
+
+
+def test_goals_in_reach_are_met_beside_one_that_is_not(arm):
+    """The goals of the first level that are proven out of reach are left out of its search."""
+    rng = np.random.default_rng(3)
+    elbow = PositionGoal("elbow", arm.forward(arm.sample(rng), "elbow").position, weight=5.0)
+    goals = [PositionGoal(None, (3.0, 0.0, 0.5)), elbow, PostureGoal(q=arm.home, priority=1)]
+    found = solve(arm, goals, solver="lm")
+    assert found.status is Status.UNREACHABLE
+    alone = solve(arm, goals[:2], solver="lm")
+    assert found.misses[0].position == pytest.approx(alone.misses[0].position, abs=0.01)
+
+
+@pytest.mark.parametrize("option", [{"clamp": 0.5}, {"gain": 0.5}, {"alternative": True}])
+def test_options_of_a_single_level_are_refused_with_priorities(arm, option):
+    goals = [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, priority=1)]
+    with pytest.raises(UnsupportedGoalError, match="clamp, gain or alternative"):
+        Problem(arm, goals, solver="lm", **option)

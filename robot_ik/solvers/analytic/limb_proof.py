@@ -15,10 +15,11 @@ import numpy as np
 from robot_ik.geometry import Array
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.kernels import jit, so3
-from robot_ik.kernels.block import Layout
+from robot_ik.kernels.block import Block, Layout
 from robot_ik.kernels.jit import inlined, kernel
 from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH
+from robot_ik.kernels.tree import Tree
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.analytic.proofs import centre_error, may_fit, third_side
@@ -55,26 +56,29 @@ def limb_of(problem: Problem) -> Limb | None:
     return recognise_limb(problem.robot.tree, node, local, whole=asks_angle)
 
 
+def limb_block(limb: Limb, tree: Tree) -> Block:
+    """Return the memory of a limb."""
+    v = int(tree.vadr[limb.elbow_node])
+    arrays = {
+        "shoulder": limb.shoulder,
+        "elbow": limb.elbow,
+        "wrist": limb.wrist,
+        "wrist_in_tool": limb.wrist_in_tool,
+        "limits": np.array([tree.lower[v], tree.upper[v]]),
+    }
+    return LIMB.allocate(given={name: np.ascontiguousarray(array) for name, array in arrays.items()})
+
+
 class PreparedProof:
     """The proof made ready for one problem. A solve ends UNREACHABLE, or STALLED without a proof."""
 
     name = "proof"
 
     def __init__(self, limb: Limb, problem: Problem) -> None:
-        tree = problem.robot.tree
-        v = int(tree.vadr[limb.elbow_node])
-        arrays = {
-            "shoulder": limb.shoulder,
-            "elbow": limb.elbow,
-            "wrist": limb.wrist,
-            "wrist_in_tool": limb.wrist_in_tool,
-            "limits": np.array([tree.lower[v], tree.upper[v]]),
-        }
-        memory = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         blocks = {
             "goals": problem.compiled.block,
             "search": problem.search,
-            "limb": LIMB.allocate(given=memory),
+            "limb": limb_block(limb, problem.robot.tree),
         }
         self._run = RUN.allocate(given=blocks)
         self._address = self._run.address

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.theses import s12
+from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import MissingExtraError
 from robot_ik.goals import PositionGoal
 from robot_ik.problem import Budget, Problem
@@ -55,8 +56,14 @@ def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
     """One step of each Jacobian method against his formulas, written with NumPy on MuJoCo's Jacobian."""
     arm, rng = s12.make_arm(case.limited), np.random.default_rng(8)
     q, target = arm.sample(rng), arm.measure(arm.sample(rng)).position
-    problem = Problem(arm, PositionGoal("tip", target), tolerance=s12.TOLERANCE,
-                      budget=Budget(iterations=1, restarts=0), solver=s12.make_method("same", name, problem))  # fmt: skip
+    goal = PositionGoal("tip", target)
+    problem = Problem(
+        arm,
+        goal,
+        solver=s12.make_method("same", name, length_scale(arm, goal)),
+        tolerance=s12.TOLERANCE,
+        budget=Budget(iterations=1, restarts=0),
+    )
     step = problem.solve(q).q - q
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(q)

@@ -16,7 +16,7 @@ from robot_ik.goals import PosePriorGoal
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.pose_prior import PosePrior, feature_names
 from robot_ik.problem import Problem
-from tests.residual_rows import residual_and_jacobian
+from tests.residual_rows import rows_at
 
 Array = NDArray[np.float64]
 
@@ -43,21 +43,16 @@ def prior(robot: rik.Robot) -> PosePrior:
     return fit_pose_prior(robot, some_poses(robot, 80), parts=3, mirror=False)
 
 
-def rows_at(problem: Problem, q: Array) -> tuple[Array, Array]:
-    problem.arrays["q"][:] = q
-    residual_and_jacobian(*problem.tables)
-    return problem.arrays["residual"].copy(), problem.arrays["jacobian"].copy()
-
-
 def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, prior: PosePrior) -> None:
     weight = 0.7
     problem = Problem(robot, PosePriorGoal(prior=prior, weight=weight))
     for q in some_poses(robot, 3, size=0.4):
-        residual, jacobian = rows_at(problem, q)
+        rows = rows_at(problem, q)
         energy = prior.energy(robot, q) - prior.least
-        assert 0.5 * residual @ residual / weight**2 == pytest.approx(energy, rel=1e-9, abs=1e-9)
+        assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
+        assert rows.cost / weight**2 == pytest.approx(energy, rel=1e-9, abs=1e-9)
         gradient = np.zeros(robot.nv)
-        gradient[problem.dofs] = -jacobian.T @ residual / weight**2
+        gradient[rows.dofs] = -rows.jacobian.T @ rows.residual / weight**2
         numeric = np.zeros(robot.nv)
         for v in range(robot.nv):
             step = np.zeros(robot.nv)
@@ -72,9 +67,9 @@ def test_gauss_newton_steps_never_make_a_pose_less_likely(robot: rik.Robot, prio
     for q in some_poses(robot, 3, size=0.5):
         energies = [prior.energy(robot, q)]
         for _ in range(8):
-            residual, jacobian = rows_at(problem, q)
+            rows = rows_at(problem, q)
             step = np.zeros(robot.nv)
-            step[problem.dofs] = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            step[rows.dofs] = np.linalg.lstsq(rows.jacobian, rows.residual, rcond=None)[0]
             q = robot.integrate(q, step)
             energies.append(prior.energy(robot, q))
         # Leans and balls are no linear features: a little is left to them while steps are long.
@@ -176,18 +171,18 @@ def test_the_prior_that_ships_knows_the_motions_that_ship(humanoid: rik.Robot) -
 def test_what_makes_no_sense_is_refused(humanoid: rik.Robot) -> None:
     prior = PosePrior.of(humanoid)
     puma = rik.load_robot("puma560")
-    with pytest.raises(InvalidGoalError, match="needs a PosePrior"):
-        PosePriorGoal()
-    with pytest.raises(InvalidGoalError, match="wanted, never needed"):
+    with pytest.raises(InvalidGoalError, match="must be a PosePrior, not None"):
+        PosePriorGoal(prior=None)  # type: ignore[arg-type]
+    with pytest.raises(InvalidGoalError, match="always soft"):
         PosePriorGoal(prior=prior, soft=False)
-    with pytest.raises(InvalidGoalError, match="one pose prior at most"):
+    with pytest.raises(InvalidGoalError, match="2 pose prior goals"):
         Problem(humanoid, [PosePriorGoal(prior=prior), PosePriorGoal(prior=prior, weight=2.0)])
     with pytest.raises(UnknownJointError):
         Problem(puma, PosePriorGoal(prior=prior))
     with pytest.raises(ModelError, match="no pose prior ships with 'puma560'"):
         PosePrior.of(puma)
     with pytest.raises(UnsupportedGoalError, match="soft"):
-        Problem(humanoid, PosePriorGoal(prior=prior), solver="dls").solve()
+        Problem(humanoid, PosePriorGoal(prior=prior), solver="dls")
     goal = PosePriorGoal(prior=prior)
     with pytest.raises(InvalidGoalError, match="no pose to move"):
         goal.moved_to(rik.Pose())
@@ -195,13 +190,17 @@ def test_what_makes_no_sense_is_refused(humanoid: rik.Robot) -> None:
     assert "PosePrior(" in repr(goal)
 
 
-def test_changing_its_weight_needs_no_new_problem(humanoid: rik.Robot) -> None:
+def test_the_residual_is_in_proportion_to_the_weight(humanoid: rik.Robot) -> None:
     prior = PosePrior.of(humanoid)
-    problem = Problem(humanoid, PosePriorGoal(prior=prior))
-    one, _ = rows_at(problem, humanoid.home)
-    problem.exchange([PosePriorGoal(prior=prior, weight=2.0)])
-    two, _ = rows_at(problem, humanoid.home)
-    np.testing.assert_allclose(two, 2.0 * one)
+    first = rows_at(Problem(humanoid, PosePriorGoal(prior=prior)), humanoid.home)
+    second = rows_at(Problem(humanoid, PosePriorGoal(prior=prior, weight=2.0)), humanoid.home)
+    np.testing.assert_allclose(second.residual, 2.0 * first.residual)
+    np.testing.assert_allclose(second.jacobian, 2.0 * first.jacobian)
+
+
+def test_the_public_names_include_the_prior_and_its_goal() -> None:
+    assert rik.PosePriorGoal is PosePriorGoal
+    assert rik.PosePrior is PosePrior
 
 
 def test_the_figures_of_the_page_are_those_that_were_measured() -> None:

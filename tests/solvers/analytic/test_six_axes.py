@@ -245,7 +245,7 @@ def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
     robot = random_arm(rng, tmp_path, "spherical", limit=6.2)
     q0 = rng.uniform(-0.5, 0.5, 6)
     problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT, solver=name)
-    solver, q = make_solver(name), q0
+    _solver, q = make_solver(name), q0
     for t in np.linspace(0.0, 1.0, 400):
         wanted = q0 + t * np.array([5.0, 0.3, -0.3, 0.2, 0.2, 5.0])
         problem.retarget(robot.forward(wanted))

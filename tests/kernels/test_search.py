@@ -1,11 +1,17 @@
 """Random starts: inside the limits, spread over them, the same for the same seed."""
 
 import numpy as np
-from numba import njit
 
-from robot_ik.kernels.loop import draw
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import SEED, STATE_SIZE
+from robot_ik.goals import PostureGoal
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.residuals import GOALS
+from robot_ik.kernels.search import SEARCH, draw
+from robot_ik.kernels.tree import TREE
+from robot_ik.problem import Problem
+
+RUN = Layout("Draws", tree=TREE, goals=GOALS, search=SEARCH)
+open_run = RUN.open
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
@@ -17,19 +23,33 @@ MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 </worldbody></mujoco>"""
 
 
-@njit
-def draw_many(tree, nodes, start, state, out):
+@kernel
+def draw_many(address, out):
+    """Write random starts to the rows of ``out``."""
+    run = open_run(address)
     for i in range(out.shape[0]):
-        draw(open_tree(tree), nodes, start, state, out[i])
+        draw(run.tree, run.goals, run.search)
+        for j in range(out.shape[1]):
+            out[i, j] = run.search.q[j]
 
 
-def starts(robot, seed, count=2000, nodes=None):
-    state = np.zeros(STATE_SIZE, dtype=np.int64)
-    state[SEED] = seed
+def starts(robot, seed, count=2000, joints=None):
+    """Random starts (count, nq) for a goal that concerns some joints, or all."""
+    weights = dict.fromkeys(joints or robot.joints, 1.0)
+    problem = Problem(robot, PostureGoal(q=robot.home, joints=weights, only=True), solver="lm")
+    blocks = {
+        "tree": robot.tree.block,
+        "goals": problem.compiled.block,
+        "search": problem.search,
+    }
+    run = RUN.allocate(given=blocks)
     start = np.zeros(robot.nq)
     start[-7:] = [1, 2, 3, 1, 0, 0, 0]
-    out = np.tile(start, (count, 1))
-    draw_many(robot.tree.handle, robot.tree.every if nodes is None else nodes, start, state, out)
+    problem.search["random_state"] = seed
+    problem.search.arrays["start"][:] = start
+    problem.search.arrays["q"][:] = start
+    out = np.empty((count, robot.nq))
+    draw_many(run.address, out)
     return out
 
 
@@ -63,6 +83,6 @@ def test_the_same_seed_gives_the_same_bits_and_others_do_not(load_xml):
 
 def test_joints_that_do_not_matter_are_left_alone(load_xml):
     robot = load_xml(MIXED)
-    out = starts(robot, 3, 20, nodes=np.array([0, 2]))
+    out = starts(robot, 3, 20, joints=("hinge", "ball"))
     assert not out[:, [1, 6, 7]].any() and np.array_equal(out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1)))
     assert out[:, 0].std() > 0 and out[:, 3].std() > 0
