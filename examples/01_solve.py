@@ -11,7 +11,7 @@ import robot_ik as rik
 
 
 def show(name: str, solution: rik.Solution) -> None:
-    miss = solution.miss  # measured by MuJoCo, not by the solver
+    miss = solution.error  # measured by MuJoCo, not by the solver
     print(
         f"{name:13} {solution.status.name:12} {1e3 * miss.position:9.4f} mm "
         f"{np.degrees(miss.angle):8.4f} deg  {solution.iterations:4} iterations, {solution.restarts} restarts"

@@ -44,7 +44,7 @@ def main(*ball: float) -> None:
     found = rik.solve(lion, list(wanted.values()))
     print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
     print("priority  goal                      off by                 met")
-    for (name, goal), miss in zip(wanted.items(), found.misses, strict=True):
+    for (name, goal), miss in zip(wanted.items(), found.errors, strict=True):
         met = miss.position <= 1e-4 and miss.angle <= 1e-3
         off = f"{1e3 * miss.position:9.3f} mm {np.degrees(miss.angle):8.3f} deg"
         print(f"{goal.priority:8}  {name:24}{off}  {'yes' if met else 'no'}")

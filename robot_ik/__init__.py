@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from robot_ik.problem import Budget, Problem
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_file import catalogue
-    from robot_ik.solution import Miss, Solution, Status
+    from robot_ik.solution import Deviation, Solution, Status
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
@@ -64,19 +64,54 @@ _HOME = {
     "robot_ik.problem": ("Budget", "Problem"),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_file": ("catalogue",),
-    "robot_ik.solution": ("Miss", "Solution", "Status"),
+    "robot_ik.solution": ("Deviation", "Solution", "Status"),
     "robot_ik.inverse_kinematics": ("solve", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }  # fmt: skip
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "DHRow", "Goal", "HalfSpaceGoal",
-    "LineGoal", "Miss", "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal",
-    "PosePrior", "PosePriorGoal", "PositionGoal", "PostureGoal", "Problem", "RealClock", "Robot",
-    "RobotIkError", "Solution", "Status", "Tolerance", "Trajectory", "VirtualClock", "__version__",
-    "catalogue", "execute", "follow", "from_dh", "joint_move", "line_move", "load_robot",
-    "make_chain", "make_solver", "solve", "solve_all", "solve_batch", "warm_up",
+    "SOLVERS",
+    "AimGoal",
+    "Budget",
+    "CenterOfMassGoal",
+    "DHRow",
+    "Deviation",
+    "Goal",
+    "HalfSpaceGoal",
+    "LineGoal",
+    "NotConvergedError",
+    "OrientationGoal",
+    "PlaneGoal",
+    "Pose",
+    "PoseGoal",
+    "PosePrior",
+    "PosePriorGoal",
+    "PositionGoal",
+    "PostureGoal",
+    "Problem",
+    "RealClock",
+    "Robot",
+    "RobotIkError",
+    "Solution",
+    "Status",
+    "Tolerance",
+    "Trajectory",
+    "VirtualClock",
+    "__version__",
+    "catalogue",
+    "execute",
+    "follow",
+    "from_dh",
+    "joint_move",
+    "line_move",
+    "load_robot",
+    "make_chain",
+    "make_solver",
+    "solve",
+    "solve_all",
+    "solve_batch",
+    "warm_up",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:

@@ -1,9 +1,9 @@
-"""The run-time loops: `execute` plays a trajectory, `follow` follows a goal.
+"""The run-time loops: ``execute`` plays a trajectory, ``follow`` follows goals.
 
-Both run on absolute deadlines, so lateness below one period is caught up and never adds up.
-Neither hurries: after a longer stall the rest of the schedule moves, because two samples sent at
-once are a jump to a servo.  An exception (KeyboardInterrupt too) leaves the loop at once and nothing
-more is sent; what the arm does then is its own exit policy.
+Both use absolute deadlines, so a delay below one period is caught up and delays never add up. After
+a longer delay the rest of the schedule moves, because two samples sent at once are a jump for a
+servo. An exception, KeyboardInterrupt too, leaves the loop at once and nothing more is sent. The
+exit policy of the arm decides what the arm does then.
 """
 
 from __future__ import annotations
@@ -32,15 +32,35 @@ if TYPE_CHECKING:
     from robot_ik.solvers.base import Solver
 
 
+LONGEST_RUN = 1e9
+"""Seconds that a run may be requested to last."""
+
+START_TOLERANCE = 0.02
+"""rad or m. Largest distance of the arm from the first sample. A loaded servo sags by less."""
+
+TICK_ITERATIONS = 1000
+"""Iterations of a tick. A few are enough from the last command; the rest is for restarts."""
+
+TICK_RESTARTS = 100
+"""Random restarts of a tick."""
+
+SINGLE_SAMPLE_PERIOD = 0.01
+"""Seconds between the repeated samples of a trajectory of one sample, which has no rate."""
+
+COUNT_ROUNDING = 1e-9
+"""Rounding error of a number of ticks."""
+
+
 @dataclass(frozen=True)
 class Tick:
-    """One tick of `execute`, for a progress display.
+    """One tick of ``execute``, for a progress display.
 
     Attributes:
-        index: From 0; ``count`` ticks in all, settling included.
+        index: Index of the tick, from 0.
+        count: Number of ticks, with those for settling.
         time: Seconds since the first tick.
-        commanded: (nq,) what was sent.
-        measured: (nq,) what the source then read, or None without a source.
+        commanded: The command (nq,).
+        measured: The measured joint angles (nq,) after the command. None without a source.
     """
 
     index: int
@@ -52,15 +72,15 @@ class Tick:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Execution:
-    """What happened while a trajectory was played.
+    """Record of a trajectory that was played.
 
     Attributes:
-        joints: Column names.
-        times: (n,) seconds since the first tick at which samples were really sent.
-        commanded: (n, nq) what was sent.
-        measured: (n, nq) what the source read after each, or None without a source.
-        measured_times: (n,) seconds since the first tick at which those were sampled.
-        overruns: Ticks that came a whole period late or more.
+        joints: Names of the columns.
+        times: Times (n,) at which the samples were sent, seconds since the first tick.
+        commanded: The commands (n, nq).
+        measured: The measured joint angles (n, nq) after each command. None without a source.
+        measured_times: Times (n,) of the measurements, seconds since the first tick.
+        overruns: Number of ticks that were late by a period or more.
     """
 
     joints: tuple[str, ...]
@@ -72,10 +92,10 @@ class Execution:
 
     def __repr__(self) -> str:
         error = self.tracking_error
-        off = "" if error is None else f", at most {error.max():.3g} off"
+        largest = "" if error is None else f", tracking error up to {error.max():.3g}"
         return (
-            f"Execution({len(self.times)} ticks of {len(self.joints)} joints in {self.duration:.3g} s, "
-            f"{self.overruns} overruns{off})"
+            f"Execution({len(self.times)} ticks of {len(self.joints)} joints in "
+            f"{self.duration:.3g} s, {self.overruns} overruns{largest})"
         )
 
     @property
@@ -85,42 +105,44 @@ class Execution:
 
     @property
     def rate(self) -> float:
-        """Achieved ticks a second; 0 for a single tick."""
+        """Achieved ticks a second. 0 for a single tick."""
         return (len(self.times) - 1) / self.duration if self.duration > 0.0 else 0.0
 
     @property
     def tracking_error(self) -> Array | None:
-        """(nq,) largest distance of measured from commanded, rad or m; None without a source."""
+        """Largest distance (nq,) of measured from commanded, rad or m. None without a source."""
         if self.measured is None:
             return None
         return np.asarray(np.abs(self.measured - self.commanded).max(axis=0))
 
     @property
     def final_error(self) -> Array | None:
-        """(nq,) measured minus commanded at the last tick, rad or m; None without a source."""
-        return None if self.measured is None else np.asarray(self.measured[-1] - self.commanded[-1])
+        """Measured minus commanded (nq,) at the last tick, rad or m. None without a source."""
+        if self.measured is None:
+            return None
+        return np.asarray(self.measured[-1] - self.commanded[-1])
 
     @property
     def measured_trajectory(self) -> Trajectory | None:
-        """What the arm did, by its own sensors; None without a source."""
+        """The motion of the arm by its own sensors. None without a source."""
         if self.measured is None or self.measured_times is None:
             return None
-        fresh = np.concatenate([[True], np.diff(self.measured_times) > 0.0])
-        return Trajectory(self.measured_times[fresh], self.measured[fresh], self.joints)
+        is_new = np.concatenate([[True], np.diff(self.measured_times) > 0.0])
+        return Trajectory(self.measured_times[is_new], self.measured[is_new], self.joints)
 
 
 @dataclass(frozen=True)
 class FollowTick:
-    """One tick of `follow`.
+    """One tick of ``follow``.
 
     Attributes:
-        index: From 0.
+        index: Index of the tick, from 0.
         time: Seconds since the first tick.
-        goal: What the source gave; None while holding.
-        solution: What the solver found, None while holding.
-        q: (nq,) what was sent: towards ``solution.q`` as far as the joints are allowed in one period.
-        capped: True when that was less than the whole distance.
-        measured: (nq,) what the source of joints then read, or None without one.
+        goal: The goal of the source. None while the position is kept.
+        solution: The solution. None while the position is kept.
+        q: The command (nq,): towards ``solution.q``, as far as the joints may move in one period.
+        capped: Whether that was less than the whole distance.
+        measured: The measured joint angles (nq,) after the command. None without a source.
     """
 
     index: int
@@ -134,20 +156,20 @@ class FollowTick:
 
 @dataclass(eq=False, repr=False)
 class FollowReport:
-    """What happened while a goal was followed.  Its size does not grow with time.
+    """Record of a run of ``follow``. Its size does not grow with time.
 
     Attributes:
         joints: Names for the vectors below.
-        ticks: How many; each was either solved or held.
-        held: Ticks without a goal: the last command was repeated.
-        capped: Ticks on which a joint would have been too fast; the step was shortened.
-        statuses: How often each `Status` came out, by its name.
+        q: The last command (nq,).
+        largest_step: Largest change (nq,) of the command from one tick to the next, rad or m.
+        ticks: Number of ticks.
+        held: Number of ticks without a goal, in which the last command was repeated.
+        capped: Number of ticks whose step was shortened by a speed limit.
+        statuses: Number of solutions by the name of their ``Status``.
         duration: Seconds from the first tick to the last.
-        overruns: Ticks that came a whole period late or more.
-        q: (nq,) last command.
-        last: Last solution, None when there never was a goal.
-        largest_step: (nq,) largest change of a command from one tick to the next, rad or m.
-        tracking_error: (nq,) largest distance of measured from commanded, None without a source.
+        overruns: Number of ticks that were late by a period or more.
+        last: The last solution. None if there never was a goal.
+        tracking_error: Largest distance (nq,) of measured from commanded. None without a source.
     """
 
     joints: tuple[str, ...]
@@ -163,28 +185,28 @@ class FollowReport:
     tracking_error: Array | None = None
 
     def __repr__(self) -> str:
-        ends = ", ".join(f"{count} {name}" for name, count in self.statuses.items())
+        counts = ", ".join(f"{count} {name}" for name, count in self.statuses.items())
         return (
-            f"FollowReport({self.ticks} ticks in {self.duration:.3g} s: {ends or 'no goal'}; "
+            f"FollowReport({self.ticks} ticks in {self.duration:.3g} s: {counts or 'no goal'}; "
             f"{self.held} held, {self.capped} capped, {self.overruns} overruns)"
         )
 
     @property
     def rate(self) -> float:
-        """Achieved ticks a second; 0 for fewer than two."""
+        """Achieved ticks a second. 0 for fewer than two ticks."""
         return (self.ticks - 1) / self.duration if self.duration > 0.0 else 0.0
 
     @property
     def solved(self) -> int:
-        """Ticks whose solution met the tolerance."""
+        """Number of ticks whose solution was within tolerance."""
         return self.statuses.get("CONVERGED", 0)
 
 
 class Schedule:
-    """Deadlines a period apart that yield to a stall instead of bunching up.
+    """Deadlines one period apart that move after a long delay instead of bunching up.
 
     Attributes:
-        overruns: Ticks that came a whole period late or more.
+        overruns: Number of ticks that were late by a period or more.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -193,7 +215,7 @@ class Schedule:
         self.overruns = 0
 
     def wait(self, due: float, period: float) -> float:
-        """Sleeps until ``due`` seconds after the origin; the time on the clock then."""
+        """Sleep until ``due`` seconds after the origin, and return the time on the clock."""
         self.clock.sleep_until(self.origin + due)
         now = self.clock.now()
         late = now - (self.origin + due)
@@ -204,7 +226,10 @@ class Schedule:
 
 
 def clock_of(clock: Clock | None, source: JointSource | None, sinks: Sequence[JointSink]) -> Clock:
-    """The given clock, else that of the arm: a simulated arm stands still on the machine's clock."""
+    """Return the given clock, else the clock of the arm, else the clock of the machine.
+
+    A simulated arm runs on its own clock and would not move on the clock of the machine.
+    """
     if clock is not None:
         return clock
     for part in (source, *sinks):
@@ -212,15 +237,6 @@ def clock_of(clock: Clock | None, source: JointSource | None, sinks: Sequence[Jo
         if own is not None:
             return own
     return RealClock()
-
-
-_LONGEST = 1e9
-"""s that a run may be asked to last."""
-START_TOLERANCE = 0.02
-"""rad or m: how far the arm may be from a trajectory's first sample; a servo holding a load sags by less."""
-
-# Steps a tick may take: a few are enough from the last command; the rest is for restarts out of a dead end.
-_TICK_ITERATIONS, _TICK_RESTARTS = 1000, 100
 
 
 def execute(
@@ -233,42 +249,50 @@ def execute(
     start_tolerance: float = START_TOLERANCE,
     settle: float = 0.0,
 ) -> Execution:
-    """Sends every sample of ``trajectory`` at its time to every sink.
+    """Send every sample of a trajectory at its time to every sink.
 
     Args:
-        trajectory: Its own sampling is the tick.
-        sinks: Each gets each sample, in order; `q` is read-only.
-        source: Usually the arm: read once before the start, and after every tick.
-        clock: None takes the one that an arm among ``source`` and ``sinks`` runs on, else the machine's.
-        on_tick: Called after each tick; must be quick.
-        start_tolerance: How far the measured arm may be from the first sample, rad or m.
+        trajectory: The trajectory. Each sample is one tick.
+        sinks: Each gets each sample, in order. ``q`` is read-only.
+        source: Usually the arm. It is read once before the start and after every tick.
+        clock: None takes the clock of an arm among ``source`` and ``sinks``, else the machine's.
+        on_tick: Called after each tick. It must be quick.
+        start_tolerance: Largest distance of the arm from the first sample, rad or m.
         settle: Seconds for which the last sample is repeated, so that servos can arrive.
 
     Raises:
-        TrajectoryError: The arm is not where the trajectory begins; nothing was sent.
+        TrajectoryError: The arm is not at the start of the trajectory, or an argument is wrong.
+            Nothing was sent.
     """
     given: object = trajectory
     if not isinstance(given, Trajectory):
-        raise TrajectoryError(f"not a trajectory: {trajectory!r}", hint="joint_move and line_move make one")
+        hint = "joint_move and line_move return one"
+        raise TrajectoryError(f"{trajectory!r} is not a trajectory", hint=hint)
     _require_sinks(sinks)
     clock = clock_of(clock, source, sinks)
     if source is not None:
         _require_start(trajectory, source.read().q, start_tolerance)
     due, commanded = _with_settling(trajectory, settle)
+    count = len(due)
     schedule = Schedule(clock)
-    times, measured, measured_times = np.zeros(len(due)), np.zeros(commanded.shape), np.zeros(len(due))
+    times = np.zeros(count)
+    measured = np.zeros(commanded.shape)
+    measured_times = np.zeros(count)
     begin = schedule.origin
     for k, q in enumerate(commanded):
         now = schedule.wait(due[k], due[k] - due[k - 1] if k else 0.0)
-        begin = now if k == 0 else begin
+        if k == 0:
+            begin = now
         times[k] = now - begin
         for sink in sinks:
             sink.send(q, now)
         if source is not None:
             reading = source.read()
-            measured[k], measured_times[k] = reading.q, reading.time - begin
+            measured[k] = reading.q
+            measured_times[k] = reading.time - begin
         if on_tick is not None:
-            on_tick(Tick(k, len(due), times[k], q, measured[k].copy() if source is not None else None))
+            sample = measured[k].copy() if source is not None else None
+            on_tick(Tick(k, count, times[k], q, sample))
     return Execution(
         trajectory.joints,
         times,
@@ -280,18 +304,21 @@ def execute(
 
 
 def _require_sinks(sinks: object) -> None:
-    """Raises ``TrajectoryError`` unless they are a list of sinks: one alone is a likely mistake."""
+    """Raise ``TrajectoryError`` unless they are a list of sinks; a single sink is not one."""
     if not isinstance(sinks, Sequence) or not all(isinstance(sink, JointSink) for sink in sinks):
-        raise TrajectoryError(f"not a list of sinks: {sinks!r}", hint="[arm]: each has send(q, now)")
+        hint = "[arm]: each has send(q, now)"
+        raise TrajectoryError(f"{sinks!r} is not a list of sinks", hint=hint)
 
 
 def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]:
-    """Due times (n,) from 0 and read-only samples (n, nq), the last one repeated for ``settle`` seconds."""
-    if not is_real(settle, 0.0, _LONGEST):
-        raise TrajectoryError(f"asked to settle for {settle!r} s", hint="give 0 or a finite time in seconds")
-    due, commanded = trajectory.times - trajectory.times[0], trajectory.q
-    period = float(due[-1] - due[-2]) if len(due) > 1 else 0.01  # a trajectory of one sample has no rate
-    extra = int(np.ceil(settle / period - 1e-9))
+    """Return due times (n,) from 0 and read-only samples (n, nq), with the last one repeated."""
+    if not is_real(settle, 0.0, LONGEST_RUN):
+        hint = "give 0 or a finite time in seconds"
+        raise TrajectoryError(f"settle is {settle!r} s", hint=hint)
+    due = trajectory.times - trajectory.times[0]
+    commanded = trajectory.q
+    period = float(due[-1] - due[-2]) if len(due) > 1 else SINGLE_SAMPLE_PERIOD
+    extra = int(np.ceil(settle / period - COUNT_ROUNDING))
     if extra:
         due = np.concatenate([due, due[-1] + period * np.arange(1, extra + 1)])
         commanded = np.concatenate([commanded, np.repeat(commanded[-1:], extra, axis=0)])
@@ -300,23 +327,24 @@ def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]
 
 
 def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
-    """Raises `TrajectoryError` unless the measured ``q`` (nq,) is where ``trajectory`` begins."""
+    """Raise ``TrajectoryError`` unless the measured ``q`` (nq,) is at the start of a trajectory."""
     if not is_real(tolerance, 0.0, math.inf):
-        raise TrajectoryError(f"start_tolerance is {tolerance!r}", hint="0 or more, rad (m of slides)")
+        hint = "give 0 or more, rad (m for slides)"
+        raise TrajectoryError(f"start_tolerance is {tolerance!r}", hint=hint)
     first = trajectory.q[0]
     if np.shape(q) != first.shape or not np.isfinite(q).all():
         raise TrajectoryError(
             f"the arm measures {np.asarray(q).tolist()}; the trajectory has {len(first)} joints",
-            hint="play a trajectory made for this arm",
+            hint="play a trajectory that was planned for this arm",
         )
-    away = np.abs(q - first)
-    k = int(np.argmax(away))
-    if away[k] > tolerance:
+    distance = np.abs(q - first)
+    k = int(np.argmax(distance))
+    if distance[k] > tolerance:
         planned, measured = distinct_texts(first[k], q[k], digits=4)
         raise TrajectoryError(
-            f"the trajectory begins with {planned} of joint {trajectory.joints[k]!r}, but the arm "
-            f"measures {measured}; at most {tolerance:g} apart is allowed; nothing was sent",
-            hint="plan from where the arm is: joint_move(robot, arm.read().q, …)",
+            f"the trajectory starts at {planned} of joint {trajectory.joints[k]!r}, but the arm "
+            f"measures {measured}; the largest allowed distance is {tolerance:g}; nothing was sent",
+            hint="plan from the measured position: joint_move(robot, arm.read().q, …)",
         )
 
 
@@ -375,26 +403,34 @@ def follow(
     _require_sinks(sinks)
     clock = clock_of(clock, source, sinks)
     require_positive("rate", rate, "Hz")
-    if duration is not None and not is_real(duration, 0.0, _LONGEST):
-        raise TrajectoryError(f"asked to follow for {duration!r} s", hint="0 or a finite time in seconds")
+    if duration is not None and not is_real(duration, 0.0, LONGEST_RUN):
+        hint = "give 0 or a finite time in seconds"
+        raise TrajectoryError(f"duration is {duration!r} s", hint=hint)
     if start is None:
         if source is None:
-            raise TrajectoryError("follow does not know where the arm is", hint="give start=q or source=arm")
+            hint = "give start=q or source=arm"
+            raise TrajectoryError("the start of the arm is unknown", hint=hint)
         start = source.read().q
     first = joint_vector(robot, start, "start")
-    count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
-    following = _FollowState(robot, method, tolerance, first, motion_limits(robot, speed)[0] / rate)
-    report, schedule = following.report, Schedule(clock)
+    count = None
+    if duration is not None:
+        count = max(1, int(np.ceil(duration * rate - COUNT_ROUNDING)))
+    largest_step = motion_limits(robot, speed)[0] / rate
+    following = _FollowState(robot, method, tolerance, first, largest_step)
+    report = following.report
+    schedule = Schedule(clock)
     begin = schedule.origin
     while True:
         now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
-        begin = now if report.ticks == 0 else begin
+        if report.ticks == 0:
+            begin = now
         goal = goals.poll(now)
         solution, capped = following.step(goal)
         for sink in sinks:
             sink.send(report.q, now)
         measured = None if source is None else following.compare(source.read().q)
-        report.duration, report.overruns = now - begin, schedule.overruns
+        report.duration = now - begin
+        report.overruns = schedule.overruns
         tick = FollowTick(report.ticks - 1, now - begin, goal, solution, report.q, capped, measured)
         if on_tick is not None:
             on_tick(tick)
@@ -413,7 +449,7 @@ class _FollowState:
         self._tolerance = tolerance
         self._largest_allowed = step
         self._problem: Problem | None = None
-        self._kinds: list[object] = []
+        self._kinds: Sequence[object] = []
         self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:
@@ -429,7 +465,7 @@ class _FollowState:
             goals,
             solver=self._solver,
             tolerance=self._tolerance,
-            budget=Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS),
+            budget=Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS),
         )
         self._kinds = kinds
         return self._problem
@@ -456,14 +492,15 @@ class _FollowState:
         return solution, excess > 1.0
 
     def compare(self, measured: Array) -> Array:
-        """Notes the distance of ``measured`` (nq,) from the command; a copy of it."""
-        away, before = np.abs(measured - self.report.q), self.report.tracking_error
-        self.report.tracking_error = away if before is None else np.maximum(before, away)
+        """Record the distance of ``measured`` (nq,) from the command, and return a copy."""
+        distance = np.abs(measured - self.report.q)
+        largest = self.report.tracking_error
+        self.report.tracking_error = distance if largest is None else np.maximum(largest, distance)
         return np.array(measured, dtype=float)
 
 
 def _frozen(q: ArrayLike) -> Array:
-    """A read-only copy: a sink that wrote into it would move the arm."""
+    """Return a read-only copy, because a sink that wrote into it would move the arm."""
     copy = np.array(q, dtype=float)
     copy.flags.writeable = False
     return copy

@@ -341,7 +341,8 @@ class Pose:
         Raises:
             InvalidPoseError: Other axes, mixed case, or not one finite angle for each axis.
         """
-        letters = set(axes) if isinstance(axes, str) else set()
+        given: object = axes
+        letters = set(given) if isinstance(given, str) else set()
         if not letters or not (letters <= set("xyz") or letters <= set("XYZ")):
             raise InvalidPoseError(
                 f"Euler axes are letters of 'xyz' (fixed) or 'XYZ' (rotated), not {axes!r}",

@@ -192,14 +192,14 @@ class Robot:
             UnknownFrameError: As ``frame``.
         """
         row = np.empty((1, 12))
-        kinematics.tree_frame(*self._kernel_arguments(q, frame), row)
+        kinematics.tree_frame(*self._kernel_arguments(q, frame, row))
         return Pose.from_row(row[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return the Jacobian (6, nv) of a frame: linear over angular velocity per unit of dq."""
         row = np.empty((1, 12))
         jacobian = np.empty((6, self.nv))
-        kinematics.tree_jacobian(*self._kernel_arguments(q, frame), row, jacobian)
+        kinematics.tree_jacobian(*self._kernel_arguments(q, frame, row, jacobian))
         return jacobian
 
     def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
@@ -357,14 +357,17 @@ class Robot:
     def _with_home_inside(self) -> Robot:
         return dataclasses.replace(self, home=self.apply_couplings(self.clip(self.home)))
 
-    def _kernel_arguments(self, q: ArrayLike, frame: str | None) -> tuple[Any, ...]:
-        """Return what the kernels take for a frame at ``q``: inputs, then scratch memory."""
+    def _kernel_arguments(
+        self, q: ArrayLike, frame: str | None, *outputs: Array
+    ) -> tuple[Any, ...]:
+        """Return what the kernels take for a frame at ``q``: inputs, scratch memory, outputs."""
         node, local = self.attachment(frame)
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
         world = np.empty((self.tree.size, 12))
         scratch = np.empty((2, 12))
         address = self.tree.block.address
-        return address, nodes, node, local[None, :], self.check_q(q), world, scratch
+        inputs = (address, nodes, node, local[None, :], self.check_q(q))
+        return *inputs, world, scratch, *outputs
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:

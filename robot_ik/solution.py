@@ -56,8 +56,13 @@ _CAUSE = {
 
 
 @dataclass(frozen=True)
-class Miss:
-    """Distance to the goals, unweighted, m and rad: the largest of those that are not soft."""
+class Deviation:
+    """Unweighted distance from a goal, or the largest of several.
+
+    Attributes:
+        position: Metres. 0 for a goal without a position.
+        angle: Radians. 0 for a goal without an orientation.
+    """
 
     position: float
     angle: float
@@ -115,15 +120,20 @@ class Solution:
         return tuple(at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True))
 
     @cached_property
-    def misses(self) -> tuple[Miss, ...]:
-        """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
-        return tuple(Miss(*goal.miss(self.robot, self.q)) for goal in self.goals)
+    def errors(self) -> tuple[Deviation, ...]:
+        """Error of each goal, measured by MuJoCo's forward kinematics on first access."""
+        return tuple(Deviation(*goal.error(self.robot, self.q)) for goal in self.goals)
 
     @property
-    def miss(self) -> Miss:
-        """The largest miss over all goals that are needed, by MuJoCo's own forward pass on first access."""
-        needed = [miss for goal, miss in zip(self.given, self.misses, strict=True) if not goal.soft]
-        return Miss(max([0.0, *(m.position for m in needed)]), max([0.0, *(m.angle for m in needed)]))
+    def error(self) -> Deviation:
+        """Largest error of the goals that are not soft, measured by MuJoCo on first access."""
+        needed = [
+            error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft
+        ]
+        return Deviation(
+            position=max((error.position for error in needed), default=0.0),
+            angle=max((error.angle for error in needed), default=0.0),
+        )
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:
@@ -135,7 +145,7 @@ class Solution:
         """This solution if it converged; else raises ``NotConvergedError``: how far off it is and why."""
         if self.converged:
             return self
-        off = f"{1000 * self.miss.position:.2f} mm, {np.degrees(self.miss.angle):.3f}° off"
+        off = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); nearest: "
             f"{off} after {self.iterations} steps", self,

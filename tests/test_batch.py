@@ -38,8 +38,8 @@ def test_a_batch_gives_the_same_answers_as_single_solves(puma, name, threads):
         assert batch.status[row] == alone.status
         # Two compiled versions of one source may differ in the last bits.
         np.testing.assert_allclose(batch.q[row], alone.q, atol=1e-7)
-        assert batch.position_miss[row] == pytest.approx(alone.miss.position, abs=1e-9)
-        assert batch.angle_miss[row] == pytest.approx(alone.miss.angle, abs=1e-6)
+        assert batch.position_error[row] == pytest.approx(alone.error.position, abs=1e-9)
+        assert batch.angle_error[row] == pytest.approx(alone.error.angle, abs=1e-6)
 
 
 def test_matrices_quaternions_and_poses_are_the_same_batch(puma):
@@ -54,7 +54,7 @@ def test_matrices_quaternions_and_poses_are_the_same_batch(puma):
 def test_positions_are_a_batch_of_position_goals(puma):
     batch = rik.solve_batch(puma, np.array([pose.position for pose in poses_of(puma, 5)]))
     assert batch.converged.all()
-    assert batch.angle_miss.max() == 0.0
+    assert batch.angle_error.max() == 0.0
 
 
 def test_a_batch_of_poses_equals_single_solves_bit_by_bit(puma):

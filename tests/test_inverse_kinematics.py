@@ -113,7 +113,7 @@ def test_the_answer_names_the_method_that_found_it(puma, goal, name):
 
 def test_defaults_are_home_a_tenth_of_a_millimetre_and_a_milliradian(puma, goal):
     solution = rik.solve(puma, goal)
-    assert solution.miss.position <= 1e-4 and solution.miss.angle <= 1e-3
+    assert solution.error.position <= 1e-4 and solution.error.angle <= 1e-3
     again = rik.solve(puma, goal, start=puma.home, tolerance=rik.Tolerance(1e-4, 1e-3), seed=0)
     assert np.array_equal(solution.q, again.q)
     other = rik.solve(puma, goal, solver="lm", start=puma.home + 0.25)
@@ -184,7 +184,7 @@ def test_a_loop_of_calls_compiles_once_and_remembers_no_answer(name, compiled):
         wanted = fresh_answer(robot, goal, name, start, budget, seed)
         assert np.array_equal(found.q, wanted.q) and found.status is wanted.status
         assert (found.iterations, found.restarts) == (wanted.iterations, wanted.restarts)
-        assert found.goals == (goal,) and found.miss == wanted.miss
+        assert found.goals == (goal,) and found.error == wanted.error
     assert len(compiled) == 1
 
 

@@ -203,7 +203,7 @@ def test_robots_goals_solutions_and_problems_can_be_copied_and_pickled(puma, aga
     assert np.array_equal(rik.solve(robot, again(goal)).q, solution.q)
     other = again(solution)
     assert np.array_equal(other.q, solution.q) and other.status is solution.status
-    assert other.goals == (goal,) and other.miss == solution.miss
+    assert other.goals == (goal,) and other.error == solution.error
     problem = Problem(puma, goal, solver="auto")
     problem.retarget(puma.forward(puma.home - 0.2))
     expected = problem.solve()

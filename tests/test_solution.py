@@ -25,7 +25,7 @@ def test_require_gives_the_solution_or_says_how_far_off_it_is(puma):
     ) as caught:
         bad.require()
     assert caught.value.solution is bad
-    assert f"{1000 * bad.miss.position:.2f} mm" in str(caught.value)
+    assert f"{1000 * bad.error.position:.2f} mm" in str(caught.value)
 
 
 def test_every_status_has_its_meaning():
@@ -44,13 +44,13 @@ def test_the_miss_is_of_what_was_asked_for_only(puma):
         (PoseGoal.at(None, pose), (metres, radians)),
         (PoseGoal(None, pose.position, pose.wxyz, angle_weight=0.0), (metres, 0.0)),
     ]:
-        miss = solve(puma, goal, budget=far).miss
+        miss = solve(puma, goal, budget=far).error
         assert (miss.position, miss.angle) == pytest.approx(expected, abs=1e-12)
     both = solve(
         puma, [PoseGoal.at(None, puma.forward(puma.home)), PositionGoal(None, pose.position)], budget=far
     )
-    assert both.misses[0].position == pytest.approx(0, abs=1e-12)
-    assert both.miss.position == pytest.approx(metres) and both.miss.angle == pytest.approx(0, abs=1e-7)
+    assert both.errors[0].position == pytest.approx(0, abs=1e-12)
+    assert both.error.position == pytest.approx(metres) and both.error.angle == pytest.approx(0, abs=1e-7)
 
 
 def test_a_goal_of_which_a_part_weighs_nothing_is_met_by_the_other(puma):

@@ -73,9 +73,9 @@ def follow(robot, **options):
         (lambda r, goal: rik.execute([r.home], [Sink()]), "not a trajectory"),
         (lambda r, goal: rik.execute(still(r), Sink()), "not a list of sinks"),
         (lambda r, goal: rik.execute(still(r), [print]), "not a list of sinks"),
-        (lambda r, goal: rik.execute(still(r), [Sink()], settle="x"), "settle for 'x' s"),
+        (lambda r, goal: rik.execute(still(r), [Sink()], settle="x"), "settle is 'x' s"),
         (lambda r, goal: rik.execute(still(r), [Sink()], source=Sink(r), start_tolerance=np.nan), "is nan"),
-        (lambda r, goal: follow(r, duration=np.nan), "follow for nan s"),
+        (lambda r, goal: follow(r, duration=np.nan), "duration is nan s"),
         (lambda r, goal: follow(r, tolerance=1), "tolerance: 1"),
     ],
 )  # fmt: skip

@@ -138,7 +138,7 @@ def count_solves(name: str, cases: Cases) -> None:
         sum(
             miss.position <= 1e-4 and miss.angle <= 1e-3
             for solution in solutions
-            for miss in solution.misses
+            for miss in solution.errors
         ),
         sum(solution.iterations for solution in solutions),
         sum(solution.restarts for solution in solutions),

@@ -153,7 +153,7 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
         problem.retarget(pose)
         solution = problem.solve(q)
         changes.append(float(np.abs(solution.q - q).max()))
-        misses.append(solution.miss.angle)
+        misses.append(solution.error.angle)
         q = solution.q
     return max(changes), max(misses)
 

@@ -183,7 +183,7 @@ def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tu
     begin = time.perf_counter()
     found = problem.solve(start)
     seconds = time.perf_counter() - begin
-    return np.array(found.q), found.miss.position, seconds
+    return np.array(found.q), found.error.position, seconds
 
 
 def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:

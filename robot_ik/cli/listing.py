@@ -166,7 +166,8 @@ def _print_robot(robot: Robot) -> None:
     for name, kind, at_q, at_v in zip(robot.joints, joint_kinds(robot), tree.qadr, tree.vadr, strict=True):
         rotary = kind in ("hinge", "ball")
         limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
-        speeds = [_number(values[at_v], rotary) for values in (robot.velocity_limits, robot.acceleration_limits)]
+        motion = (robot.velocity_limits, robot.acceleration_limits)
+        speeds = [_number(values[at_v], rotary) for values in motion]
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
         rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))
@@ -300,8 +301,8 @@ def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
                 "poses": portrait.captions,
                 "status": portrait.solution.status.name,
                 "solver": portrait.solution.solver,
-                "miss_m": portrait.solution.miss.position,
-                "miss_rad": portrait.solution.miss.angle,
+                "miss_m": portrait.solution.error.position,
+                "miss_rad": portrait.solution.error.angle,
                 "file": file,
             }
             for portrait, file in drawn

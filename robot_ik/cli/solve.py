@@ -146,7 +146,7 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
         "meaning": solution.status.meaning,
         "joints": list(robot.joints),
         "q": solution.q,
-        "miss": {"position": solution.miss.position, "angle": solution.miss.angle},
+        "miss": {"position": solution.error.position, "angle": solution.error.angle},
         "tolerance": {"position": problem.tolerance.position, "angle": problem.tolerance.angle},
         "iterations": solution.iterations,
         "restarts": solution.restarts,

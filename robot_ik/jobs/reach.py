@@ -311,7 +311,7 @@ class _Reach:
             NotConvergedError: It misses both.
         """
         if self.report.seen is not None and not solution.converged:
-            known, miss = self.known(), solution.miss
+            known, miss = self.known(), solution.error
             if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
                 return Tolerance(
                     position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),

@@ -168,8 +168,8 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "iterations": solution.iterations,
             "restarts": solution.restarts,
             "microseconds": report.microseconds,
-            "miss_position_m": solution.miss.position,
-            "miss_angle_rad": solution.miss.angle,
+            "miss_position_m": solution.error.position,
+            "miss_angle_rad": solution.error.angle,
         },
         "motion": None if run is None else {
             "duration_s": run.duration,

@@ -15,7 +15,7 @@ import numpy as np
 from robot_ik.camera.marker_goals import sigmas_at
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, Tolerance, frame_miss
+from robot_ik.goals import Goal, Tolerance, frame_error
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
@@ -92,7 +92,7 @@ def judge_read_back(
     was sent, zeros where both are one.
     """
     pose = robot.measure(q, frame)
-    metres, radians = frame_miss(goal.rows(robot), goal.weights, pose, goal.target)
+    metres, radians = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
     return Judgement(metres, radians, bound.widened(goal_sigma), goal_sigma, pose)
 
 
@@ -111,7 +111,7 @@ def judge_by_camera(
     and never more than 5 mm and 1 degree; ``goal_sigma`` as in ``judge_read_back``.
     """
     pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
-    metres, radians = frame_miss(goal.rows(robot), goal.weights, pose, goal.target)
+    metres, radians = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
     lever = seen.pose_camera_body.rotation @ pose_body_tool.position
     sigma = Bound(*sigmas_at(seen.covariance, lever)).combined(goal_sigma)
     allowed = Bound(

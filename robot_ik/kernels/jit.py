@@ -30,16 +30,18 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 
-from robot_ik.errors import ConfigError
+from robot_ik.errors import OptionError
 from robot_ik.kernels.typing_memory import KernelCompiler
 
 # Made while numba is imported, from the environment: no type checker can see what is in it.
 numba_config: Any = numba.core.config
 if numba_config.DISABLE_JIT:
-    raise ConfigError(
-        "the kernels exist compiled only, and this switches the compiler off",
-        file="environment", key="NUMBA_DISABLE_JIT", allowed="unset, or 0",
-    )  # fmt: skip
+    raise OptionError(
+        "NUMBA_DISABLE_JIT",
+        "the kernels exist in compiled form only, and this variable switches the compiler off",
+        "unset, or 0",
+        owner="environment",
+    )
 
 logger = logging.getLogger("robot_ik.kernels")
 

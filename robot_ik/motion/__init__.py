@@ -1,4 +1,4 @@
-"""How to get there in time: trajectories, moves, key poses, goal sources, the recorder."""
+"""Motions in time: trajectories, moves, key poses, sources of goals, recording."""
 
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes

@@ -1,4 +1,4 @@
-"""Named poses of a robot and motions through them, in a TOML file that people can edit."""
+"""Named poses of a robot and motions through them, kept in a TOML file."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pydantic import Field
 from robot_ik.config import SchemaVersion, Several, Table, keys_of, read_table, shown
 from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
 from robot_ik.files import write_atomically
+from robot_ik.geometry import Array
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes
-from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue
 
@@ -31,9 +31,10 @@ class KeySequence:
     """A motion by the names of its poses.
 
     Attributes:
-        poses: Names, in order.
-        durations: Seconds of each segment, one less than poses (in a loop: as many); empty: the fastest.
-        loop: Whether it runs round.
+        poses: Names of the poses in order.
+        durations: Seconds of each segment, one less than poses, or as many in a loop. Empty for the
+            fastest motion.
+        loop: Whether the motion is a loop.
     """
 
     poses: Annotated[Several[str], Field(description="names of poses")]
@@ -42,12 +43,12 @@ class KeySequence:
 
 
 class KeyPoses:
-    """Named poses of one robot and motions through them; kept in a TOML file that people can edit.
+    """Named poses of one robot and motions through them. A TOML file keeps them.
 
     Attributes:
-        robot: Whose.
-        poses: (nq,) by name, in the order in which they were recorded.
-        motions: By name.
+        robot: The robot.
+        poses: Joint vectors (nq,) by name, in the order of recording.
+        motions: Motions by name.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -56,9 +57,9 @@ class KeyPoses:
         self.motions: dict[str, KeySequence] = {}
 
     def __repr__(self) -> str:
-        return (
-            f"KeyPoses({self.robot.name!r}, poses {', '.join(self.poses)}; motions {', '.join(self.motions)})"
-        )
+        poses = ", ".join(self.poses)
+        motions = ", ".join(self.motions)
+        return f"KeyPoses({self.robot.name!r}, poses {poses}; motions {motions})"
 
     def __getitem__(self, name: str) -> Array:
         try:
@@ -67,65 +68,80 @@ class KeyPoses:
             raise _unknown("pose", name, self.poses) from None
 
     def record(self, name: str, q: ArrayLike, *, replace: bool = False) -> Array:
-        """Keeps ``q`` (nq,) under a name.
+        """Keep ``q`` (nq,) under a name, and return a copy.
 
         Raises:
-            TrajectoryError: The name is taken or empty, or a joint stands outside its limits.
+            TrajectoryError: The name exists or is empty, or a joint is outside its limits.
             ModelError: Wrong length, or a number that is not finite.
         """
         if not name or not name.strip():
-            raise TrajectoryError("a pose needs a name", hint="such as 'stand'")
+            raise TrajectoryError("a pose needs a name", hint="give one, such as 'stand'")
         if name in self.poses and not replace:
-            raise TrajectoryError(f"there is a pose {name!r} already", hint="another name, or replace=True")
+            hint = "give another name, or replace=True"
+            raise TrajectoryError(f"there is a pose {name!r} already", hint=hint)
         self.poses[name] = Keyframes(self.robot, [0.0], [self.robot.check_q(q)]).q[0]
         return self[name]
 
     def record_motion(
-        self, name: str, poses: Sequence[str], durations: Sequence[float] = (), *, loop: bool = False
+        self,
+        name: str,
+        poses: Sequence[str],
+        durations: Sequence[float] = (),
+        *,
+        loop: bool = False,
     ) -> KeySequence:
-        """Keeps a motion through named poses; another of that name is replaced.
+        """Keep a motion through named poses. It replaces a motion of the same name.
 
         Raises:
-            TrajectoryError: A pose that is not there, or durations that do not fit.
+            TrajectoryError: A pose does not exist, or the durations do not fit.
         """
         for pose in poses:
-            _ = self[pose]
-        ways = len(poses) if loop else len(poses) - 1
-        if len(poses) < 2 or (durations and len(durations) != ways) or not all(d > 0.0 for d in durations):
+            if pose not in self.poses:
+                raise _unknown("pose", pose, self.poses)
+        segments = len(poses) if loop else len(poses) - 1
+        wrong_count = bool(durations) and len(durations) != segments
+        if len(poses) < 2 or wrong_count or not all(seconds > 0.0 for seconds in durations):
             raise TrajectoryError(
                 f"motion {name!r} got {len(poses)} poses and the durations {list(durations)}",
-                hint=f"two or more poses, and no durations or {max(ways, 1)}, each above 0 s",
+                hint=f"give two or more poses, and no durations or {max(segments, 1)}, each above 0 s",
             )
-        self.motions[name] = KeySequence(tuple(poses), tuple(float(d) for d in durations), bool(loop))
+        self.motions[name] = KeySequence(
+            tuple(poses), tuple(float(d) for d in durations), bool(loop)
+        )
         return self.motions[name]
 
     def motion(self, name: str, *, speed: float = 1.0) -> Keyframes:
-        """The motion of that name; ways that are too short for the robot's speed limits take longer.
+        """Return a motion by name. Segments that are too fast for the robot take longer.
 
-        Where a motion has durations, only limits that the robot's file states count: those of other joints
-        are a cautious guess.
+        For a motion with durations, only the limits in the file of the robot count. The limits of
+        other joints are a cautious guess.
 
         Args:
-            name: Of a motion; that of a pose is the pose, held.
-            speed: As in ``Keyframes.through``.
+            name: Name of a motion, or of a pose, which is a motion of one key.
+            speed: As for ``Keyframes.through``.
+
+        Raises:
+            TrajectoryError: There is no such motion or pose.
         """
         if name in self.poses and name not in self.motions:
             return Keyframes(self.robot, [0.0], [self.poses[name]])
-        try:
-            wanted = self.motions[name]
-        except KeyError:
-            raise _unknown("motion", name, [*self.motions, *self.poses]) from None
-        velocity_limits = _stated_limits(self.robot) if wanted.durations else None
-        keys = [self[pose] for pose in wanted.poses]
-        if wanted.loop:
+        if name not in self.motions:
+            raise _unknown("motion", name, [*self.motions, *self.poses])
+        sequence = self.motions[name]
+        keys = [self[pose] for pose in sequence.poses]
+        if sequence.loop:
             keys.append(keys[0])
-        durations, loop = wanted.durations or 0.0, wanted.loop
         return Keyframes.through(
-            self.robot, keys, durations=durations, speed=speed, velocity_limits=velocity_limits, loop=loop
+            self.robot,
+            keys,
+            durations=sequence.durations or 0.0,
+            speed=speed,
+            velocity_limits=_stated_limits(self.robot) if sequence.durations else None,
+            loop=sequence.loop,
         )
 
     def save(self, path: Path | str) -> None:
-        """Writes poses and motions as TOML, joint by joint, rad and m in full precision.
+        """Write poses and motions as TOML, joint by joint, rad and m in full precision.
 
         Raises:
             OutputError: The folder is missing or not writable.
@@ -135,7 +151,8 @@ class KeyPoses:
             lines += ["", f"[poses.{_quoted(name)}]  # rad, m; quaternions w x y z"]
             for joint, numbers in _numbers_of_joints(self.robot).items():
                 values = q[numbers].tolist()
-                lines.append(f"{_quoted(joint)} = {values[0] if len(values) == 1 else values!r}")
+                text = repr(values[0] if len(values) == 1 else values)
+                lines.append(f"{_quoted(joint)} = {text}")
         for name, motion in self.motions.items():
             lines += ["", f"[motions.{_quoted(name)}]"]
             lines.append(f"poses = [{', '.join(map(_quoted, motion.poses))}]")
@@ -146,10 +163,10 @@ class KeyPoses:
 
     @classmethod
     def load(cls, path: Path | str, robot: Robot) -> KeyPoses:
-        """Reads what ``save`` wrote; joints that a pose does not name are as in the home pose.
+        """Read a file of ``save``. Joints that a pose does not name are as in the home pose.
 
         Raises:
-            ConfigError: With file, key and what is allowed.
+            ConfigError: A key is wrong.
         """
         file = Path(path)
         content = _content(file)
@@ -165,22 +182,26 @@ class KeyPoses:
 
 
 def _content(file: Path) -> _KeyPosesFile:
+    """Return the checked content of a file, or raise ``ConfigError``."""
     return read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
 
 
 def robot_named_in(path: Path | str) -> str:
-    """The robot of the catalogue that a file of key poses names; empty: it names none.
+    """Return the catalogue robot that a file of key poses names, empty without one.
 
     Raises:
-        ConfigError: It names another one, or as ``KeyPoses.load``.
+        ConfigError: The file names another robot, or a key is wrong.
     """
     name = _content(Path(path)).robot
     known = catalogue()
     if name and name not in known:
         raise ConfigError(
-            f"no robot of the catalogue is called {name!r}", file=path, key="robot", allowed=", ".join(known),
-            hint="of a model of your own say which file it is: --robot PATH",
-        )  # fmt: skip
+            f"no robot of the catalogue is called {name!r}",
+            file=path,
+            key="robot",
+            allowed=", ".join(known),
+            hint="for your own model give its file: --robot PATH",
+        )
     return name
 
 
@@ -192,30 +213,32 @@ class _KeyPosesFile(Table):
 
 
 def _stated_limits(robot: Robot) -> Array:
-    """(nv,) the robot's speed limits, none for joints of which its file says nothing."""
-    stated = np.array([robot.joints[int(node)] in robot.file.velocity_limits for node in robot.tree.dof_node])
-    return np.where(stated, robot.velocity_limits, np.inf)
+    """Return the speed limits (nv,) in the file of the robot, infinite for other joints."""
+    joints = [robot.joints[int(node)] for node in robot.tree.dof_node]
+    is_stated = np.array([joint in robot.file.velocity_limits for joint in joints])
+    return np.where(is_stated, robot.velocity_limits, np.inf)
 
 
 @contextmanager
 def _in_file(file: Path, key: str) -> Iterator[None]:
-    """Says where in a file it was that something was wrong."""
+    """Raise a ``TrajectoryError`` of the block as a ``ConfigError`` with file and key."""
     try:
         yield
     except TrajectoryError as error:
         raise ConfigError(str(error.args[0]), file=file, key=key, hint=error.hint) from error
 
 
-def _pose_of(robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file: Path, name: str) -> Array:
-    """(nq,) home with the joints that a table names."""
+def _pose_of(
+    robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file: Path, name: str
+) -> Array:
+    """Return the home pose (nq,) with the joint values of a table, or raise ``ConfigError``."""
     q = np.array(robot.home)
     for joint, value in joints.items():
         key = f"poses.{name}.{joint}"
         if joint not in robot.joints:
+            allowed = f"a joint of {robot.name!r}"
             hint = did_you_mean(joint, robot.joints)
-            raise ConfigError(
-                "unknown joint", file=file, key=key, allowed=f"a joint of {robot.name!r}", hint=hint
-            )
+            raise ConfigError("unknown joint", file=file, key=key, allowed=allowed, hint=hint)
         numbers = _numbers_of_joints(robot)[joint]
         width = numbers.stop - numbers.start
         values = [value] if isinstance(value, int | float) else list(value)
@@ -227,65 +250,78 @@ def _pose_of(robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file
 
 
 def _numbers_of_joints(robot: Robot) -> dict[str, slice]:
-    """Where every joint's numbers stand in q."""
-    starts = zip(robot.joints, robot.tree.kind.tolist(), robot.tree.qadr.tolist(), strict=True)
-    return {joint: slice(first, first + Q_WIDTH[kind]) for joint, kind, first in starts}
+    """Return where the numbers of each joint are in q."""
+    rows = zip(robot.joints, robot.tree.kind.tolist(), robot.tree.qadr.tolist(), strict=True)
+    return {joint: slice(start, start + Q_WIDTH[kind]) for joint, kind, start in rows}
 
 
 def _quoted(name: str) -> str:
-    """A TOML string, also good as a key: JSON's escapes are among TOML's."""
+    """Return a TOML string, which can also be a key. TOML has the escapes of JSON."""
     return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> TrajectoryError:
+    """Return the error for an unknown name."""
     hint = did_you_mean(name, known) or f"known: {', '.join(known) or 'none'}"
     return TrajectoryError(f"there is no {what} {name!r}", hint=hint)
 
 
-# ------------------------------------------------------------------------------------------
-# Poses made from others: with joints at other angles, with frames brought to positions.
-
-_FEET = ("_foot", "_paw")  # frames whose names end so stand on the floor
+FOOT_SUFFIXES = ("_foot", "_paw")
+"""Frames whose names end like this are on the floor."""
 
 
 def named_poses(robot: Robot, book: KeyPoses) -> dict[str, Array]:
-    """(nq,) by name: those of the file, and the keyframes of the model that it does not have."""
-    places = qpos_addresses(robot.model, robot.tree)
+    """Return poses (nq,) by name: the keyframes of the model and the poses of the file.
+
+    A pose of the file has priority over a keyframe of the same name.
+    """
+    addresses = qpos_addresses(robot.model, robot.tree)
     keys = [robot.model.key(k) for k in range(robot.model.nkey)]
-    return {**{key.name: np.array(key.qpos[places]) for key in keys}, **book.poses}
+    return {key.name: np.array(key.qpos[addresses]) for key in keys} | book.poses
 
 
 def with_joint(robot: Robot, q: Array, joint: str, value: float) -> Array:
-    """The pose (nq,) with one joint at another value: degrees of a hinge, metres of a slide.
+    """Return the pose (nq,) with another value of one joint.
+
+    Args:
+        robot: The robot.
+        q: The pose (nq,).
+        joint: Name of a hinge or slide.
+        value: Degrees for a hinge, metres for a slide.
 
     Raises:
-        UnknownJointError: No such joint.
-        ValueError: It is neither, or the value is not finite.
+        UnknownJointError: The robot has no such joint.
+        ValueError: The joint is neither a hinge nor a slide, or the value is not finite.
     """
     if joint not in robot.joints:
         raise UnknownJointError(joint, robot.joints)
     k = robot.joints.index(joint)
     kind = int(robot.tree.kind[k])
     if kind not in (HINGE, SLIDE) or not np.isfinite(value):
-        raise ValueError(f"{joint} is no hinge and no slide, or {value} is not finite")
+        raise ValueError(f"{joint} is not a hinge or slide, or {value} is not finite")
     changed = np.array(q)
     changed[int(robot.tree.qadr[k])] = np.radians(value) if kind == HINGE else value
     return changed
 
 
 def pose_reaching(robot: Robot, q: Array, positions: Mapping[str, Sequence[float]]) -> Array | None:
-    """The pose near ``q`` that brings frames to positions while the other feet stay where they are.
+    """Return the pose near ``q`` with frames at given positions and the other feet unmoved.
 
     Args:
-        robot: Whose.
-        q: (nq,) where it starts.
-        positions: Frame -> x, y, z in the world, m.
+        robot: The robot.
+        q: Start of the search (nq,).
+        positions: Positions x, y, z in the world by frame, m.
 
     Returns:
-        (nq,), or None: out of reach.
+        The pose (nq,), or None if it is out of reach.
     """
     goals: list[Goal] = [PositionGoal(frame, position) for frame, position in positions.items()]
-    feet = [frame for frame in robot.file.tools if frame.endswith(_FEET) and frame not in positions]
+    feet = [
+        frame
+        for frame in robot.file.tools
+        if frame.endswith(FOOT_SUFFIXES) and frame not in positions
+    ]
     goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
-    found = solve(robot, [*goals, PostureGoal(q=q, soft=True)], solver="lm", start=q)
-    return np.array(found.q) if found.converged else None
+    goals.append(PostureGoal(q=q, soft=True))
+    solution = solve(robot, goals, solver="lm", start=q)
+    return np.array(solution.q) if solution.converged else None

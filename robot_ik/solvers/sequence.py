@@ -167,7 +167,7 @@ class PreparedSequence:
                 cost = self._costs(part)
                 better = cost < best_cost[rows]
                 best_cost[rows[better]] = cost[better]
-                for name in ("q", "miss", "status"):
+                for name in ("q", "error", "status"):
                     getattr(results, name)[rows[better]] = getattr(part, name)[better]
                 results.iterations[rows] += part.iterations
                 results.restarts[rows] += part.restarts
@@ -180,7 +180,7 @@ class PreparedSequence:
 
     def _costs(self, results: BatchResult) -> Array:
         """(n,) weighted squares of the misses; below zero for a result that converged."""
-        costs = ((results.miss * self._weight) ** 2).sum(axis=1)
+        costs = ((results.error * self._weight) ** 2).sum(axis=1)
         costs[results.status == _CONVERGED] = -1.0
         return np.asarray(costs)
 

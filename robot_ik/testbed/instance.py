@@ -221,7 +221,7 @@ class Instance:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
         self._statistics = Statistics.of(self._solves)
         self._goals = tuple(
-            (name, *goal.miss(self.robot, self.q)) for name, goal in goals.named(ball)
+            (name, *goal.error(self.robot, self.q)) for name, goal in goals.named(ball)
         )
 
     def view(self) -> InstanceView:

@@ -412,6 +412,6 @@ def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource
         except RobotIkError:
             return True  # the method cannot serve these goals: any curve will do
         q = solution.q
-        if solution.misses[0].position > 1e-3 or solution.misses[0].angle > 1e-2:
+        if solution.errors[0].position > 1e-3 or solution.errors[0].angle > 1e-2:
             return False
     return True

@@ -162,7 +162,7 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
         if flat[i] == 0.0:
             assert not found.flaw
         else:  # else the map would hide a ball
-            assert found.miss >= SHARE * flat[i] - SLACK
+            assert found.error >= SHARE * flat[i] - SLACK
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_goal_arm_and_verdict_move_with_the_rendered_marker(healthy: ReachReport
 def test_an_unreachable_marker_is_a_result(reach: Any) -> None:
     report = reach({"marker_at": (-0.6, -0.3, 0.66, 100.0)})
     assert isinstance(report.problem, NotConvergedError) and not report.reached
-    assert report.solution is not None and report.execution is None and report.solution.miss.position > 1e-3
+    assert report.solution is not None and report.execution is None and report.solution.error.position > 1e-3
     assert report.robot.outside(report.solution.q) == []
 
 

@@ -82,7 +82,7 @@ def test_a_generated_scene_can_be_seen_and_reached(name: str, upright: bool, arm
     )
     solution = solve(robot, goal, seed=1)
     assert solution.converged, solution
-    assert solution.miss.position < 1e-3
+    assert solution.error.position < 1e-3
     if upright:
         np.testing.assert_allclose(scene.pose_world_marker.rotation[:, 2], [0, 0, 1])
     ground = 0.0 if scene.table is None else scene.table.height

@@ -199,7 +199,8 @@ def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     # The arm file is nowhere wider than the model, and narrower by a servo's tick or so at most.
     assert np.all(config.lower >= robot.lower - 1e-9) and np.all(config.upper <= robot.upper + 1e-9)
     assert np.all(config.upper - config.lower > 0.999 * (robot.upper - robot.lower) - 0.004)
-    assert np.all(config.velocity >= robot.velocity_limits) and np.all(config.acceleration >= robot.acceleration_limits)
+    assert np.all(config.velocity >= robot.velocity_limits)
+    assert np.all(config.acceleration >= robot.acceleration_limits)
     for joint in config.joints:
         servos = 1 if joint.twin is None else 2
         motor = joint.table.motor
@@ -292,7 +293,7 @@ def test_five_joints_solve_a_place_with_one_axis_and_not_every_pose(name: str) -
         pose = robot.forward(robot.sample(rng))
         goal = rik.PoseGoal(None, pose.position, pose.wxyz, free_axis="z")
         found = rik.solve(robot, goal, seed=k)
-        assert found.converged and found.miss.position < 1e-4 and found.miss.angle < 1e-3
+        assert found.converged and found.error.position < 1e-4 and found.error.angle < 1e-3
     # Leaning out of the upright plane of the arm: no place in reach has that.
     side = rik.PoseGoal(None, robot.forward(robot.home).position, (0.5, -0.5, 0.5, 0.5), free_axis="z")
     assert not rik.solve(robot, side).converged

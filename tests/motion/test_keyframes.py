@@ -156,7 +156,7 @@ def test_keys_that_make_no_motion_are_refused(change: object, message: str) -> N
 
 def test_an_open_loop_is_refused() -> None:
     puma = rik.load_robot("puma560")
-    with pytest.raises(TrajectoryError, match="must be the first again"):
+    with pytest.raises(TrajectoryError, match="must equal the first"):
         Keyframes(puma, [0.0, 1.0], random_keys(puma, 2), loop=True)
 
 

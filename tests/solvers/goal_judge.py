@@ -1,4 +1,4 @@
-"""Goals of every kind, and a judge that knows nothing of ``Goal.miss``.
+"""Goals of every kind, and a judge that knows nothing of ``Goal.error``.
 
 It reads what a goal says in public and asks MuJoCo where things are.
 """

@@ -102,7 +102,7 @@ def test_the_result_is_inside_the_limits_and_as_reported(name, robot_name):
         problem = Problem(robot, goal, solver=name, tolerance=TOLERANCE)
         solution = problem.solve(start)
         miss = measured(robot, solution.q, position)
-        assert solution.miss.position == pytest.approx(miss, abs=1e-12)
+        assert solution.error.position == pytest.approx(miss, abs=1e-12)
         assert solution.converged == (miss <= TOLERANCE.position)
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
         assert miss <= measured(robot, start, position) + 1e-12

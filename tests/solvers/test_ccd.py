@@ -112,7 +112,7 @@ def test_collinear_vectors_have_no_axis_and_do_no_harm(axis, factor):
     assert np.isfinite(solution.q).all()
     if factor > 1.0:
         beyond = (factor - 1) * np.linalg.norm(tip)
-        assert solution.miss.position == pytest.approx(beyond, abs=1e-6)
+        assert solution.error.position == pytest.approx(beyond, abs=1e-6)
 
 
 @both_axes

@@ -30,8 +30,8 @@ def behind_the_limits():
 
 def weighted_cost(robot, goal, solution):
     """Half the squared residual, with metres scaled as the solvers scale them."""
-    metres = solution.miss.position / length_scale(robot, goal)
-    return 0.5 * (metres**2 + solution.miss.angle**2)
+    metres = solution.error.position / length_scale(robot, goal)
+    return 0.5 * (metres**2 + solution.error.angle**2)
 
 
 def combined(robot, goal, methods, **options):

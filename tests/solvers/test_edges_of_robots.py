@@ -69,8 +69,8 @@ def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
 def honest(robot, solution, tolerance):
     """q finite and inside, and the status as MuJoCo's miss has it."""
     assert np.isfinite(solution.q).all() and not robot.outside(solution.q)
-    within = solution.miss.position <= tolerance.position and solution.miss.angle <= tolerance.angle
-    assert solution.converged == within, (solution, solution.miss)
+    within = solution.error.position <= tolerance.position and solution.error.angle <= tolerance.angle
+    assert solution.converged == within, (solution, solution.error)
 
 
 # ------------------------------------------------------------------------------ limits
@@ -202,9 +202,9 @@ def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
         solution = problem.solve()
         assert np.isfinite(solution.q).all() and not puma.outside(solution.q)
         if solution.converged:  # by the compiled forward pass; MuJoCo's differs by some rounding
-            assert max(solution.miss.position, solution.miss.angle) <= fine + 4e-15
+            assert max(solution.error.position, solution.error.angle) <= fine + 4e-15
         elif name != "recursive":
-            assert max(solution.miss.position, solution.miss.angle) < 1e-7
+            assert max(solution.error.position, solution.error.angle) < 1e-7
 
 
 # ------------------------------------------------------------------------------ few joints, still frames

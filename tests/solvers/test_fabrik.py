@@ -73,7 +73,7 @@ def test_balls_reach_everything_inside_and_stretch_towards_the_rest(n):
         far = target / reach * 1.3
         beyond = problem.solve(robot.sample(rng), target=far)
         assert beyond.status is Status.UNREACHABLE
-        assert beyond.miss.position == pytest.approx(0.3 * 0.5 * n, abs=1e-9)
+        assert beyond.error.position == pytest.approx(0.3 * 0.5 * n, abs=1e-9)
         tip = robot.measure(beyond.q).position
         np.testing.assert_allclose(tip, far / 1.3, atol=1e-9)
 
@@ -123,7 +123,7 @@ def test_a_tree_serves_several_goals_through_its_sub_base():
         goals = [PositionGoal(side, robot.forward(q, side).position) for side in ("left", "right")]
         solution = Problem(robot, goals, solver="fabrik").solve()
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
-        assert solution.converged == (max(m.position for m in solution.misses) <= 1e-4)
+        assert solution.converged == (max(m.position for m in solution.errors) <= 1e-4)
         solved += solution.converged
     assert solved >= 18, solved
 
@@ -139,7 +139,7 @@ def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
         budget = Budget(restarts=0)
         solution = Problem(robot, goals, solver="fabrik", budget=budget).solve()
         assert not solution.converged
-        misses.append(solution.misses[0].position)
+        misses.append(solution.errors[0].position)
     assert misses[1] < misses[0] - 0.05
 
 
@@ -156,7 +156,7 @@ def test_a_goal_out_of_reach_is_left_out_until_the_other_is_met():
         alone = Problem(robot, left, solver="fabrik").solve()
         assert alone.converged
         distance = np.linalg.norm(robot.measure(alone.q, "right").position - far)
-        assert solution.misses[1].position < distance - 0.01
+        assert solution.errors[1].position < distance - 0.01
         # A solve leaves nothing behind.
         again = problem.solve()
         assert again.q.tobytes() == solution.q.tobytes()

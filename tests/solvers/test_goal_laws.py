@@ -86,8 +86,8 @@ def test_laws_1_2_what_is_reported_is_true(robots, name, kind):
                 continue
             solution = problem.solve()
             metres, radians = measured(robot, solution.q, goal)
-            assert solution.miss.position == pytest.approx(metres, abs=1e-12)
-            assert solution.miss.angle == pytest.approx(radians, abs=1e-7)
+            assert solution.error.position == pytest.approx(metres, abs=1e-12)
+            assert solution.error.angle == pytest.approx(radians, abs=1e-7)
             assert not robot.outside(solution.q)
             reached = metres <= TOLERANCE.position and radians <= TOLERANCE.angle
             assert solution.converged == reached
@@ -127,7 +127,7 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
         for k in (0, 1, 0):
             solution = hot.solve(start, target=goals[k])
             assert outcome(solution) == fresh[k]
-            assert solution.miss.position == pytest.approx(
+            assert solution.error.position == pytest.approx(
                 measured(robot, solution.q, goals[k])[0], abs=1e-12
             )
         for before, now in zip(kept, (start, robot.lower, robot.upper, robot.home), strict=True):
@@ -180,10 +180,10 @@ def test_two_goals_each_by_its_own_tolerance(robots):
     for name in ("lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose"):
         solution = solve(robot, [rough, exact], solver=name)
         assert solution.converged
-        assert solution.misses[0].position <= 0.05 and solution.misses[1].position <= 1e-8
+        assert solution.errors[0].position <= 0.05 and solution.errors[1].position <= 1e-8
         loose = dataclasses.replace(exact, tolerance=None)
         solution = solve(robot, [rough, loose], solver=name, tolerance=Tolerance(9, 9))
-        assert solution.converged and solution.misses[1].position > 1e-8
+        assert solution.converged and solution.errors[1].position > 1e-8
 
 
 @kinds
@@ -219,8 +219,8 @@ def test_a_batch_gives_the_answers_of_single_solves(robots, name):
             assert batch.status[k] == single.status
             np.testing.assert_allclose(batch.q[k], single.q, atol=1e-9)
             metres, radians = measured(robot, batch.q[k], goal)
-            assert batch.position_miss[k] == pytest.approx(metres, abs=1e-9)
-            assert batch.angle_miss[k] == pytest.approx(radians, abs=1e-7)
+            assert batch.position_error[k] == pytest.approx(metres, abs=1e-9)
+            assert batch.angle_error[k] == pytest.approx(radians, abs=1e-7)
 
 
 @kinds

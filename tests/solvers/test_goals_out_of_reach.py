@@ -125,7 +125,7 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
         metres, radians = measured(robot, solution.q, problem.goals[0])
         assert not solution.converged and not robot.outside(solution.q)
         assert solution.status is not Status.NUMERICAL
-        assert (solution.miss.position, solution.miss.angle) == pytest.approx((metres, radians), abs=1e-7)
+        assert (solution.error.position, solution.error.angle) == pytest.approx((metres, radians), abs=1e-7)
         if kind != "posture":
             assert cost(problem, solution.q) <= cost(problem, start) * (1 + 1e-9)
 
@@ -166,7 +166,7 @@ def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name,
         pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
         alone, both = solve(robot, pose, solver=method), solve(robot, [pose, far], solver=method)
         assert both.status is Status.UNREACHABLE
-        miss = both.misses[0]
+        miss = both.errors[0]
         if alone.converged and not (miss.position <= 1e-4 and miss.angle <= 1e-3):
             missed.append(k)
     assert missed == []
@@ -179,7 +179,7 @@ def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
         wall = HalfSpaceGoal(None, (0, 0, 9.0), "z", weight=1e-7)
         both = solve(robot, [pose, wall])
         assert both.status is Status.UNREACHABLE
-        assert both.misses[0].position <= 1e-4 and both.misses[0].angle <= 1e-3
+        assert both.errors[0].position <= 1e-4 and both.errors[0].angle <= 1e-3
 
 
 def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothing_behind():
@@ -220,6 +220,6 @@ def test_length_says_how_many_metres_are_worth_a_radian():
         solution = problem.solve(q)
         assert length_scale(problem.robot, goal) == goal.length and slope(problem, solution.q) < 1e-3
         q = solution.q
-        misses.append(solution.miss)
+        misses.append(solution.error)
     assert misses[0].position < misses[1].position - 1e-3 < misses[2].position - 2e-3
     assert misses[0].angle > misses[1].angle + 1e-3 > misses[2].angle + 2e-3

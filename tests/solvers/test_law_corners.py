@@ -30,7 +30,7 @@ def test_a_frame_that_nothing_moves_is_reached_or_not(name, robots):
     assert there.converged and there.iterations == 0
     never = Problem(robot, PoseGoal("nail", (0.5, 0.3, 0)), solver=name).solve()
     assert not never.converged and np.array_equal(never.q, robot.home)
-    assert never.miss.position == pytest.approx(0.2)
+    assert never.error.position == pytest.approx(0.2)
 
 
 @general
@@ -40,7 +40,7 @@ def test_several_goals_at_once(name, robots, reachable):
         goals = [goal_of(robot, q, "position"), goal_of(robot, q, "position", "lamp")]
         solution = Problem(robot, goals, tolerance=Tolerance(1e-4, 1e-3), solver=name).solve()
         worst = max(measured(robot, solution.q, goal)[0] for goal in goals)
-        assert solution.miss.position == pytest.approx(worst, abs=1e-12) and len(solution.misses) == 2
+        assert solution.error.position == pytest.approx(worst, abs=1e-12) and len(solution.errors) == 2
         assert solution.converged == (worst <= 1e-4)
         assert solution.converged or name == "ccd"
 
@@ -58,8 +58,8 @@ def test_the_trace_tells_the_same_story(name, robots, reachable):
     assert trace[-1].restart <= solution.restarts
     assert all(row.cost >= 0 and row.step >= 0 for row in trace)
     if solution.converged and trace:
-        assert trace[-1].position == pytest.approx(solution.miss.position, abs=1e-12)
-        assert trace[-1].angle == pytest.approx(solution.miss.angle, abs=1e-7)
+        assert trace[-1].position == pytest.approx(solution.error.position, abs=1e-12)
+        assert trace[-1].angle == pytest.approx(solution.error.angle, abs=1e-7)
 
 
 def test_a_trace_grows_as_it_is_used(name="ccd"):

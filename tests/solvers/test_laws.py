@@ -34,8 +34,8 @@ def test_laws_1_2_what_is_reported_is_true(name, robot_name, kind, robots, reach
         goal = goal_of(robot, q, kind)
         solution = Problem(robot, goal, tolerance=TOLERANCE, solver=solver).solve()
         metres, radians = measured(robot, solution.q, goal)
-        assert solution.miss.position == pytest.approx(metres, abs=1e-12)
-        assert solution.miss.angle == pytest.approx(radians, abs=1e-7)
+        assert solution.error.position == pytest.approx(metres, abs=1e-12)
+        assert solution.error.angle == pytest.approx(radians, abs=1e-7)
         assert inside(robot, solution.q)
         reached = metres <= TOLERANCE.position and radians <= TOLERANCE.angle
         assert solution.converged == reached == (solution.status is Status.CONVERGED)
@@ -80,7 +80,7 @@ def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_na
     problem.retarget(robot.forward(other))
     problem.solve(start)
     assert np.array_equal(first.q, solution_q)
-    assert first.miss.position == pytest.approx(measured(robot, solution_q, goal)[0], abs=1e-12)
+    assert first.error.position == pytest.approx(measured(robot, solution_q, goal)[0], abs=1e-12)
     for before, now in zip(
         kept, [start, robot.lower, robot.upper, robot.home, goal.target.matrix], strict=True
     ):

@@ -236,7 +236,7 @@ def test_priorities_are_refused_by_name(robots):
 
 def test_a_minimum_that_is_not_the_goal_is_named(robots):
     far = solve(robots("planar"), PositionGoal(None, (4.0, 0, 0)), solver="bfgs")
-    assert far.status is Status.UNREACHABLE and far.miss.position == pytest.approx(4.0 - 1.1)
+    assert far.status is Status.UNREACHABLE and far.error.position == pytest.approx(4.0 - 1.1)
     # Behind the stops: the solution presses against them.
     shut = robots("planar").with_limits(np.array([-0.1, 0.1, 0.1]), np.array([0.1, 0.2, 0.2]))
     blocked = solve(shut, PositionGoal(None, (0, -0.9, 0)), solver="bfgs")

@@ -50,7 +50,7 @@ def test_the_pose_is_met_and_the_posture_gets_all_the_freedom_that_is_left(arm):
     for _ in range(12):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
         found = solve(arm, [pose, PostureGoal(q=arm.home, priority=1)], solver="lm")
-        assert found.misses[0].position < 1e-4 and found.misses[0].angle < 1e-3
+        assert found.errors[0].position < 1e-4 and found.errors[0].angle < 1e-3
         assert not arm.outside(found.q)
         assert slope_left(arm, found.q, None, arm.home) < 2e-3
 
@@ -61,7 +61,7 @@ def test_what_cannot_be_met_first_is_as_near_as_if_it_were_alone(arm):
         alone = solve(arm, far, solver="lm")
         both = solve(arm, [far, PostureGoal(q=arm.home + 0.3, priority=1)], solver="lm")
         assert both.status is Status.UNREACHABLE
-        assert both.misses[0].position == pytest.approx(alone.miss.position, rel=2e-5)
+        assert both.errors[0].position == pytest.approx(alone.error.position, rel=2e-5)
 
 
 @pytest.mark.parametrize("far", [0.35, 5.0])
@@ -72,13 +72,13 @@ def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
     for away in itertools.product((-far, far), repeat=2):
         second = PositionGoal(elbow, (*away, 0.4), priority=1)
         strict = solve(arm, [first, second], solver="lm")
-        assert strict.misses[0].position <= 1e-6
+        assert strict.errors[0].position <= 1e-6
         mixed = solve(arm, [first, PositionGoal(elbow, (*away, 0.4))], solver="lm", budget=Budget(restarts=0))
         if far > 1.0:  # without priorities the far one has its way, whatever it costs the other
-            gains.append(strict.misses[1].position - mixed.misses[1].position)
+            gains.append(strict.errors[1].position - mixed.errors[1].position)
             assert gains[-1] > -1e-4
         alone = solve(arm, second, solver="lm")
-        assert strict.misses[1].position >= alone.miss.position - 1e-4
+        assert strict.errors[1].position >= alone.error.position - 1e-4
     assert far < 1.0 or max(gains) > 1e-3
 
 
@@ -91,14 +91,14 @@ def test_the_order_of_the_list_does_not_matter_but_that_of_the_numbers_does(arm)
     ]
     results = [solve(arm, list(order), solver="lm") for order in itertools.permutations(goals)]
     for found in results:
-        by_goal = dict(zip(found.goals, found.misses, strict=True))
+        by_goal = dict(zip(found.goals, found.errors, strict=True))
         assert [by_goal[g].position for g in goals] == pytest.approx(
-            [results[0].misses[k].position for k in range(3)], abs=1e-6
+            [results[0].errors[k].position for k in range(3)], abs=1e-6
         )
     reversed_order = solve(
         arm, [PositionGoal("elbow", (0.1, 0.9, 0.9)), PositionGoal(None, pose.position, priority=1)]
     )
-    assert reversed_order.misses[0].position < results[0].misses[2].position - 0.01
+    assert reversed_order.errors[0].position < results[0].errors[2].position - 0.01
 
 
 def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
@@ -115,7 +115,7 @@ def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
             PostureGoal(q=figure.home, priority=4),
         ]
         found = solve(figure, goals)
-        misses = found.misses
+        misses = found.errors
         assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
         assert (misses[3].position < 1e-4) is reached
         assert misses[4].angle < 1e-3 or not reached
@@ -137,7 +137,7 @@ def test_a_figure_at_full_stretch_keeps_its_feet(seed):
         PostureGoal(q=home, joints={"root": 0.0}, priority=4),
     ]
     start = figure.integrate(home, np.concatenate([np.zeros(6), rng.uniform(-0.3, 0.3, figure.model.nv - 6)]))
-    misses = solve(figure, goals, start=start, solver="lm").misses
+    misses = solve(figure, goals, start=start, solver="lm").errors
     assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
     assert misses[3].position == pytest.approx(0.283, abs=0.002)
 
@@ -193,7 +193,7 @@ def test_goals_in_reach_are_met_beside_one_that_is_not(arm):
     found = solve(arm, goals, solver="lm")
     assert found.status is Status.UNREACHABLE
     alone = solve(arm, goals[:2], solver="lm")
-    assert found.misses[0].position == pytest.approx(alone.misses[0].position, abs=0.01)
+    assert found.errors[0].position == pytest.approx(alone.errors[0].position, abs=0.01)
 
 
 @pytest.mark.parametrize("option", [{"clamp": 0.5}, {"gain": 0.5}, {"alternative": True}])

@@ -90,7 +90,7 @@ def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_u
         found = problem.solve(q, target={3: ball, 4: ball})
         q = found.q
         assert found.status is Status.CONVERGED
-        miss = found.miss
+        miss = found.error
         assert miss.position <= 1e-4 and miss.angle <= 1e-3
         assert not figure.outside(q)
         near.append(unease(figure, q) <= 1.05 * unease(figure, best) + 1e-6)
@@ -114,7 +114,7 @@ def test_a_soft_goal_decides_nothing_and_its_miss_is_shown(arm):
         away = PostureGoal(q=arm.home + 0.4, soft=True)
         found = solve(arm, [away, pose])
         assert found.converged and found.restarts <= solve(arm, pose, solver="lm").restarts + 5
-        assert found.miss == found.misses[1] and found.misses[0].angle > 0.0
+        assert found.error == found.errors[1] and found.errors[0].angle > 0.0
 
 
 def test_a_soft_goal_gets_what_freedom_is_left(arm):
@@ -132,7 +132,7 @@ def test_soft_goals_alone_are_served_and_converge(arm):
     wanted = arm.clip(arm.home + 0.3)
     found = solve(arm, PostureGoal(q=wanted, soft=True))
     assert found.converged and np.abs(found.q - wanted).max() < 1e-3
-    assert (found.miss.position, found.miss.angle) == (0.0, 0.0)
+    assert (found.error.position, found.error.angle) == (0.0, 0.0)
     far = solve(arm, PositionGoal(None, (9.0, 0, 0), soft=True))
     assert far.converged and far.restarts == 0
     assert np.linalg.norm(arm.forward(far.q).position - (9.0, 0, 0)) < np.linalg.norm(
@@ -146,8 +146,8 @@ def test_several_soft_goals_have_priorities_among_themselves(arm):
     rest = PostureGoal(q=arm.home, soft=True, priority=1)
     found = solve(arm, [rest, elbow, PositionGoal(None, position)])
     without = solve(arm, [elbow, PositionGoal(None, position)])
-    assert found.converged and found.misses[2].position < 1e-4
-    assert found.misses[1].position <= without.misses[0].position + 2e-3
+    assert found.converged and found.errors[2].position < 1e-4
+    assert found.errors[1].position <= without.errors[0].position + 2e-3
 
 
 def test_a_needed_goal_out_of_reach_is_still_said_beside_a_soft_one(arm):

@@ -47,7 +47,7 @@ def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
         for i in range(2, n + 1):
             position = robot.measure(solution.q, f"link{i}").position
             np.testing.assert_allclose(position, far / np.linalg.norm(far) * (i - 1), atol=1e-9)
-        assert solution.miss.position == pytest.approx(0.2 * n, abs=1e-9)
+        assert solution.error.position == pytest.approx(0.2 * n, abs=1e-9)
 
 
 def test_the_textbook_triangle():

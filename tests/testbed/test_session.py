@@ -90,7 +90,7 @@ def test_every_goal_kind_is_met_and_its_miss_is_the_goals_own(session: Session, 
     ready = session._ready
     assert ready is not None
     goal = ready.goals.main(view.ball)
-    off = goal.miss(session.robot, view.instances[0].q, goal.target)
+    off = goal.error(session.robot, view.instances[0].q, goal.target)
     assert (view.instances[0].miss, view.instances[0].angle) == pytest.approx(off, abs=1e-9)
 
 

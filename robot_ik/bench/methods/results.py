@@ -69,7 +69,7 @@ class Cell(_Data):
         skipped: Why nothing was measured; empty otherwise.
         microseconds: Whole Python calls: 4×4 matrix in, joint array out.
         success: By MuJoCo's forward pass within tolerance, and inside the model's joint ranges.
-        position_miss, angle_miss: By MuJoCo, metres and radians; 0 for a part that was not asked for.
+        position_error, angle_error: By MuJoCo, metres and radians; 0 for a part that was not asked for.
         status: What the solver said, names of ``Status``.
         largest_step: Largest change of a joint between solutions (warm only), rad or m.
         jumps: Changes above ``JUMP`` (warm only).
@@ -83,8 +83,8 @@ class Cell(_Data):
     skipped: str = ""
     microseconds: list[float] = []
     success: list[bool] = []
-    position_miss: list[float] = []
-    angle_miss: list[float] = []
+    position_error: list[float] = []
+    angle_error: list[float] = []
     iterations: list[int] = []
     restarts: list[int] = []
     status: list[str] = []

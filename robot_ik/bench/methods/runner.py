@@ -74,8 +74,8 @@ class Bench:
             and not self.robot.outside(solution.q, SLACK)
         )
         cell = self.cell
-        cell.position_miss.append(metres)
-        cell.angle_miss.append(radians)
+        cell.position_error.append(metres)
+        cell.angle_error.append(radians)
         cell.iterations.append(solution.iterations)
         cell.restarts.append(solution.restarts)
         cell.status.append(Status(solution.status).name)

@@ -62,7 +62,7 @@ def track(
         seconds += solution.seconds
         iterations += solution.iterations
         restarts += solution.restarts
-        metres, radians = solution.goals[0].miss(problem.robot, q)  # by MuJoCo
+        metres, radians = solution.goals[0].error(problem.robot, q)  # by MuJoCo
         if metres <= allowed.position and radians <= allowed.angle:
             solved += 1
         elif lost is None:

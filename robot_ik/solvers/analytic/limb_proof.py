@@ -113,7 +113,7 @@ class PreparedProof:
         budget: Budget,
     ) -> None:
         """Write the status of each row, with an infinite miss: a proof finds no point."""
-        results.miss[...] = np.inf
+        results.error[...] = np.inf
         for row in range(len(targets)):
             self._target[0] = targets[row]
             proven = self._prove(self._address)

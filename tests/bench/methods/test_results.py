@@ -26,7 +26,7 @@ def test_the_file_reads_back_as_it_was(results: Results) -> None:
 
 def test_figures_belong_together(results: Results) -> None:
     for one in results.cells:
-        lists = (one.success, one.position_miss, one.angle_miss, one.iterations, one.restarts, one.status)
+        lists = (one.success, one.position_error, one.angle_error, one.iterations, one.restarts, one.status)
         assert {len(x) for x in lists} == {one.count}
         assert bool(one.skipped) != bool(one.count)
         assert all(t > 0 for t in one.microseconds)
@@ -34,12 +34,12 @@ def test_figures_belong_together(results: Results) -> None:
             assert min(one.microseconds) <= one.microsecond("median") <= one.microsecond(99.0)
     for solver in ("analytic", "lm"):
         puma = cell(results, solver, "puma560", "cold")
-        assert puma.rate == 1.0 and puma.goal == "pose" and max(puma.position_miss) <= 1e-4
+        assert puma.rate == 1.0 and puma.goal == "pose" and max(puma.position_error) <= 1e-4
     bones = cell(results, "triangulation", "puma560", "cold")
-    assert bones.goal == "position" and not any(bones.angle_miss)
+    assert bones.goal == "position" and not any(bones.angle_error)
     assert "panda" in cell(results, "analytic", "panda", "cold").skipped
     far = cell(results, "lm", "puma560", "unreachable")
-    assert far.rate == 0.0 and set(far.status) == {"UNREACHABLE"} and min(far.position_miss) > 1e-3
+    assert far.rate == 0.0 and set(far.status) == {"UNREACHABLE"} and min(far.position_error) > 1e-3
     warm = cell(results, "lm", "puma560", "warm")
     assert warm.rate == 1.0 and warm.jumps == 0 and 0 < warm.largest_step < 0.2
 

@@ -104,8 +104,8 @@ def test_an_interrupted_run_keeps_whole_rows() -> None:
         cell.microseconds,
         cell.success,
         cell.status,
-        cell.position_miss,
-        cell.angle_miss,
+        cell.position_error,
+        cell.angle_error,
         cell.iterations,
     )
     assert {len(x) for x in lists} == {6}

@@ -149,7 +149,7 @@ def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik
         hand = rik.PositionGoal("right_hand", position)
         plain = rik.solve(humanoid, [*feet, hand], solver="lm")
         likely = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm")
-        assert likely.converged and likely.miss.position < 1e-4
+        assert likely.converged and likely.error.position < 1e-4
         assert prior.energy(humanoid, likely.q) < prior.energy(humanoid, plain.q)
         inside.append(prior.energy(humanoid, likely.q) < prior.contour)
         # Tracked from there it stays: the solution is a minimum.

@@ -156,7 +156,7 @@ def test_next_to_a_singular_wrist_every_branch_meets_the_goal(robot_name, off):
         goal = PoseGoal.at(None, robot.forward(q))
         branches = solve_all(robot, goal, start=robot.sample(rng))
         assert branches
-        assert max(max(goal.miss(robot, branch.q, goal.target)) for branch in branches) < 1e-6
+        assert max(max(goal.error(robot, branch.q, goal.target)) for branch in branches) < 1e-6
         assert solve(robot, goal, solver="analytic", tolerance=TIGHT).converged
 
 
@@ -190,7 +190,7 @@ def test_a_free_angle_gives_way_to_the_limits_of_the_other_joints(name):
         start = robot.sample(rng)
         branches = solve_all(robot, goal, start=start)
         assert branches
-        assert max(max(goal.miss(robot, branch.q, goal.target)) for branch in branches) < 1e-7
+        assert max(max(goal.error(robot, branch.q, goal.target)) for branch in branches) < 1e-7
         solution = solve(robot, goal, solver="analytic", start=start, tolerance=TIGHT)
         assert solution.converged and np.abs(solution.q - branches[0].q).max() < 1e-6
 
@@ -219,7 +219,7 @@ def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch(name, elbow):
         goal = PoseGoal.at(None, robot.forward(q))
         branches = solve_all(robot, goal, start=q)
         assert branches and not any(robot.outside(branch.q, 0.0) for branch in branches)
-        misses = [goal.miss(robot, branch.q, goal.target) for branch in branches]
+        misses = [goal.error(robot, branch.q, goal.target) for branch in branches]
         assert np.max(misses) < 2e-6
 
 
@@ -235,7 +235,7 @@ def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_appr
     assert alone.status is Status.UNREACHABLE and np.array_equal(alone.q, robot.home)
     nearest = solve(robot, goal)
     assert nearest.status is Status.UNREACHABLE
-    assert nearest.misses[0].position < alone.misses[0].position and not robot.outside(nearest.q)
+    assert nearest.errors[0].position < alone.errors[0].position and not robot.outside(nearest.q)
 
 
 # lm, which auto asks first near the goal, ends inside the tolerance; the closed form ends at its middle.

@@ -76,7 +76,7 @@ class Move(Tolerant, Action):
         """Judges by MuJoCo where the goal's frame is."""
 
         def judge() -> list[Finding]:
-            metres, radians = goal.miss(now.robot, now.arm.read().q)
+            metres, radians = goal.error(now.robot, now.arm.read().q)
             what = goal.frame or now.robot.tool
             found = [near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")]
             if goal.weights[1] > 0.0:
