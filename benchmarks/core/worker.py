@@ -70,7 +70,9 @@ def goal_for(method: str) -> Any:
 
 def counts(robot: Any, method: str, number: int) -> dict[str, Any]:
     """Return sums over seeded goals, each solved from home."""
-    solve = prepared(robot, goal_for(method), method, budget=rik.Budget(iterations=_COUNT_ITERATIONS))
+    solve = prepared(
+        robot, goal_for(method), method, budget=rik.Budget(iterations=_COUNT_ITERATIONS)
+    )
     totals = {"converged": 0, "iterations": 0, "restarts": 0}
     for pose in poses(robot, number):
         target = pose[:3, 3] if method in _POSITION_ONLY else pose
@@ -131,9 +133,7 @@ def batch(robot: Any, method: str) -> dict[str, float]:
     """Return microseconds a pose of a batch on one thread."""
     targets = np.array(poses(robot, 500))[np.arange(_BATCH_POSES) % 500]
     rik.solve_batch(robot, targets[:100], solver=method, threads=1)
-    best = min(
-        rik.solve_batch(robot, targets, solver=method, threads=1).seconds for _ in range(3)
-    )
+    best = min(rik.solve_batch(robot, targets, solver=method, threads=1).seconds for _ in range(3))
     return {"pose": 1e6 * best / _BATCH_POSES}
 
 

@@ -1,0 +1,99 @@
+"""Compares two installed versions of robot_ik: steps, success and time.
+
+    python benchmarks/core/compare.py OLD_PYTHON NEW_PYTHON [--goals 100] [--rounds 3]
+
+Runs ``worker.py`` with both interpreters in turn, so that both see the same load of the machine,
+and prints a table for each measurement. A ratio below 1 means that the new version is faster.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+_WORKER = Path(__file__).with_name("worker.py")
+_ROBOTS = ("puma560", "panda", "ur5e")
+_TIMED = ("auto", "lm", "dls")
+_COUNTED = ("auto", "lm", "dls", "transpose", "sdls", "pseudoinverse", "bfgs", "ccd", "fabrik")
+
+
+def run(python: str, *arguments: str, cache: str | None = None) -> dict[str, Any]:
+    """Return what the worker prints; ``cache`` replaces the folder of compiled code."""
+    environment = dict(os.environ, OPENBLAS_NUM_THREADS="1")
+    if cache is not None:
+        environment["XDG_CACHE_HOME"] = cache
+    done = subprocess.run(
+        [python, str(_WORKER), *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+def compare_counts(old: str, new: str, goals: int) -> None:
+    """Print converged goals, steps and restarts of every method."""
+    print(f"\ncounts over {goals} seeded goals: converged / steps / restarts")
+    for method in _COUNTED:
+        for robot in _ROBOTS:
+            counts = [run(python, "counts", robot, method, str(goals)) for python in (old, new)]
+            texts = [
+                f"{count['converged']:4d} {count['iterations']:7d} {count['restarts']:5d}"
+                for count in counts
+            ]
+            print(f"{method:14s} {robot:8s}  old {texts[0]}   new {texts[1]}", flush=True)
+
+
+def compare_times(old: str, new: str, rounds: int) -> None:
+    """Print medians in microseconds, the two versions in turn."""
+    print("\nmicroseconds: old, new, ratio")
+    for method in _TIMED:
+        for robot in _ROBOTS:
+            for what in ("times", "batch"):
+                pairs = [
+                    (run(old, what, robot, method), run(new, what, robot, method))
+                    for _ in range(rounds)
+                ]
+                for key in pairs[0][0]:
+                    before = min(pair[0][key] for pair in pairs)
+                    after = min(pair[1][key] for pair in pairs)
+                    ratio = statistics.median(pair[1][key] / pair[0][key] for pair in pairs)
+                    print(
+                        f"{method:5s} {robot:8s} {key:9s} {before:8.2f} {after:8.2f} {ratio:6.2f}",
+                        flush=True,
+                    )
+
+
+def compare_compile(old: str, new: str) -> None:
+    """Print CPU seconds of a first solve with an empty cache."""
+    print("\nfirst compile with an empty cache, CPU seconds: old, new")
+    for method in _TIMED:
+        seconds = []
+        for python in (old, new):
+            with tempfile.TemporaryDirectory() as cache:
+                seconds.append(run(python, "compile", _ROBOTS[0], method, cache=cache)["seconds"])
+        print(f"{method:5s} {seconds[0]:6.1f} {seconds[1]:6.1f}", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("old", help="Python of the old version")
+    parser.add_argument("new", help="Python of the new version")
+    parser.add_argument("--goals", type=int, default=100, help="Goals of each count")
+    parser.add_argument("--rounds", type=int, default=3, help="Pairs of each timing")
+    options = parser.parse_args()
+    compare_counts(options.old, options.new, options.goals)
+    compare_times(options.old, options.new, options.rounds)
+    compare_compile(options.old, options.new)
+
+
+if __name__ == "__main__":
+    main()
