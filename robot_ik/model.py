@@ -76,21 +76,22 @@ _NUMBERS = (
 
 def read_model(
     source: Path | str | mujoco.MjSpec | mujoco.MjModel, path: Path
-) -> tuple[mujoco.MjModel, dict[str, float]]:
-    """MuJoCo's model of an MJCF or URDF file, of such a text or of a spec, and a URDF's speed limits.
+) -> tuple[mujoco.MjModel, dict[str, float], tuple[str, ...]]:
+    """MuJoCo's model of an MJCF or URDF file, of such a text or of a spec, and what else a URDF says.
 
     Unnamed joints are called ``joint_<id>``.  A URDF keeps its fixed-joint frames, unless it asks for
     ``fusestatic``.  ``path`` is for messages.
 
     Returns:
-        The model; and joint -> rad/s or m/s, empty for anything but a URDF.
+        The model; a URDF's speed limits, joint -> rad/s or m/s; and the mesh files of a URDF that were left
+        out, by their names there.  The last two are empty for anything but a URDF.
 
     Raises:
         ModelError: With the file and MuJoCo's reason; a joint whose lower limit is not below its upper; a
             number that is not finite or beyond ``LARGEST_NUMBER``.
     """
     if isinstance(source, mujoco.MjModel):
-        return source, {}
+        return source, {}, ()
     spec, urdf = read_spec(source, path)
     with _as_model_error(path):
         _name_joints(spec)
@@ -98,7 +99,9 @@ def read_model(
     _refuse_numbers(model, path)
     _refuse_ranges(model, path)
     _hint_at_radians(model, spec, path)
-    return model, {} if urdf is None else urdf.velocity
+    if urdf is None:
+        return model, {}, ()
+    return model, urdf.velocity, urdf.missing_meshes
 
 
 def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjSpec, Urdf | None]:

@@ -50,6 +50,8 @@ class Robot:
         tree: The same kinematics compiled.
         file: What ``robot.toml`` says beyond the model.
         couplings: Joints of the model that follow another.
+        missing_meshes: Mesh files of a URDF that the model is without, by their names there: no such file,
+            or neither STL nor OBJ.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Robot:
     frozen_qpos: Array
     file: RobotFile
     couplings: tuple[Coupling, ...]
+    missing_meshes: tuple[str, ...]
     _frames: dict[str, mjcf.ModelFrame] = field(repr=False)
     _bodies: tuple[mjcf.Attachment, ...] = field(repr=False)
 
@@ -330,13 +333,13 @@ def load_robot(
     """
     in_memory = isinstance(name, mujoco.MjSpec | mujoco.MjModel)
     if in_memory or (isinstance(name, str) and name.lstrip().startswith("<")):
-        model, velocity = mjcf.read_model(name, Path("<memory>/model"))
+        model, velocity, missing_meshes = mjcf.read_model(name, Path("<memory>/model"))
         file = RobotFile(name=model.names[: model.names.index(b"\0")].decode() or "model")
         # A folder that cannot exist, so that nothing is ever found beside the model.
         path = Path(f"<memory>/{file.name}")
     else:
         path, file = find_robot(name)
-        model, velocity = mjcf.read_model(path, path)
+        model, velocity, missing_meshes = mjcf.read_model(path, path)
     if velocity:
         file = file.model_copy(update={"velocity": velocity | file.velocity})
     names = mjcf.joint_names(model)
@@ -371,6 +374,7 @@ def load_robot(
         frozen_qpos=rest,
         file=file,
         couplings=tuple(couplings),
+        missing_meshes=missing_meshes,
         _frames=frames,
         _bodies=bodies,
     )

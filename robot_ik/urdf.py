@@ -37,10 +37,15 @@ def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
 
 
 class Urdf:
-    """A URDF, by its element ``robot``, and the folder that its file names count from."""
+    """A URDF, by its element ``robot``, and the folder that its file names count from.
+
+    Attributes:
+        missing_meshes: Mesh files that ``text`` has left out, as the URDF names them, each once.
+    """
 
     def __init__(self, root: ElementTree.Element, folder: Path) -> None:
         self._root, self._folder = root, folder
+        self.missing_meshes: tuple[str, ...] = ()
 
     @classmethod
     def of_text(cls, text: str, folder: Path = Path()) -> Urdf | None:
@@ -149,6 +154,7 @@ class Urdf:
                     link.remove(shape)
                 else:
                     mesh.set("filename", str(found))
+        self.missing_meshes = tuple(dict.fromkeys(missing))
         if missing:
             _log.warning(
                 "meshes left out, since not there or neither STL nor OBJ: %d (%s%s)",
