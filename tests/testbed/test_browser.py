@@ -326,11 +326,14 @@ def test_the_page_opens_with_its_token(chromium: Any, guarded: Any) -> None:
 @pytest.fixture
 def arm_bed(real_time: None) -> Iterator[Bed]:
     """A session with simulated servos, its page, and its loop on a thread."""
-    with Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session:
-        with Page(session, PageServer(port=8612, shadows=False)) as page, looped(session, page):
-            bed = Bed(session, page)
-            bed.until(lambda view: view.tick > 0, "kernels were never ready")
-            yield bed
+    with (
+        Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
+        Page(session, PageServer(port=8612, shadows=False)) as page,
+        looped(session, page),
+    ):
+        bed = Bed(session, page)
+        bed.until(lambda view: view.tick > 0, "kernels were never ready")
+        yield bed
 
 
 @contextlib.contextmanager

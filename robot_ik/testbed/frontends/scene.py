@@ -42,6 +42,7 @@ GHOSTS = 8
 """Branches that are drawn at most."""
 _BRANCH_COLOUR: Colour = (110, 130, 155)
 _ARM_COLOUR: Colour = (250, 204, 21)
+_REACH_COLOUR: Colour = (110, 130, 155)  # not the ball's: the points hide neither it nor the robot
 _GHOST_OPACITY = 0.28
 _CLOUD_POINTS = 4000
 _PLATE_RADIUS = 0.21  # of the extent
@@ -312,8 +313,8 @@ class BrowserScene:
             robot = self.robot
             points = [robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)]
             self._cloud = self._server.scene.add_point_cloud(
-                "/robot/reach", np.array(points, np.float32), colors=GOAL_COLOUR,
-                point_size=0.006 * self.arrangement.extent, point_shape="circle",
+                "/robot/reach", np.array(points, np.float32), colors=_REACH_COLOUR,
+                point_size=0.002 * self.arrangement.extent, point_shape="circle",
             )  # fmt: skip
 
     def name_instances(self, view: View) -> None:
