@@ -378,22 +378,23 @@ def test_hold_after_torque_off_says_that_the_arm_is_limp(chromium: Any, arm_bed:
 
 
 def test_a_page_without_its_program_says_that_stop_does_not_work(chromium: Any, real_time: None) -> None:
-    with Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session:
-        with Page(session, PageServer(port=8612, shadows=False)) as page, looped(session, page):
-            window = open_window(chromium, page.url, scene=False)
-            veil = window.page.locator("#connection-lost")
-            window.page.locator("[data-beat]").wait_for(state="attached")
-            assert not veil.is_visible()
-        veil.wait_for()
-        assert "STOP does not work" in veil.inner_text() and "robot-ik stop" in veil.inner_text()
-        assert veil.bounding_box() == {"x": 0, "y": 0, **window.page.viewport_size}
-        with Page(session, PageServer(port=8612, shadows=False)) as page, looped(session, page):
-            veil.wait_for(state="hidden")  # the browser connects again by itself
+    with (
+        Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
+        Page(session, PageServer(port=8612, shadows=False)) as page,
+        looped(session, page),
+    ):
+        window = open_window(chromium, page.url, scene=False)
+        veil = window.page.locator("#connection-lost")
+        window.page.locator("[data-beat]").wait_for(state="attached")
+    veil.wait_for()
+    assert "STOP does not work" in veil.inner_text() and "robot-ik stop" in veil.inner_text()
+    assert veil.bounding_box() == {"x": 0, "y": 0, **window.page.viewport_size}
     window.page.close()
 
 
 def test_a_loop_that_hangs_is_a_lost_connection(chromium: Any, arm_bed: Bed) -> None:
     window = open_window(chromium, arm_bed.page.url, scene=False)
+    veil = window.page.locator("#connection-lost")
     hangs, go_on = threading.Event(), threading.Event()
 
     def hang(*_: object) -> None:
@@ -403,7 +404,8 @@ def test_a_loop_that_hangs_is_a_lost_connection(chromium: Any, arm_bed: Bed) -> 
     arm_bed.page._draw_scene = hang  # type: ignore[method-assign]
     try:
         hangs.wait()
-        window.page.locator("#connection-lost").wait_for()
+        veil.wait_for()
     finally:
         go_on.set()
+    veil.wait_for(state="hidden")
     window.page.close()

@@ -123,6 +123,7 @@ def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: 
 HINT = "Drag the orange ball, or any part of the robot."
 FIGURE_HINT = "Drag the orange ball: the figure decides what to do."
 LOST = "connection lost: STOP does not work"
+"""What covers the page when its program does not answer."""
 LOST_WITH_ARM = f"{LOST};\nuse robot-ik stop or the power switch"
 STILL_ARM_HINT = "Press Start to go on. The arm stays until you press Follow."
 STILL_HINT = "Press Start to go on."
