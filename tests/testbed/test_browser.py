@@ -386,6 +386,7 @@ def test_a_page_without_its_program_says_that_stop_does_not_work(chromium: Any, 
         window = open_window(chromium, page.url, scene=False)
         veil = window.page.locator("#connection-lost")
         window.page.locator("[data-beat]").wait_for(state="attached")
+        veil.wait_for(state="hidden")
     veil.wait_for()
     assert "STOP does not work" in veil.inner_text() and "robot-ik stop" in veil.inner_text()
     assert veil.bounding_box() == {"x": 0, "y": 0, **window.page.viewport_size}

@@ -21,7 +21,6 @@ from viser import _messages as vm
 
 from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere, visible_geoms
 from robot_ik.geometry import Pose
-from robot_ik.kernels.tree import SLIDE
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
@@ -209,8 +208,9 @@ def _poses(count: int) -> tuple[Floats, Floats]:
 
 def slide_numbers(robot: Robot) -> NDArray[np.bool_]:
     """(nq,) whether a number of ``q`` is a length; the others are angles, or parts of a pose."""
+    slides = robot.model.jnt_type[list(robot.tree.joint_ids)] == mujoco.mjtJoint.mjJNT_SLIDE
     found = np.zeros(robot.nq, bool)
-    found[robot.tree.qadr[robot.tree.kind == SLIDE]] = True
+    found[robot.tree.qadr[slides]] = True
     return found
 
 
