@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from robot_ik.solution import Solution
 
 
+#: Name on the package index. ``robot-ik`` there is another project, which also installs ``robot_ik``.
+DISTRIBUTION = "robot-ik-testbed"
+
+
+def install_command(extra: str = "") -> str:
+    """Return the shell command that installs this package, with an optional extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"' if extra else f"pip install {DISTRIBUTION}"
+
+
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Known names most like ``name``, best first, without regard to case."""
     name = str(name)  # None or a number is an unknown name too
@@ -109,7 +118,7 @@ class MissingExtraError(RobotIkError, ImportError):
         self.package, self.extra = package, extra
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
-            hint=f'install it with: pip install "robot_ik[{extra}]"',
+            hint=f"install it with: {install_command(extra)}",
         )
 
 

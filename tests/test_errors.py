@@ -61,7 +61,8 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
     assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
         "these can: lm, dls"
     )
-    assert 'pip install "robot_ik[web]"' in str(errors.MissingExtraError("viser", "web", "the browser view"))
+    missing = errors.MissingExtraError("viser", "web", "the browser view")
+    assert 'pip install "robot-ik-testbed[web]"' in str(missing)
     timeout = errors.BusTimeoutError(
         id=3, register="present_position", port="/dev/x", joint="elbow", last_good=0.5
     )

@@ -149,7 +149,7 @@ def test_help_imports_nothing_heavy(lines: list[str], heavy: list[str]) -> None:
 def test_version_shows_what_it_stands_on(robot_ik: Any) -> None:
     run = robot_ik("--version")
     assert run.code == 0 and len(run.out.splitlines()) < 15
-    for package in ("robot_ik", "mujoco", "numba"):
+    for package in ("robot-ik-testbed", "mujoco", "numba"):
         line = next(line for line in run.out.splitlines() if line.startswith(package + " "))
         assert metadata.version(package) in line
     assert "opencv" in run.out
