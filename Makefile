@@ -34,8 +34,8 @@ help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
 	@echo 'make test          the tests (ARGS="-k puma" chooses some)'
 	@echo 'make explore       the same tests with new random examples of every law'
-	@echo 'make check         ruff, mypy on the built wheel, import contracts'
-	@echo 'make format        let ruff put the layout and the imports in order'
+	@echo 'make check         style, mypy on the built wheel, import contracts'
+	@echo 'make format        let ruff fix the layout and the imports'
 	@echo 'make docs          the pages and the API as a site, in build/site'
 	@echo 'make soak          the long tests'
 	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
@@ -76,8 +76,7 @@ strangers: $(STAMP)
 check: lint types imports
 
 lint: $(STAMP)
-	@$(PY) -m ruff check .
-	@$(PY) -m ruff format --check .
+	@$(PY) .ci/check_style.py
 
 types: $(STAMP)
 	@.ci/check_types $(VENV)
@@ -87,8 +86,7 @@ imports: $(STAMP)
 	@cd $(VENV)/typed && ../bin/python -c 'from importlinter.cli import lint_imports_command as lint; lint()' --no-logo --config ../../pyproject.toml
 
 format: $(STAMP)
-	@$(PY) -m ruff check --fix .
-	@$(PY) -m ruff format .
+	@$(PY) .ci/check_style.py --format
 
 # -E reads every page anew, -W makes a warning an error.
 docs: $(DOCS_STAMP)
