@@ -48,6 +48,19 @@ def test_close_names_ignore_case():
     assert errors.close_matches("PUMA560", ["puma560", "ur5e"]) == ["puma560"]
 
 
+def test_only_close_names_are_suggested():
+    assert errors.close_matches("SLOVE", ["solve", "robots"]) == ["solve"]
+    assert errors.close_matches("--gaol", ["--goal", "--json"]) == ["--goal"]
+    for name, known in (
+        ("record", ["reach", "doctor"]),
+        ("replay", ["reach"]),
+        ("calibrate", ["camera"]),
+        ("--solver", ["--overwrite"]),
+        ("nojoint", ["root"]),
+    ):
+        assert errors.close_matches(name, known) == [], name
+
+
 def test_the_hint_comes_last_and_only_once():
     error = errors.ModelError("it is broken", path="a.xml", reason="no", hint="mend it")
     assert str(error) == "it is broken\nmend it" and (error.path, error.reason) == ("a.xml", "no")

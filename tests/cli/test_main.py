@@ -200,7 +200,7 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("servo scan --baud x", "--baud: 'x' is no"),
         ("servo calibrate", "missing: OUT.toml"),
         ("servo move joint1=1 --speed", "--speed: a value is missing"),
-        ("ar --record a.csv", "unknown option '--record'; did you mean '--seconds'?"),
+        ("ar --record a.csv", "unknown option '--record'\n"),
         ("bench --seconds 0", "--seconds: 0 s; allowed: above 0"),
         ("sim-bus --wire-baud 99999999", "--wire-baud: 99999999; allowed: 0 to 10500000"),
         ("servo monitor --rate nan", "--rate: nan Hz; allowed: above 0, at most 200"),
