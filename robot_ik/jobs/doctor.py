@@ -76,8 +76,12 @@ def check_packages(until: float) -> CheckFinding:
 def check_distribution(until: float) -> CheckFinding:
     """Another project is called ``robot-ik`` on the package index and installs a ``robot_ik`` of its own."""
     version = version_of(DISTRIBUTION)
-    if foreign := version_of(FOREIGN_DISTRIBUTION):
-        found = f"{FOREIGN_DISTRIBUTION} {foreign} is another project and overwrites the package robot_ik"
+    for foreign in metadata.distributions(name=FOREIGN_DISTRIBUTION):
+        # A build leaves metadata in its checkout. Only what is installed has a RECORD.
+        if foreign.read_text("RECORD") is None:
+            continue
+        name = f"{FOREIGN_DISTRIBUTION} {foreign.version}"
+        found = f"{name} is another project and overwrites the package robot_ik"
         reinstall = f"pip install --force-reinstall --no-deps {DISTRIBUTION}"
         return PROBLEM, found, f"pip uninstall -y {FOREIGN_DISTRIBUTION} && {reinstall}"
     if not version:

@@ -169,6 +169,7 @@ def install_fake(folder: Path, name: str, version: str) -> None:
     info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "RECORD").write_text("robot_ik/__init__.py,,\n")
 
 
 def test_our_own_distribution_is_found() -> None:
@@ -185,6 +186,16 @@ def test_another_project_with_our_import_name_is_a_problem(
     status, found, do = doctor.check_distribution(SOON)
     assert status == environment.PROBLEM and "robot-ik 0.4.0 is another project" in found
     assert do.startswith("pip uninstall -y robot-ik && ") and do.endswith(" robot-ik-testbed")
+
+
+def test_metadata_that_a_build_left_behind_is_no_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "robot_ik.egg-info"
+    info.mkdir()
+    (info / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: robot_ik\nVersion: 0.1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert doctor.check_distribution(SOON)[0] == environment.OK
 
 
 def test_a_checkout_that_is_not_installed_is_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
