@@ -363,9 +363,9 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
         print(f"{path}: follows all rules and is still in {EXCEPTIONS}")
     for path in report.missing:
         print(f"{path}: does not exist and is still in {EXCEPTIONS}")
-    if report.findings:
+    if rows := advice({finding.rule for finding in report.findings}):
         print("What to write instead:")
-        print("\n".join(advice({finding.rule for finding in report.findings})))
+        print("\n".join(rows))
     if report.followed or report.missing:
         print("Run: python .ci/check_style.py --update")
     return 1 if report.findings or report.followed or report.missing else 0
