@@ -1,6 +1,7 @@
 """Every error this package raises, as one tree.
 
-The text of each error has the same form: what was asked, what is possible, what to try.
+The text of an error tells what was given. Where they are known it adds what is allowed, as
+``ConfigError.allowed``, and what to try, as ``RobotIkError.hint``.
 Constructors take data and keep it as attributes, so that a program can act on the cause
 without reading the text.  "No solution" is not an error: it is a ``Solution`` whose status says so.
 """
@@ -16,12 +17,27 @@ if TYPE_CHECKING:
     from robot_ik.solution import Solution
 
 
+#: Name on the package index. ``robot-ik`` there is another project, which also installs ``robot_ik``.
+DISTRIBUTION = "robot-ik-testbed"
+
+
+#: Ratio of ``difflib`` from which a name is suggested. With two letters of three swapped it is 0.67.
+#: Names that only share some letters, such as record and seconds, have at most 0.62.
+CLOSE = 0.65
+
+
+def install_command(extra: str = "") -> str:
+    """Return the shell command that installs this package, with an optional extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"' if extra else f"pip install {DISTRIBUTION}"
+
+
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Known names most like ``name``, best first, without regard to case."""
+    """Known names most like ``name``, best first, without regard to case and leading dashes."""
     name = str(name)  # None or a number is an unknown name too
-    by_lower = {item.lower(): item for item in known}
-    found = difflib.get_close_matches(name.lower(), list(by_lower), n=count, cutoff=0.5)
-    return [by_lower[item] for item in found]
+    by_letters = {item.lower().lstrip("-"): item for item in known}
+    letters = name.lower().lstrip("-")
+    found = difflib.get_close_matches(letters, list(by_letters), n=count, cutoff=CLOSE)
+    return [by_letters[item] for item in found]
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -109,7 +125,7 @@ class MissingExtraError(RobotIkError, ImportError):
         self.package, self.extra = package, extra
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
-            hint=f'install it with: pip install "robot_ik[{extra}]"',
+            hint=f"install it with: {install_command(extra)}",
         )
 
 

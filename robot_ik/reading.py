@@ -11,7 +11,7 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -202,14 +202,3 @@ class WrongKey(ValueError):
     def in_file(self, file: Path | str) -> ConfigError:
         """The error for people."""
         return ConfigError(self.problem, file=file, key=self.key, allowed=self.allowed, hint=self.hint)
-
-
-FORMER: Mapping[str, str] = {
-    "things": "objects",
-    "thing": "object",
-    "--phantoms": "--occluders",
-    "--phantom-geoms": "--occluder-geoms",
-    "--camera-place": "--camera-extrinsics",
-    "--place": "--extrinsics",
-}
-"""Keys and options of before the first release, and what they are called now; nothing reads the old ones."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, get_args
 from pydantic import ValidationError
 
 from robot_ik.errors import ConfigError, did_you_mean
-from robot_ik.reading import FORMER, WrongKey, key_text, shown
+from robot_ik.reading import WrongKey, key_text, shown
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -68,8 +68,6 @@ def _is_type(part: int | str) -> bool:
 def _unknown_key(name: str, table: TableError | None) -> WrongKey:
     if table is None:
         return WrongKey("unknown key")
-    if (now := FORMER.get(name)) in table.keys:
-        return WrongKey(f"the key {name} is called {now} now", allowed=str(now))
     return WrongKey(f"unknown key {shown(name)}", "", ", ".join(table.keys), did_you_mean(name, table.keys))
 
 

@@ -48,6 +48,19 @@ def test_close_names_ignore_case():
     assert errors.close_matches("PUMA560", ["puma560", "ur5e"]) == ["puma560"]
 
 
+def test_only_close_names_are_suggested():
+    assert errors.close_matches("SLOVE", ["solve", "robots"]) == ["solve"]
+    assert errors.close_matches("--gaol", ["--goal", "--json"]) == ["--goal"]
+    for name, known in (
+        ("record", ["reach", "doctor"]),
+        ("replay", ["reach"]),
+        ("calibrate", ["camera"]),
+        ("--solver", ["--overwrite"]),
+        ("nojoint", ["root"]),
+    ):
+        assert errors.close_matches(name, known) == [], name
+
+
 def test_the_hint_comes_last_and_only_once():
     error = errors.ModelError("it is broken", path="a.xml", reason="no", hint="mend it")
     assert str(error) == "it is broken\nmend it" and (error.path, error.reason) == ("a.xml", "no")
@@ -61,7 +74,8 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
     assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
         "these can: lm, dls"
     )
-    assert 'pip install "robot_ik[web]"' in str(errors.MissingExtraError("viser", "web", "the browser view"))
+    missing = errors.MissingExtraError("viser", "web", "the browser view")
+    assert 'pip install "robot-ik-testbed[web]"' in str(missing)
     timeout = errors.BusTimeoutError(
         id=3, register="present_position", port="/dev/x", joint="elbow", last_good=0.5
     )

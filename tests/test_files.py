@@ -577,38 +577,6 @@ def test_half_a_character_is_refused_in_words_that_can_be_printed(text: str) -> 
     str(caught.value).encode("utf-8")
 
 
-# ------------------------------------------------------------------------------- files of earlier days
-
-FORMER_SCRIPT = """schema = 1
-name = "a script of before the first release"
-physics = true
-[[things]]
-name = "block"
-position = [0.19, 0.05, 0.015]
-size_mm = [20.0, 20.0, 30.0]
-[[steps]]
-do = "expect"
-thing = "block"
-position = [0.19, 0.05, 0.015]
-"""
-
-
-def test_an_old_key_is_answered_with_its_new_name_until_the_file_is_right(folder: Path) -> None:
-    file, text, seen = folder / "old.toml", FORMER_SCRIPT, []
-    for _ in range(9):
-        file.write_text(text)
-        try:
-            load_script(file)
-            break
-        except ConfigError as error:
-            old = error.key.rpartition(".")[2]
-            assert f"the key {old} is called {reading.FORMER[old]} now" in str(error)
-            seen.append(old)
-            text = text.replace(f"[[{old}]]", f"[[{reading.FORMER[old]}]]")
-            text = text.replace(f"{old} = ", f"{reading.FORMER[old]} = ")
-    assert sorted(seen) == sorted(key for key in reading.FORMER if not key.startswith("-"))
-
-
 def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:
     file = folder / "strict.toml"
     for name, old, new in (

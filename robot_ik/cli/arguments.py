@@ -22,7 +22,7 @@ from tyro.conf import arg
 
 from robot_ik.cli.console import HELP_FLAGS, NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
-from robot_ik.reading import FORMER, is_number
+from robot_ik.reading import is_number
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -372,8 +372,6 @@ def _unknown(tokens: Sequence[str], usage: str, hint: str) -> ConfigError:
         return wrong("", f"{' '.join(tokens)!r}: nothing more is taken here", hint=hint)
     rows = re.findall(r"^[│ ]*(-.*?)(?:  |$)", usage, re.MULTILINE)  # not what prose speaks of
     flags = re.findall(r"--[a-z][\w.-]*", " ".join(rows))
-    if (now := FORMER.get(flag)) in flags:
-        return wrong(flag, f"this option is called {now} now", hint=hint)
     close = close_matches(flag, flags, 1)
     meant = f"; did you mean {close[0]!r}?" if close else ""
     return wrong("", f"unknown option {flag!r}{meant}", hint=hint)

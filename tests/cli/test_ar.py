@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ from robot_ik.cli.main import main
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
-from robot_ik.reading import FORMER
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,14 +44,14 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
         films.importlib.util, "find_spec", lambda name, *more: None if name == "av" else real(name, *more)
     )
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
-    assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
+    assert 'pip install "robot-ik-testbed[video]"' in capsys.readouterr().err
     assert sorted(f.name for f in (tmp_path / "ar").iterdir()) == ["000000.png", "000001.png"]
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 2
     assert "it holds 000000.png" in capsys.readouterr().err
     assert main(["ar", "--seconds", "0", "--out", "b"]) == 2
     assert "--seconds: 0; allowed: above 0" in capsys.readouterr().err
     assert main(["ar", "--out", "a.mp4", "--robot", "nowhere"]) == 2
-    assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
+    assert 'pip install "robot-ik-testbed[video]"' in capsys.readouterr().err
 
 
 def test_ctrl_c_before_the_first_picture(
@@ -124,12 +122,3 @@ def test_the_self_test_judges(
     facts = json.loads(capsys.readouterr().out)
     assert facts["good"] is (code == 0) and facts["rows"]["gl"]["figures"][0]["missing"] == "no OpenGL here"
     assert list(facts["rows"]) == ["projection", "gl", "overlay", "latency"]
-
-
-@pytest.mark.parametrize(
-    "arguments", [("--phantoms", "boxes.toml"), ("--phantom-geoms", "link1"), ("--place", "place.toml")]
-)
-def test_an_old_option_is_answered_with_its_new_name(robot_ik: Any, arguments: tuple[str, ...]) -> None:
-    run = robot_ik("ar", *arguments)
-    run.assert_one_screen_error()
-    assert f"{arguments[0]}: this option is called {FORMER[arguments[0]]} now" in run.err

@@ -37,7 +37,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Response
 
-from robot_ik.errors import ViewerError
+from robot_ik.errors import ViewerError, install_command
 
 LOG = logging.getLogger(__name__)
 
@@ -471,7 +471,7 @@ def open_server(host: str, port: int, token: bool, names: tuple[str, ...]) -> tu
     if not viser.__version__.startswith(_VISER):
         raise ViewerError(
             f"the page is made for viser {_VISER}x, and {viser.__version__} is installed",
-            hint='pip install "robot_ik[web]"',
+            hint=install_command("web"),
         )
     _require_address(host, port)
     gate = Gate(secrets.token_urlsafe(24) if token or not is_loopback(host) else None, names)
