@@ -16,13 +16,29 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import StopRequestedError
-from robot_ik.hardware import open_arm
+from robot_ik.hardware import open_arm, stop_file
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.stop_file import running_arms, runtime_folder
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 from tests.waiting import wait_for
+
+PRIVATE = """
+from pathlib import Path
+from robot_ik.hardware import stop_file
+stop_file.FOLDER = Path({folder!r})
+"""
+"""Programs of these tests do not meet those of other tests, which run at the same time."""
+
+PROGRAM = (
+    PRIVATE
+    + """
+import sys
+from robot_ik.cli.main import main
+sys.exit(main())
+"""
+)
 
 CHILD = """
 import itertools, signal, sys, time
@@ -50,8 +66,10 @@ except StopRequestedError as error:
 
 
 @pytest.fixture(autouse=True)
-def private_runtime_folder(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+def folder(tmp_path, monkeypatch):
+    """A runtime folder of this test alone."""
+    monkeypatch.setattr(stop_file, "FOLDER", tmp_path / "running")
+    return stop_file.FOLDER
 
 
 @pytest.fixture
@@ -61,11 +79,12 @@ def served(arm_config, start, real_time):
 
 
 @pytest.fixture
-def child(served, arm_path):
+def child(served, arm_path, folder):
     started = []
 
     def begin(way: str = "busy") -> subprocess.Popen:
-        words = [sys.executable, "-c", CHILD, served.path, str(arm_path), way]
+        code = PRIVATE.format(folder=str(folder)) + CHILD
+        words = [sys.executable, "-c", code, served.path, str(arm_path), way]
         process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         started.append(process)
         assert process.stdout.readline().strip() == "moving"
@@ -79,7 +98,8 @@ def child(served, arm_path):
 
 
 def stop(*words: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "robot_ik", "stop", *words]
+    code = PROGRAM.format(folder=str(stop_file.FOLDER))
+    command = [sys.executable, "-c", code, "stop", *words]
     return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
 
 
@@ -197,11 +217,11 @@ def test_a_stop_during_a_parking_ends_it_and_the_arm_holds(arm_config, start, st
     assert arm.exit_report.done == "hold" and arm.exit_report.ok and not arm.exit_report.parked
 
 
-def test_space_stops_a_servo_command_that_moves(served, arm_path, arm_config, start):
+def test_space_stops_a_servo_command_that_moves(served, arm_path, arm_config, start, folder):
     master, slave = pty.openpty()
     words = ["servo", "move", "joint1=60", "--speed", "0.05", "--bus", served.path, "--arm", str(arm_path)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "robot_ik", *words],
+        [sys.executable, "-c", PROGRAM.format(folder=str(folder)), *words],
         stdin=slave,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
