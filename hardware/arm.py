@@ -227,7 +227,10 @@ class Arm(Closing):
         self._obey_stop(poll_now=True)
         self._require_not_closed()
         self._energised = True
-        torque_on(self.bus, self.config, here)
+        try:
+            torque_on(self.bus, self.config, here)
+        finally:
+            self._energised = True  # also where another thread has left the arm meanwhile
         if first:  # After a later enable the arm stands where it never stood without torque.
             self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
         self._commanded, self._streaming = self.clock.now(), False
