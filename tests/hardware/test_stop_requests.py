@@ -131,10 +131,10 @@ def test_a_request_before_torque_switches_nothing_on(arm):
 
 @pytest.mark.parametrize("connected", [False, True])
 def test_a_request_before_enable_is_not_forgotten(arm_config, start, stream, connected):
-    with open_arm(arm_config, "sim", start=start) if connected else open_arm(arm_config, "sim") as arm:
-        pass
-    arm.request_stop()
-    arm.connect()
+    arm = open_arm(arm_config, "sim", start=start)
+    steps = [arm.request_stop, arm.connect]
+    for step in reversed(steps) if connected else steps:
+        step()
     with pytest.raises(StopRequestedError, match="not touched"):
         arm.enable()
     assert arm.state is ArmState.FAULT and torque(arm) == [False] * 6
