@@ -206,7 +206,7 @@ class Arm(Closing):
                 self._obey_stop(poll_now=True)
                 self._require_not_closed()
             except StopRequestedError:
-                raise
+                raise  # the arm was left as the request asked
             except BaseException:
                 self._undo_enable(first)
                 raise
@@ -538,6 +538,8 @@ class Arm(Closing):
         unparked = None
         if self.config.on_stale == "park":
             unparked = self._park(stop=self._heartbeat.stopping)
+            if self._closed_elsewhere():
+                return  # close leaves it, as on_exit says
         report = self._leave("torque_off", unparked)
         self.fault = HardwareError(
             f"no command came for {idle:.1f} s: {report.text}",
@@ -638,7 +640,8 @@ class Arm(Closing):
 
     def _closed_elsewhere(self) -> bool:
         """Whether another thread leaves the arm, or has left it since ``connect``."""
-        return self._closing_thread not in (None, threading.get_ident())
+        thread = self._closing_thread
+        return thread is not None and thread != threading.get_ident()
 
     def _require_not_closed(self) -> None:
         """Raises where another thread leaves the arm: this one must move it no further."""
@@ -649,7 +652,7 @@ class Arm(Closing):
     def _leave_for_good(self, *, alone: bool) -> None:
         """``alone``: this thread has the lock, no other one talks to the servos."""
         if not self._energised:
-            if self.state is not ArmState.DISCONNECTED and self.exit_report is None:
+            if self.state is not ArmState.DISCONNECTED:
                 self._leave_untouched()
             return
         unparked = None
@@ -664,9 +667,11 @@ class Arm(Closing):
             self._leave(self._stop_policy or self.on_exit, unparked)
 
     def _leave_untouched(self) -> ExitReport:
-        """No servo has torque because of this arm: each is left as it is."""
-        self.exit_report = ExitReport("untouched")
-        return self.exit_report
+        """No servo has torque because of this arm: each is left as it is, and an earlier report stays."""
+        report = ExitReport("untouched")
+        if self.exit_report is None:
+            self.exit_report = report
+        return report
 
     def _leave(self, policy: str, unparked: str | None = None) -> ExitReport:
         """Every way out goes through here; torque goes off where even that fails.

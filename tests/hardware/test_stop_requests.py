@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from robot_ik.errors import ArmStateError, MotorFaultError, StopRequestedError
 from robot_ik.hardware import open_arm, stop_file
 from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.stop_file import running_arms
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -32,9 +34,9 @@ def make_arm(arm_config, start) -> Iterator[Callable[..., Arm]]:
     """An arm with a heartbeat: on real time, without a serial line that a busy machine would delay."""
     made = []
 
-    def make(**options: object) -> Arm:
-        servos = VirtualBus.from_config(arm_config, RealClock(), start=start)
-        arm = Arm(arm_config, SimBus(servos), virtual_bus=servos, **options)
+    def make(config: ArmConfig = arm_config, **options: object) -> Arm:
+        servos = VirtualBus.from_config(config, RealClock(), start=start)
+        arm = Arm(config, SimBus(servos), virtual_bus=servos, **options)
         made.append(arm)
         return arm
 
@@ -127,6 +129,16 @@ def test_a_request_before_torque_switches_nothing_on(arm):
     with pytest.raises(StopRequestedError):
         arm.enable()
     assert torque(arm) == [False] * 6 and arm.exit_report.done == "untouched"
+
+
+def test_a_request_before_torque_replaces_no_report(arm, enable_fails):
+    enable_fails(arm)
+    report = arm.exit_report
+    assert report.done == "torque_off"
+    arm.request_stop()
+    with pytest.raises(StopRequestedError, match="not touched"):
+        arm.enable()
+    assert arm.exit_report is report
 
 
 @pytest.mark.parametrize("connected", [False, True])
@@ -274,6 +286,21 @@ def test_close_of_another_thread_ends_a_motion_and_reports_the_truth(make_arm, s
     else:
         assert np.abs(true - start).max() < 1.4
     arm.bus.close()
+
+
+def test_close_while_the_heartbeat_parks_the_arm_finishes_the_parking(
+    make_arm, arm_config, start, monkeypatch
+):
+    monkeypatch.setattr("robot_ik.hardware.arm.GIVE_UP", 0.2)
+    arm = make_arm(replace(arm_config, on_stale="park"), on_exit="park")
+    arm.connect()
+    arm.enable()
+    arm.move_to(start + 1.0)
+    arm.send(start + 1.0, arm.clock.now())
+    wait_for(lambda: arm.state is ArmState.MOVING)
+    arm.close()
+    assert arm.exit_report.ok and arm.exit_report.parked
+    assert np.allclose(arm.virtual_bus.true_angles(arm.config), start, atol=0.02)
 
 
 def test_close_of_another_thread_during_enable_leaves_no_torque_on(make_arm):
