@@ -236,7 +236,13 @@ class Arm(Closing):
         self._commanded, self._streaming = self.clock.now(), False
 
     def _undo_enable(self, first: bool) -> None:
-        """Leaves the arm as it was before ``enable``, and remembers where that was not confirmed."""
+        """Leaves the arm as it was before ``enable``, and remembers where that was not confirmed.
+
+        Where joints held before, a request to stop comes first: it may ask to hold them.
+        """
+        if not first and not self._closed_elsewhere() and self._stop_pending(poll_now=True):
+            self._unraised_stop = self._carry_out_stop()
+            return
         confirmed = True
         if self._energised:
             confirmed = self._leave("torque_off" if first or self.on_exit != "hold" else "hold").ok

@@ -58,12 +58,12 @@ def bring_into_fault(arm: Arm, start, id: int = 6) -> None:
 
 def at_write(arm: Arm, name: str, action: Callable[[], None]) -> None:
     """Calls ``action`` after the next write of a register to all servos."""
-    original = arm.bus.sync_write
+    original, called = arm.bus.sync_write, []
 
     def spied(register, values):
         original(register, values)
-        if register.name == name:
-            arm.bus.sync_write = original
+        if register.name == name and not called:
+            called.append(True)
             action()
 
     arm.bus.sync_write = spied
@@ -74,9 +74,9 @@ def at_write(arm: Arm, name: str, action: Callable[[], None]) -> None:
 
 @pytest.mark.parametrize("policy", ["hold", "torque_off"])
 @pytest.mark.parametrize("register", ["goal_position", "torque_enable"])
-def test_a_stop_while_a_program_enables_again_is_not_lost(make_arm, start, policy, register):
+def test_a_stop_while_a_program_enables_again_is_not_lost(make_arm, arm_config, start, policy, register):
     """The heartbeat runs meanwhile: it may not carry out the request in the middle of ``enable``."""
-    arm = make_arm()
+    arm = make_arm(replace(arm_config, watchdog_ms=1000))
     arm.connect()
     arm.enable()
     bring_into_fault(arm, start)
@@ -98,6 +98,22 @@ def test_a_stop_while_a_program_enables_again_is_not_lost(make_arm, start, polic
     assert torque(arm) == [policy == "hold"] * 6
     arm.close()
     assert arm.exit_report.done == policy
+
+
+def test_a_stop_while_enabling_again_fails_is_carried_out_as_asked(arm, start, enable_fails):
+    """The arm's own way to be left is torque off: it would drop what the request asks to hold."""
+    arm.enable()
+    bring_into_fault(arm, start)
+    arm.reset_fault()
+    at_write(arm, "goal_position", arm.request_stop)
+    enable_fails(arm)
+    assert arm.state is ArmState.FAULT and torque(arm) == [True] * 6
+    assert arm.exit_report.done == "hold" and arm.exit_report.ok
+    with pytest.raises(StopRequestedError):
+        arm.reset_fault()
+    arm.reset_fault()
+    arm.enable()
+    assert arm.state is ArmState.ENABLED
 
 
 def test_another_process_can_stop_an_arm_while_it_is_enabled_for_the_first_time(make_arm):
