@@ -319,8 +319,8 @@ def test_close_while_the_heartbeat_parks_the_arm_finishes_the_parking(
     assert np.allclose(arm.virtual_bus.true_angles(arm.config), start, atol=0.02)
 
 
-def test_close_of_another_thread_during_enable_leaves_no_torque_on(make_arm):
-    arm = make_arm()
+def test_close_of_another_thread_during_enable_leaves_no_torque_on(make_arm, arm_config):
+    arm = make_arm(replace(arm_config, watchdog_ms=2500))  # it does not trip in the pause below
     arm.bus.open()
     arm.connect()
     closer = threading.Thread(target=arm.close)
