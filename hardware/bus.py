@@ -259,6 +259,7 @@ def read_all(bus: ServoBus, config: ArmConfig, name: str, *, absent: int | None 
             value = absent
         if value is None:
             value = bus.read(id, register).data
-        assert value is not None  # read() answers or raises
+        if value is None:
+            raise BusCorruptError(f"servo id {id} answered {name} without data")
         values[id] = value
     return values

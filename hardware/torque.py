@@ -60,7 +60,10 @@ def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
 
 
 def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> None:
-    """Goals where the arm stands (servo id -> ticks), read back; torque on, read back; then the Bus Watchdog.
+    """Goals where the arm stands (servo id -> ticks), the Bus Watchdog, then torque; each read back.
+
+    A Bus Watchdog counts only while its servo has torque (ROBOTIS-GIT/emanual
+    _includes/en/dxl/x/bus_watchdog.md).  Armed before, it stops a servo also if this program dies just then.
 
     Raises:
         HardwareError: A goal was not taken, or a servo counts anew.  Torque may be on then: the caller
@@ -73,12 +76,12 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
             f"{_names(missing)} did not take the present position as goal; nothing was switched on",
             hint="is the shaft outside the servo's own position limits? turn it back inside by hand",
         )
+    arm_watchdog(bus, config)
     missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
     if missing:
         errors = read_all(bus, config, "hardware_error_status")
         names = hardware_error_names(errors[missing[0].id])
         raise MotorFaultError(missing[0].name, names or ("torque_refused",))
-    arm_watchdog(bus, config)
     present = read_all(bus, config, "present_position")
     for joint in config.servos:
         after = present[joint.id]
@@ -212,6 +215,7 @@ class ExitReport:
             limp, or have another goal.
         limp: Those of ``unverified`` that were to hold and say that they have no torque.
         parked: The way to the park pose was finished before.
+        unparked: Why it was not, where the arm was to be parked; else empty.
     """
 
     done: str
@@ -219,6 +223,7 @@ class ExitReport:
     unverified: tuple[str, ...] = ()
     parked: bool = False
     limp: tuple[str, ...] = ()
+    unparked: str = ""
 
     @property
     def ok(self) -> bool:
@@ -238,8 +243,12 @@ class ExitReport:
     def text(self) -> str:
         """One sentence for people."""
         what = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
-        parked = " (parked first)" if self.parked else ""
-        return what[self.done] + parked + ("; " + self.doubt if self.unverified else "")
+        way = " (parked first)" if self.parked else f" (not parked: {self.unparked})" if self.unparked else ""
+        if self.ok:
+            return what[self.done] + way
+        if not self.verified:
+            return self.doubt + way
+        return f"{what[self.done]} at {', '.join(self.verified)}{way}; {self.doubt}"
 
 
 def leave(

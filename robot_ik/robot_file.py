@@ -130,7 +130,8 @@ class RobotFile(_Keys):
 def catalogue() -> dict[str, Path]:
     """Folder of every robot that ships, by name."""
     found = importlib.util.find_spec("robot_ik.models")  # a folder of its own in a checkout
-    assert found is not None and found.origin is not None
+    if found is None or found.origin is None:
+        raise RuntimeError("the package robot_ik.models is not installed")
     root = Path(found.origin).parent
     return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "robot.toml").is_file()}
 

@@ -181,5 +181,6 @@ def film(
             progress("", view.tick / wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
-    assert view is not None
+    if view is None:
+        raise RuntimeError("the command log has no tick")
     return view

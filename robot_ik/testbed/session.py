@@ -246,7 +246,8 @@ class Session(Closing):
             one.drag(drag, ready.goals, self._ball)
 
     def _moving_ball(self) -> Pose:
-        assert self._ready is not None
+        if self._ready is None:
+            raise RuntimeError("no robot is ready")
         source = self._random if self._motion == "random" else self._ready.curve
         moved = source.poll(self._phase).target
         return moved if self._ready.goals.kind == "pose" else Pose(moved.position, self._ball.wxyz)
@@ -254,7 +255,8 @@ class Session(Closing):
     def view(self) -> View:
         """What is seen now."""
         setup = self._setup
-        assert setup.kind is not None and setup.extras is not None
+        if setup.kind is None or setup.extras is None:
+            raise RuntimeError("the setup is not completed")
         text, until = self._message
         return View(
             tick=self._tick,

@@ -183,7 +183,8 @@ class Gate:
         if not budget.take() or row is None:
             self.dropped[kind[:40]] += 1
             return False
-        assert isinstance(raw, bytes)
+        if not isinstance(raw, bytes):
+            raise Malformed(kind)
         vm.Message.deserialize(raw)  # fields and their types as viser has them; it raises whatever it likes
         if self._server is None or not _finite(message):
             raise Malformed(kind)
