@@ -1,4 +1,4 @@
-"""A request to stop is carried out whenever it comes, and a program cannot go on without knowing of it."""
+"""Every request to stop is carried out, and no program goes on without an error."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def private_folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def make_arm(arm_config, start) -> Iterator[Callable[..., Arm]]:
-    """An arm with a heartbeat: on real time, without a serial line that a busy machine would delay."""
+    """An arm with a heartbeat, on real time, without a serial line that load would delay."""
     made = []
 
     def make(config: ArmConfig = arm_config, **options: object) -> Arm:
@@ -58,7 +58,8 @@ def bring_into_fault(arm: Arm, start, id: int = 6) -> None:
 
 def at_write(arm: Arm, name: str, action: Callable[[], None]) -> None:
     """Calls ``action`` after the next write of a register to all servos."""
-    original, called = arm.bus.sync_write, []
+    original = arm.bus.sync_write
+    called = []
 
     def spied(register, values):
         original(register, values)
@@ -69,13 +70,12 @@ def at_write(arm: Arm, name: str, action: Callable[[], None]) -> None:
     arm.bus.sync_write = spied
 
 
-# --------------------------------------------------------------------------------- during enable
-
-
 @pytest.mark.parametrize("policy", ["hold", "torque_off"])
 @pytest.mark.parametrize("register", ["goal_position", "torque_enable"])
-def test_a_stop_while_a_program_enables_again_is_not_lost(make_arm, arm_config, start, policy, register):
-    """The heartbeat runs meanwhile: it may not carry out the request in the middle of ``enable``."""
+def test_a_stop_while_a_program_enables_again_is_not_lost(
+    make_arm, arm_config, start, policy, register
+):
+    """The heartbeat does not carry out the request in the middle of ``enable``."""
     arm = make_arm(replace(arm_config, watchdog_ms=1000))
     arm.connect()
     arm.enable()
@@ -173,9 +173,6 @@ def test_a_request_before_enable_is_not_forgotten(arm_config, start, stream, con
     assert arm.exit_report.done == "torque_off" and arm.exit_report.ok
 
 
-# --------------------------------------------------------------------------------------- in a fault
-
-
 def test_a_request_in_a_fault_holds_the_arm_and_a_reset_goes_on(arm, start, stream):
     arm.enable()
     bring_into_fault(arm, start)
@@ -222,14 +219,16 @@ print([int(servo.torque) for servo in arm.virtual_bus.servos], __debug__)
 
 def test_a_request_to_hold_in_a_fault_never_drops_an_arm_without_assertions(arm_path):
     done = subprocess.run(
-        [sys.executable, "-O", "-c", WITHOUT_ASSERTIONS, str(arm_path)], capture_output=True, text=True
+        [sys.executable, "-O", "-c", WITHOUT_ASSERTIONS, str(arm_path)],
+        capture_output=True,
+        text=True,
     )
     said = ["MotorFaultError", "StopRequestedError", "[1, 1, 1, 1, 1, 1] False"]
     assert done.stdout.splitlines() == said, done.stderr
 
 
 def test_a_stop_that_the_heartbeat_carried_out_in_a_fault_is_raised_before_a_reset(make_arm, start):
-    """Else a program that resets its faults by itself would move on after a stop that was confirmed."""
+    """A program that resets its own faults does not move on after a confirmed stop."""
     arm = make_arm()
     arm.connect()
     arm.enable()
@@ -258,9 +257,6 @@ def test_a_stop_that_a_call_has_raised_is_not_raised_again(make_arm, start):
     assert arm.state is ArmState.ENABLED
 
 
-# ------------------------------------------------------------------------- close of another thread
-
-
 def moving_in_a_thread(arm: Arm, q) -> tuple[threading.Thread, list[BaseException]]:
     """A thread in the middle of a motion to ``q``, and what the motion raises."""
     raised: list[BaseException] = []
@@ -280,7 +276,9 @@ def moving_in_a_thread(arm: Arm, q) -> tuple[threading.Thread, list[BaseExceptio
 
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize("policy", ["torque_off", "hold", "park"])
-def test_close_of_another_thread_ends_a_motion_and_reports_the_truth(make_arm, start, policy, shared):
+def test_close_of_another_thread_ends_a_motion_and_reports_the_truth(
+    make_arm, start, policy, shared
+):
     arm = make_arm(on_exit=policy)
     if shared:
         arm.bus.open()
@@ -333,7 +331,9 @@ def test_close_of_another_thread_during_enable_leaves_no_torque_on(make_arm, arm
     with pytest.raises(ArmStateError, match="another thread has closed the arm"):
         arm.enable()
     closer.join()
-    assert torque(arm) == [False] * 6 and arm.exit_report.ok and arm.exit_report.done == "torque_off"
+    assert (
+        torque(arm) == [False] * 6 and arm.exit_report.ok and arm.exit_report.done == "torque_off"
+    )
     assert arm.state is ArmState.DISCONNECTED
     arm.bus.close()
 
