@@ -57,7 +57,7 @@ GRACE = 2.0
 
 SILENCE = 0.13
 """s without a sample after which a servo is asked by itself, three times.  It shows in the next cycle (0.14 s
-after the last reply, at 100 Hz); without a reply it is given up 0.14 s later at 1 Mbit/s."""
+after the last reply, at 100 Hz); without a reply it is given up 0.11 s later at 1 Mbit/s."""
 
 SILENT_CYCLES = 3
 """Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""

@@ -166,6 +166,7 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
     sim.virtual_bus.inject(Fault("late", value=0.1))
     taken = 0
     for k in range(300):
+        sim.clock.sleep_until(0.01 * k)
         for servo in sim.virtual_bus.servos:
             servo.rotate_by_hand(1)
         right = [value + k + 1 for value in RIGHT]
@@ -184,6 +185,7 @@ def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
     long = Register("current to temperature", 126, 21, False, True, "", False, None, 0, 0)
     taken = 0
     for k in range(300):
+        sim.clock.sleep_until(0.01 * k)
         for servo in sim.virtual_bus.servos:
             servo.rotate_by_hand(1)
         turn = IDS[k % len(IDS)]
