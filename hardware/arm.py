@@ -23,6 +23,7 @@ from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
 from robot_ik.hardware.startup import (
+    check_currents,
     check_revolutions_kept,
     find_again,
     reset_servos,
@@ -119,6 +120,7 @@ class Arm(Closing):
         self._cycle = Cycle(config, bus)
         self._park_at = park_at
         self._rest: tuple[float, ...] = ()
+        self._currents: dict[str, float] = {}  # joint -> mA asked for since connect
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
         self._lock = threading.RLock()
@@ -156,6 +158,7 @@ class Arm(Closing):
         try:
             self.bus.open()
             feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
+            self._currents.clear()
         except BaseException:
             self._close_bus()
             raise
@@ -344,6 +347,8 @@ class Arm(Closing):
             self._set_currents(currents)
 
     def _set_currents(self, currents: Mapping[str, float]) -> None:
+        check_currents(self.config, currents)
+        self._currents |= currents
         if self.state is ArmState.CONNECTED:
             set_currents(self.bus, self.config, currents)
             return
@@ -418,7 +423,9 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None), after)
+            real = self.virtual_bus is None
+            feedback = verify(self.bus, self.config, real=real, currents=self._currents)
+            self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -434,7 +441,8 @@ class Arm(Closing):
         """
         with self._lock:
             after = self._after("reconnect")
-            feedback = find_again(self.bus, self.config, timeout, real=self.virtual_bus is None)
+            real = self.virtual_bus is None
+            feedback = find_again(self.bus, self.config, timeout, real=real, currents=self._currents)
             self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:

@@ -25,6 +25,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
 )
 from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.following import Following
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.torque import arm_watchdog, set_profiles
@@ -34,10 +35,11 @@ from robot_ik.ports import Array
 log = logging.getLogger(__name__)
 
 PAUSE = 0.25
-"""s on the arm's own clock between two commands after which it is taken to stand: it starts from rest."""
+"""s on the arm's own clock between two commands after which it starts from rest, however slowly they came."""
 
 LONGEST_TICK = 2.0
-"""Control periods that one command may move the arm by, however long ago the last one was."""
+"""Control periods that one command may move the arm by, however long ago the last one was.  After more of
+them, or more of the program's own where it sends more slowly, the shafts stand: the arm starts from rest."""
 
 SHORTEST_TICK = 0.01
 """Control periods below which a command moves nothing: over shorter times velocities are rounding."""
@@ -240,11 +242,13 @@ class Cycle:
         )  # fmt: skip
         self._goal = shared_register(config, "goal_position")
         self.feedback = feedback or Feedback(config)
+        self._following = Following(config, longest_tick=LONGEST_TICK * self.period, pause=PAUSE)
         # A shadow hears what is written to its first servo.
         self._written = [servo for servo in config.servos if servo.shadow_of is None]
         # A pause of half the bus watchdog: from there on it may have tripped.
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
         self._last_now: float | None = None
+        self._rhythm = self.period  # s between the last two commands
         self._moved_until = -math.inf  # time on our own clock that the commands so far have used
         self._last_traffic = -math.inf
         self._unheard: set[int] = set()  # ids whose bus watchdogs may have tripped unseen
@@ -265,9 +269,10 @@ class Cycle:
 
         Raises:
             UnsafeCommandError: Nothing was sent.
-            MotorFaultError, BusTimeoutError, BusDisconnectedError: See ``measure``.
+            MotorFaultError, BusTimeoutError, BusDisconnectedError: See ``measure``; a joint does not follow.
         """
         self._drive(self._limiter.command(q, self.limits.command), now)
+        self._following.check(self.goals, self.samples.ticks, self._clock.now())
 
     def _drive(self, command: tuple[float, ...], now: float) -> None:
         """``drive`` for a command of all joints."""
@@ -432,10 +437,11 @@ class Cycle:
         last, self._last_now = self._last_now, now
         here = self._clock.now()
         if last is None:
-            self._moved_until = here
+            self._moved_until, self._rhythm = here, self.period
             return self.period
         asked, spent = now - last, here - self._moved_until
-        if spent > PAUSE:
+        usual, self._rhythm = max(self._rhythm, self.period), spent
+        if spent > min(LONGEST_TICK * usual + JITTER * self.period, PAUSE):
             self.limits = LimiterState.at_rest(self.limits.q)
             asked = self.period
         elif not 0.0 < asked <= PAUSE:
