@@ -80,8 +80,8 @@ MAX_FAST_FAILURES = 5
 """Fast reads in a row that fail before they are given up until the port is opened again."""
 
 LATEST_REPLY = 0.16
-"""s after a request was given up in which a reply to it may still come.  Replies later than 150 ms were never
-seen: a busy computer and a USB adapter together hold one back for some tens of ms."""
+"""s after a request was given up in which a reply to it may still come: 150 ms, and some for the bytes.  A
+busy computer and a USB adapter together hold a reply back for some tens of ms."""
 
 LENGTHS = 8
 """Lengths that a control cycle chooses from.  At 100 Hz and one lost packet in ten a servo has two requests
@@ -135,7 +135,7 @@ class _Unanswered(dict[tuple[int, int], float]):
             del self[key]
 
     def end(self, keys: Iterable[tuple[int, int]]) -> float:
-        """When the last reply to one of these may come, s; 0 where none may."""
+        """Until when a reply to one of these may come, s; 0 where none may."""
         return max((self.get(key, 0.0) for key in keys), default=0.0)
 
     def other_length(self, id: int, register: Register) -> Register | None:
@@ -170,9 +170,10 @@ class DynamixelBus:
     """Protocol 2.0 servos on one port.  Thread-safe; implements ``ServoBus``.
 
     What is guaranteed: a reply to a request of an earlier call is never taken for an answer, if it comes
-    within ``LATEST_REPLY`` after that request was given up, in whatever order replies come.  A reply to an
-    earlier attempt of the same call is an answer: the servo read the register after the call began.  Requests
-    of a program that had the port before are covered by ``RESPONSE_TIME`` of silence after it was opened.
+    within ``LATEST_REPLY`` after that request was given up, in whatever order replies come.  One that comes
+    later is not recognised.  A reply to an earlier attempt of the same call is an answer: the servo read the
+    register after the call began.  Requests of a program that had the port before are covered by
+    ``RESPONSE_TIME`` of silence after it was opened.
 
     The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
     (Ctrl-C, a pulled cable) ends it; every later write, torque off among them, is then refused.  Here the
@@ -338,6 +339,8 @@ class DynamixelBus:
                         found[packet.id] = (packet.data[0] | packet.data[1] << 8, packet.data[2])
             if id not in found:
                 self._be_quiet()
+                late = set(IDS if id == BROADCAST_ID else (id,)).difference(found)
+                self._unanswered.add(((id, PING_DATA) for id in late), self._now())
         self.counters.corrupt += parser.damaged
         return found, received - useful
 
@@ -414,21 +417,23 @@ class DynamixelBus:
             end = self._now() + (CYCLE_TIME if within is None else within)
             self.counters.cycles += 1
             self.counters.asked += len(registers)
-            plan, asked = self._plan(registers, plain=bool(self._silent or doubtful)), registers
+            asked: Mapping[int, Register] = registers
+            if self._silent or doubtful:
+                asked = self._asked(registers, missing, guarded=guarded)
+            plan = self._plan(asked, plain=asked is not registers)
             try:
                 for attempt in range(1 + self._retries):
                     self.counters.retries += attempt > 0
-                    if attempt or self._silent or doubtful:
-                        asked = self._asked(registers, missing, guarded=guarded)
+                    if attempt:
+                        asked = {id: asked[id] for id in missing if id in asked}
                         plan = self._plan(asked, plain=True)
                     self._once(port, plan, before, _Wanted(registers, asked, found, doubtful))
                     before = b""
-                    # Asked twice in the same way: the first reply may have come, and the second be late.
-                    repeated = bool(attempt) and not guarded
-                    if len(found) == len(registers) and not repeated:
+                    if len(found) == len(registers) and not attempt:
                         missing = []
                         break
-                    late = [(id, r.size) for id, r in asked.items() if repeated or id not in found]
+                    # Asked twice: the first reply may have come, and the second be late.
+                    late = [(id, r.size) for id, r in asked.items() if attempt or id not in found]
                     self._unanswered.add(late, self._now())
                     missing = [id for id in missing if id not in found]
                     if self._silent.issuperset(missing):
