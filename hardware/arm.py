@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import enum
 import logging
+import math
+import reprlib
 import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -22,6 +24,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
+from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.startup import (
     check_currents,
     check_revolutions_kept,
@@ -50,6 +53,12 @@ _POLL_PERIOD = 0.02  # s between two polls for a request to stop
 _GO_ON = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
 
 T = TypeVar("T")
+
+
+def _check_timeout(timeout: float | None) -> None:
+    """Raises ``UnsafeCommandError`` for a time that would never be over by mistake."""
+    if timeout is not None and timeout != math.inf and finite(timeout) is None:
+        raise UnsafeCommandError(f"a timeout of {reprlib.repr(timeout)}", "a number of seconds")
 
 
 class ArmState(enum.Enum):
@@ -363,6 +372,7 @@ class Arm(Closing):
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
     ) -> Array:
         """(joints of q and of the gripper,) rad still to go."""
+        _check_timeout(timeout)
         self.state = self._after("move")
         try:
             off = self._latching(lambda: self._cycle.go(q, timeout, lambda: stop() or self._stop_asked()))
@@ -441,6 +451,7 @@ class Arm(Closing):
         """
         with self._lock:
             after = self._after("reconnect")
+            _check_timeout(timeout)
             real = self.virtual_bus is None
             feedback = find_again(self.bus, self.config, timeout, real=real, currents=self._currents)
             self._begin_anew(feedback, after)

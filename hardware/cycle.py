@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -27,7 +28,7 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.following import Following
 from robot_ik.hardware.joint_map import TWIST, JointMap
-from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
+from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter, finite
 from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
@@ -276,14 +277,17 @@ class Cycle:
 
     def _drive(self, command: tuple[float, ...], now: float) -> None:
         """``drive`` for a command of all joints."""
-        if not math.isfinite(now):
-            raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
+        time = finite(now)
+        if time is None:
+            raise UnsafeCommandError(
+                f"a command for the time {reprlib.repr(now)}", "a finite time in seconds"
+            )
         # The time before the packet, and before the clock was last read: this process may be stalled
         # anywhere between, and the next reading must show that.
         start = self._clock.now()
         self.stay_alive()
         self.held = False
-        dt = self._tick(now)
+        dt = self._tick(time)
         if dt > 0.0:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
             angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)

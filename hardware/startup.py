@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -37,6 +37,7 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
+from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.torque import check_strength, set_profiles
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.ports import Clock
@@ -304,9 +305,10 @@ def check_currents(config: ArmConfig, wanted: Mapping[str, float]) -> None:
             raise UnsafeCommandError(
                 f"a current for {name!r} in mode {joint.mode.name.lower()}", "current_based_position"
             )
-        if not (math.isfinite(current) and current >= joint.table.current_unit):
+        number = finite(current)
+        if number is None or number < joint.table.current_unit:
             raise UnsafeCommandError(
-                f"{current} mA for {name!r}", f"{joint.table.current_unit:g} mA and more"
+                f"{reprlib.repr(current)} mA for {name!r}", f"{joint.table.current_unit:g} mA and more"
             )
 
 
