@@ -229,6 +229,8 @@ def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source:
         return
     if len(found) < len(wanted):
         found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
+        if all(found.get(id) == number for id, (_, number) in wanted.items()):
+            return  # a ping was lost, and all have answered now
     hint = ""  # the error's own
     if damaged and found:
         hint = "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
