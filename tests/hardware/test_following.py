@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import robot_ik as rik
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
@@ -16,7 +17,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.following import BEHIND_TICKS, Following
 from robot_ik.hardware.joint_map import GRIPPER
-from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.bus import VirtualBus, home_of
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
@@ -152,4 +153,20 @@ def test_fingers_that_close_on_something_are_no_fault(arm_config, start, stream,
         at = servo.shaft.reading
         servo.shaft.stops = (at - 50, at + 50)
         stream(arm, [start - np.eye(6)[5]] * 120)
+        assert arm.state is ArmState.ENABLED
+
+
+@pytest.mark.parametrize("name", ["koch_v11", "omx_f", "tabletop_puma", "vx300s", "wx250s"])
+def test_a_shipped_arm_that_bears_its_weight_follows_at_its_caps(name, stream) -> None:
+    """By MuJoCo, from pose to pose; the Puma of 50 kg is too heavy for its small servos."""
+    config = ArmConfig.load(name)
+    servos = VirtualBus.from_config(config, VirtualClock(), home_of(config))
+    World(rik.load_robot(name).model, config, servos)
+    rng = np.random.default_rng(1)
+    with open_arm(config, "sim", virtual_bus=servos) as arm:
+        arm.enable()
+        home = arm.read().q
+        for _ in range(5):
+            there = np.clip(home + rng.uniform(-0.8, 0.8, len(home)), arm.lower, arm.upper)
+            stream(arm, [there] * 80)
         assert arm.state is ArmState.ENABLED
