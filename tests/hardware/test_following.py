@@ -63,7 +63,8 @@ def test_a_weaker_servo_and_one_without_shutdown_are_reported(arm_config, caplog
     assert "joint3: Shutdown is 0" in caplog.text
 
 
-def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(arm_config, start, stream) -> None:
+@pytest.mark.parametrize("id", [2, None], ids=["one", "all"])
+def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(arm_config, start, stream, id) -> None:
     """The last look before torque is not the last packet: a servo may restart in between."""
     with open_arm(arm_config, "sim", start=start) as arm:
         before = arm.virtual_bus.schedule.packets
@@ -72,7 +73,7 @@ def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(arm_config, start
     assert packets > 10
     for packet in range(1, packets + 1):
         with open_arm(arm_config, "sim", start=start) as arm:
-            arm.virtual_bus.inject(Fault("reboot", 2, at_packet=packet))
+            arm.virtual_bus.inject(Fault("reboot", id, at_packet=packet))
             with pytest.raises(HardwareError, match="restarted"):
                 arm.enable()
                 stream(arm, [start] * 3)

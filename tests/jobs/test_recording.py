@@ -125,3 +125,16 @@ def test_a_full_disk_names_the_file_and_leaves_no_torn_one(tmp_path: Path, endin
         for k in range(moments):
             rows.write(Moment(0.1 * k, commanded=np.array([0.1, 0.2]), text="here"))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_run_whose_disk_is_full_ends_with_the_name_of_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.csv"
+    file.symlink_to("/dev/full")
+    assert main(["run", "pick_and_place", "--record", str(file), "--overwrite"]) == 2
+    said = capsys.readouterr()
+    assert "a.csv cannot be written: No space left" in said.err.replace("\n", "")
+    assert "torque_off, confirmed by" in said.out
+    assert list(tmp_path.iterdir()) == []
