@@ -109,6 +109,23 @@ class LatePort(InProcessPort):
     isPacketTimeout = SleepingPortHandler.isPacketTimeout
 
 
+def late_bus(
+    servos: VirtualBus, rng: random.Random, lateness_ms: tuple[float, float], share: float = LATE_SHARE
+) -> DynamixelBus:
+    """The driver of real servos on these, on their clock, with a share of the requests answered late."""
+
+    def lateness(packets: int) -> list[float]:
+        late = 1e-3 * rng.uniform(*lateness_ms) if rng.random() < share else 0.0
+        one = rng.randrange(packets) if packets and rng.random() < 0.5 else None
+        return [late if one in (None, k) else 0.0 for k in range(packets)]
+
+    class LateBus(DynamixelBus):
+        def _make_handler(self) -> LatePort:
+            return LatePort(self, servos, lateness)
+
+    return LateBus("late", BAUD, clock=servos.clock)
+
+
 @dataclass
 class LateReplies:
     """What came of reads: values, those of them that are wrong, and reads without a value."""
@@ -130,17 +147,7 @@ def measure(values: int, lateness_ms: tuple[float, float], seed: int = 0) -> Lat
     rng = random.Random(seed)
     clock = VirtualClock()
     servos = VirtualBus([VirtualServo(MODEL, id, clock) for id in IDS], clock)
-
-    def lateness(packets: int) -> list[float]:
-        late = 1e-3 * rng.uniform(*lateness_ms) if rng.random() < LATE_SHARE else 0.0
-        one = rng.randrange(packets) if packets and rng.random() < 0.5 else None
-        return [late if one in (None, k) else 0.0 for k in range(packets)]
-
-    class LateBus(DynamixelBus):
-        def _make_handler(self) -> LatePort:
-            return LatePort(self, servos, lateness)
-
-    bus = LateBus("late", BAUD, clock=clock)
+    bus = late_bus(servos, rng, lateness_ms)
     bus.open()
     bus.use_fast_reads(IDS)
     found = LateReplies()

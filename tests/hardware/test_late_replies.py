@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import random
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from robot_ik.errors import BusTimeoutError
+from robot_ik.errors import BusCorruptError, BusTimeoutError
+from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.control_table import CONTROL_TABLES, Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -38,6 +42,26 @@ def test_no_late_reply_is_a_value_and_most_reads_have_one(late_replies, lateness
     found = late_replies.measure(1000, lateness_ms, seed=7)
     assert found.wrong == 0
     assert found.values >= 1000 and found.refused < 0.2 * found.values
+
+
+def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answer(arm_config, late_replies):
+    """One request of twelve is answered late: no register is taken for another, and the report is true."""
+    started = 0
+    for seed in range(25):
+        servos = VirtualBus.from_config(arm_config, VirtualClock())
+        bus = late_replies.late_bus(servos, random.Random(seed), (34, 150), 0.08)
+        arm = Arm(arm_config, bus, virtual_bus=servos)
+        with contextlib.suppress(BusTimeoutError, BusCorruptError), arm:
+            arm.enable()
+            before = servos.true_angles(arm_config)
+            for _ in range(30):
+                arm.clock.sleep_until(arm.clock.now() + 0.01)
+                arm.send(arm.read().q, arm.clock.now())
+            assert np.abs(servos.true_angles(arm_config) - before).max() <= 2.0 * arm.resolution.max()
+            started += 1
+        report = arm.exit_report
+        assert not any(servo.torque for servo in servos.servos) or not (report and report.ok)
+    assert started > 15
 
 
 @pytest.fixture
