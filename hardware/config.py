@@ -206,7 +206,7 @@ class ArmConfig:
     @classmethod
     def parse(cls, text: str, file: Path | str = "<text>") -> ArmConfig:
         """The same from the text of an arm file; ``file`` appears in errors."""
-        if len(text) > LONGEST_FILE:  # to parse it would take a minute for a few million
+        if len(text) > LONGEST_FILE:  # a parser takes a second and more for a million
             problem = f"{len(text):,} characters are no arm file; allowed: up to {LONGEST_FILE:,}"
             raise ConfigError(problem, file=file, hint=f"one bus has up to {MAX_SERVOS} servos")
         return _from_file(check_table(ArmFile, parse_toml(text, file), file), Path(file))

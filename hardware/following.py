@@ -16,8 +16,12 @@ from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
 
 BEHIND_TICKS = 160
-"""Ticks (14 degrees of the servo) up to which a shaft may be behind its goal.  A servo with
-proportional gain alone stands up to 10 degrees below the goal of a loaded joint."""
+"""Ticks (14 degrees of the servo) up to which a shaft may be behind its goal, whatever its gain."""
+
+FULL_EFFORT = 128 * 885
+"""Ticks behind times Position P Gain at which a servo gives all its PWM (ROBOTIS-GIT/emanual
+_includes/en/dxl/x/position_pid_gain.md: the gain is the register over 128).  A load of the joint keeps the
+shaft behind by a part of that; one that is further behind is so in spite of all that the servo gives."""
 
 GROWTH_TICKS = 32
 """Ticks by which the distance must have grown beyond that.  Where a hand or a wall keeps the joint at a
@@ -98,9 +102,11 @@ def _not_following(servo: JointMap, goal: int, shaft: int) -> MotorFaultError:
 
 
 def _allowed(servo: JointMap, longest_tick: float) -> float:
-    """Ticks that a healthy servo may be behind: ``BEHIND_TICKS``, a step, and the lag of a slow profile."""
+    """Ticks that a healthy servo may be behind: by its load, a step, and the lag of a slow profile."""
+    gain = servo.gains.position_p or servo.table["position_p_gain"].initial
+    load = FULL_EFFORT / gain if gain else 0.0
     speed = servo.velocity * servo.ticks_per_unit
     lag = longest_tick * speed
     if servo.profile_acceleration is not None:
         lag += speed * servo.velocity / (2.0 * servo.profile_acceleration)
-    return BEHIND_TICKS + lag
+    return max(BEHIND_TICKS, load) + lag

@@ -194,7 +194,7 @@ def check_strength(bus: ServoBus, config: ArmConfig) -> None:
                 hint="set position_p in its [joints.gains] table; a power cycle undoes what a program wrote",
             )
         goal, limit = abs(goals[servo.id]), limits[servo.id]
-        share = min(goal, limit) / (servo.table["pwm_limit"].initial or limit)
+        share = min(goal, limit) / servo.table["pwm_limit"].maximum
         text = f"{where} may use {100 * share:.0f} % of its voltage (Goal PWM {goal}, PWM Limit {limit})"
         if share < (LEAST_GRIP if servo.group == GRIPPER else LEAST_STRENGTH):
             raise HardwareError(
