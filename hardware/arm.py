@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import enum
 import logging
+import math
+import reprlib
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -26,7 +28,9 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
+from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.startup import (
+    check_currents,
     check_revolutions_kept,
     find_again,
     reset_servos,
@@ -53,6 +57,12 @@ _POLL_PERIOD = 0.02  # s between two polls for a request to stop
 _GO_ON = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
 
 T = TypeVar("T")
+
+
+def _check_timeout(timeout: float | None) -> None:
+    """Raises ``UnsafeCommandError`` for a time that would never be over by mistake."""
+    if timeout is not None and timeout != math.inf and finite(timeout) is None:
+        raise UnsafeCommandError(f"a timeout of {reprlib.repr(timeout)}", "a number of seconds")
 
 
 class ArmState(enum.Enum):
@@ -123,6 +133,7 @@ class Arm(Closing):
         self._cycle = Cycle(config, bus)
         self._park_at = park_at
         self._rest: tuple[float, ...] = ()
+        self._currents: dict[str, float] = {}  # joint -> mA asked for since connect
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
         self._lock = threading.RLock()
@@ -166,6 +177,7 @@ class Arm(Closing):
             try:
                 self.bus.open()
                 feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
+                self._currents.clear()
                 self._require_not_closed()
             except BaseException:
                 self._close_bus()
@@ -392,6 +404,8 @@ class Arm(Closing):
             self._set_currents(currents)
 
     def _set_currents(self, currents: Mapping[str, float]) -> None:
+        check_currents(self.config, currents)
+        self._currents |= currents
         if self.state is ArmState.CONNECTED:
             set_currents(self.bus, self.config, currents)
             return
@@ -406,6 +420,7 @@ class Arm(Closing):
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
     ) -> Array:
         """(joints of q and of the gripper,) rad still to go."""
+        _check_timeout(timeout)
         self.state = self._after("move")
         try:
             off = self._latching(lambda: self._cycle.go(q, timeout, lambda: stop() or self._stop_pending()))
@@ -472,7 +487,9 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None), after)
+            real = self.virtual_bus is None
+            feedback = verify(self.bus, self.config, real=real, currents=self._currents)
+            self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -490,7 +507,9 @@ class Arm(Closing):
         with self._lock:
             after = self._after("reconnect")
             self._raise_stop()
-            feedback = find_again(self.bus, self.config, timeout, real=self.virtual_bus is None)
+            _check_timeout(timeout)
+            real = self.virtual_bus is None
+            feedback = find_again(self.bus, self.config, timeout, real=real, currents=self._currents)
             self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
