@@ -19,21 +19,26 @@ BEHIND_TICKS = 160
 """Ticks (14 degrees of the servo) up to which a shaft may be behind its goal, whatever its gain."""
 
 FULL_EFFORT = 128 * 885
-"""Ticks behind times Position P Gain at which a servo gives all its PWM (ROBOTIS-GIT/emanual
-_includes/en/dxl/x/position_pid_gain.md: the gain is the register over 128).  A load of the joint keeps the
-shaft behind by a part of that; one that is further behind is so in spite of all that the servo gives."""
+"""Ticks behind times Position P Gain at which a servo gives all its PWM.
+
+The gain is the register over 128 (ROBOTIS e-manual, X series, Position PID Gain). A load keeps the
+shaft behind by a part of that distance. A shaft that is further behind is overpowered.
+"""
 
 GROWTH_TICKS = 32
-"""Ticks by which the distance must have grown beyond that.  Where a hand or a wall keeps the joint at a
-constant distance, the servo's own overload protection decides, as for an arm that is held."""
+"""Ticks by which the distance must also have grown.
+
+If a hand or a wall keeps the joint at a constant distance, the servo's own overload protection
+decides, as for an arm that is held.
+"""
 
 SUSTAINED = 0.5
-"""s that the shaft must have been so far behind: a knock or a lost cycle is over by then."""
+"""Seconds for which the shaft must be behind. A knock or a lost cycle is shorter."""
 
 
 @dataclass
 class _Behind:
-    """A servo that is behind: since when, s, the distance then and the largest since, ticks."""
+    """A servo that is behind: since when (s), the distance then and the largest since (ticks)."""
 
     since: float
     first: int
@@ -43,13 +48,15 @@ class _Behind:
 class Following:
     """The distance between goals and shafts of an arm, from command to command.
 
-    Joints that press on something by design are left out: those of a gripper, and all in current-based
-    position mode.
+    Joints that press on something by design are left out: those of a gripper, and all joints in
+    current-based position mode.
 
     Args:
         config: The arm file.
-        longest_tick: s for which one command moves a goal at most: so far it is ahead just after it was sent.
-        pause: s without a command after which the next one begins anew, because the arm was held.
+        longest_tick: Longest time that one command moves a goal, s. The goal is ahead by that
+            much just after it was sent.
+        pause: Time without a command after which the distances are forgotten, s, because the arm
+            was held meanwhile.
     """
 
     def __init__(self, config: ArmConfig, *, longest_tick: float, pause: float) -> None:
@@ -63,7 +70,7 @@ class Following:
         self._last = -math.inf
 
     def check(self, goals: Mapping[int, int], shafts: Mapping[int, int], now: float) -> None:
-        """Call it after each command.
+        """Raise if a joint falls ever further behind. Called after each command.
 
         Args:
             goals: Servo id -> ticks.
@@ -95,14 +102,14 @@ def _not_following(servo: JointMap, goal: int, shaft: int) -> MotorFaultError:
     return MotorFaultError(
         servo.name,
         ("not_following",),
-        hint=f"{servo.name} does not follow: {behind} behind; all hold. Is something in its way, its load "
-        "too heavy, its supply weak or its Goal PWM too low? Then: robot-ik servo reset-fault, or "
-        "Arm.reset_fault()",
+        hint=f"{servo.name} does not follow: {behind} behind; all joints hold. Check for an "
+        "obstacle, a heavy load, a weak supply or a low Goal PWM. Then run "
+        "robot-ik servo reset-fault, or call Arm.reset_fault()",
     )
 
 
 def _allowed(servo: JointMap, longest_tick: float) -> float:
-    """Ticks that a healthy servo may be behind: by its load, a step, and the lag of a slow profile."""
+    """Return how far a healthy servo may be behind: load, step and profile lag, in ticks."""
     gain = servo.gains.position_p or servo.table["position_p_gain"].initial
     load = FULL_EFFORT / gain if gain else 0.0
     speed = servo.velocity * servo.ticks_per_unit

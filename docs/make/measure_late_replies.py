@@ -1,12 +1,12 @@
-"""How many late replies are taken for values: a bus on virtual time, a quarter of its requests answered late.
+"""Count the late replies that are taken for values, on a bus on virtual time.
 
-    python docs/make/measure_late_replies.py                5,000 values and more, a line for each lateness
+    python docs/make/measure_late_replies.py                5,000 values for each lateness
     python docs/make/measure_late_replies.py --values 500   fewer
 
-Six simulated servos hold other numbers in their registers before every call.  A value that is not what its
-register held during the call is wrong.  A refused read is one without a value: the program learns that it
-has none.  A late request is answered late by all its servos or by one of them, by chance, and a later request
-may be answered before it.
+A quarter of the requests is answered late. Six simulated servos hold new numbers in their registers
+before every call. A value is wrong if its register did not hold it during the call. A refused read
+returns no value, and the program learns that. All servos of a late request answer late, or one of
+them does, by chance. A later request may be answered first.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from robot_ik.ports import VirtualClock
 IDS = tuple(range(1, 7))
 BAUD = 1_000_000
 PERIOD = 0.01
-"""s between two calls of every other pair; the others follow at once, as while an arm is connected."""
+"""Seconds between two calls of every other pair. The others follow at once, as in connect."""
 LATE_SHARE = 0.25
 LATENESS_MS = ((40, 40), (60, 60), (80, 80), (120, 120), (150, 150), (34, 150))
 """Shortest and longest lateness of a row of the table."""
@@ -52,7 +52,9 @@ class LatePort(InProcessPort):
         lateness: Gives the lateness of the next request's replies, s, one for each status packet.
     """
 
-    def __init__(self, bus: DynamixelBus, servos: VirtualBus, lateness: Callable[[int], list[float]]) -> None:
+    def __init__(
+        self, bus: DynamixelBus, servos: VirtualBus, lateness: Callable[[int], list[float]]
+    ) -> None:
         super().__init__(servos, "late", bus.baud, bus.counters)
         self.seconds_per_byte = 10.0 / bus.baud
         self._clock = servos.clock
@@ -73,16 +75,18 @@ class LatePort(InProcessPort):
 
     def writePort(self, packet: Sequence[int] | bytes) -> int:
         self._clock.sleep_until(self._clock.now() + len(packet) * self.seconds_per_byte)
-        before, self._buffer = self._buffer, b""
+        before = self._buffer
+        self._buffer = b""
         super().writePort(packet)
-        replies, self._buffer = self._buffer.split(HEADER)[1:], before
+        replies = self._buffer.split(HEADER)[1:]
+        self._buffer = before
         at = self._clock.now()
         for reply, late in zip(replies, self._lateness(len(replies)), strict=True):
             at += (len(HEADER) + len(reply)) * self.seconds_per_byte
             self._coming.append((at + late, HEADER + reply))
         return len(packet)
 
-    def receive(self, deadline: float, expected: float | None = None) -> bytes:
+    def receive(self, deadline: float, _expected: float | None = None) -> bytes:
         self._wait_until(deadline)
         return super().readPort(len(self._buffer))
 
@@ -110,9 +114,12 @@ class LatePort(InProcessPort):
 
 
 def late_bus(
-    servos: VirtualBus, rng: random.Random, lateness_ms: tuple[float, float], share: float = LATE_SHARE
+    servos: VirtualBus,
+    rng: random.Random,
+    lateness_ms: tuple[float, float],
+    share: float = LATE_SHARE,
 ) -> DynamixelBus:
-    """The driver of real servos on these, on their clock, with a share of the requests answered late."""
+    """Return the driver of real servos on ``servos``; a share of the requests is answered late."""
 
     def lateness(packets: int) -> list[float]:
         late = 1e-3 * rng.uniform(*lateness_ms) if rng.random() < share else 0.0
@@ -128,7 +135,7 @@ def late_bus(
 
 @dataclass
 class LateReplies:
-    """What came of reads: values, those of them that are wrong, and reads without a value."""
+    """Outcome of the reads: values, wrong values, and reads without a value."""
 
     values: int = 0
     wrong: int = 0
@@ -143,7 +150,7 @@ class LateReplies:
 
 
 def measure(values: int, lateness_ms: tuple[float, float], seed: int = 0) -> LateReplies:
-    """Reads of one servo and of many, writes and control cycles in turn, until so many values have come."""
+    """Run reads, writes and control cycles in turn until ``values`` values have come."""
     rng = random.Random(seed)
     clock = VirtualClock()
     servos = VirtualBus([VirtualServo(MODEL, id, clock) for id in IDS], clock)
@@ -195,7 +202,9 @@ def _call(
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--values", type=int, default=5000, help="values of each line")
     options = parser.parse_args()
     table = Table("lateness, ms", "values", "wrong values", "refused reads")

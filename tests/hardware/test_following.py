@@ -1,4 +1,4 @@
-"""A joint that cannot hold or follow is refused before torque, or stops the arm while it is commanded."""
+"""A joint that cannot hold is refused before torque; one that cannot follow stops the arm."""
 
 from __future__ import annotations
 
@@ -21,9 +21,6 @@ from robot_ik.hardware.virtual.bus import VirtualBus, home_of
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
-
-# ------------------------------------------------------------------------------------- before torque
-
 
 WEAK = [
     ("goal_pwm", 0, r"joint2.*servo id 2.*0 % of its voltage \(Goal PWM 0, PWM Limit 885\)"),
@@ -64,7 +61,9 @@ def test_a_weaker_servo_and_one_without_shutdown_are_reported(arm_config, caplog
 
 
 @pytest.mark.parametrize("id", [2, None], ids=["one", "all"])
-def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(arm_config, start, stream, id) -> None:
+def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(
+    arm_config, start, stream, id
+) -> None:
     """The last look before torque is not the last packet: a servo may restart in between."""
     with open_arm(arm_config, "sim", start=start) as arm:
         before = arm.virtual_bus.schedule.packets
@@ -78,9 +77,6 @@ def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(arm_config, start
                 arm.enable()
                 stream(arm, [start] * 3)
             assert not arm.virtual_bus.servo(2).torque
-
-
-# ------------------------------------------------------------------------------------ while commanded
 
 
 # One lever, level at q = 0: about half of an XM430-W350's stall torque at the shoulder.
@@ -101,13 +97,17 @@ def test_a_joint_without_force_falls_and_stops_the_arm(stream) -> None:
         stream(arm, [[q] for q in np.linspace(0.0, 0.5, 200)])
         servos.servo(1).memory.set("goal_pwm", 0)
         begin = arm.clock.now()
-        with pytest.raises(MotorFaultError, match=r"shoulder does not follow: \d+ deg behind") as caught:
+        with pytest.raises(
+            MotorFaultError, match=r"shoulder does not follow: \d+ deg behind"
+        ) as caught:
             stream(arm, [[0.5]] * 500)
         assert caught.value.joint == "shoulder" and caught.value.status == ("not_following",)
         assert arm.state is ArmState.FAULT and arm.clock.now() - begin < 2.0
 
 
-def test_a_joint_that_is_held_while_its_goal_goes_on_stops_the_arm(arm_config, start, stream, smooth) -> None:
+def test_a_joint_that_is_held_while_its_goal_goes_on_stops_the_arm(
+    arm_config, start, stream, smooth
+) -> None:
     with open_arm(arm_config, "sim", start=start) as arm:
         arm.enable()
         arm.virtual_bus.inject(Fault("stuck", 4))
@@ -138,13 +138,19 @@ def distances(config, ticks, period=0.01) -> None:
 def test_a_hand_or_a_wall_that_keeps_a_distance_is_left_to_the_servo(arm_config) -> None:
     far = 10 * BEHIND_TICKS
     distances(arm_config, [far] * 500)
-    distances(arm_config, [*np.linspace(0, far, 30).astype(int), *np.linspace(far, 0, 30).astype(int)] * 5)
-    distances(arm_config, np.linspace(0, far, 20).astype(int), period=0.3)  # hold and command in turn
+    distances(
+        arm_config, [*np.linspace(0, far, 30).astype(int), *np.linspace(far, 0, 30).astype(int)] * 5
+    )
+    distances(
+        arm_config, np.linspace(0, far, 20).astype(int), period=0.3
+    )  # hold and command in turn
     with pytest.raises(MotorFaultError, match="joint4 does not follow"):
         distances(arm_config, np.linspace(0, far, 200).astype(int))
 
 
-@pytest.mark.parametrize("change", [{"group": GRIPPER}, {"mode": OperatingMode.CURRENT_BASED_POSITION}])
+@pytest.mark.parametrize(
+    "change", [{"group": GRIPPER}, {"mode": OperatingMode.CURRENT_BASED_POSITION}]
+)
 def test_fingers_that_close_on_something_are_no_fault(arm_config, start, stream, change) -> None:
     joints = (*arm_config.joints[:5], dataclasses.replace(arm_config.joints[5], **change))
     config = dataclasses.replace(arm_config, joints=joints)
