@@ -1,7 +1,7 @@
-"""Simba the lion takes a ball: three paws stay, the fourth reaches, he looks at it, the rest is at ease.
+"""The lion takes a ball: three paws stay, the fourth reaches, the head turns to the ball.
 
-    python examples/05_lion.py                    the ball in front of his right paw
-    python examples/05_lion.py 0.9 -0.35 0.5      higher and to his right
+    python examples/05_lion.py                    the ball in front of its right paw
+    python examples/05_lion.py 0.9 -0.35 0.5      higher and to its right
 
 Sixty-six degrees of freedom: a floating base, balls along spine, neck and tail, hinges in the legs.  Prints
 the miss of every goal by its priority, measured by MuJoCo: of the last ones, how far each part had to bend.

@@ -21,6 +21,14 @@ LONGEST_NAME = 60
 MOST_NAMES = 30
 """Names that a message lists at most."""
 
+DISTRIBUTION = "robot-ik-testbed"
+"""Name on the package index. ``robot-ik`` there is another project that installs ``robot_ik`` too."""
+
+
+def install_command(extra: str = "") -> str:
+    """Return the shell command that installs this package, with an optional extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"' if extra else f"pip install {DISTRIBUTION}"
+
 
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Return the known names that ``name`` may be a typing error of, best first.
@@ -241,7 +249,7 @@ class MissingExtraError(RobotIkError, ImportError):
         self.purpose = purpose
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
-            hint=f'install it with: pip install "robot_ik[{extra}]"',
+            hint=f"install it with: {install_command(extra)}",
         )
 
 

@@ -178,7 +178,7 @@ def test_a_missing_file_is_not_taken_for_an_unknown_name(nameless: Path) -> None
 
 def test_without_the_package_the_install_line_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "robot_ik\[descriptions\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "robot-ik-testbed\[descriptions\]"'):
         rik.load_robot("robot_descriptions:panda_mj_description")
 
 

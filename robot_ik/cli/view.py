@@ -28,7 +28,7 @@ from robot_ik.cli.arguments import (
     wrong,
 )
 from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
-from robot_ik.errors import MissingExtraError
+from robot_ik.errors import MissingExtraError, install_command
 from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
 
@@ -117,7 +117,8 @@ def choose_viewer(asked: str) -> str:
     if browser:
         return "browser"
     if probe_display(timeout=10.0).ok:
-        console.say('the window is opened; for the page in a browser: pip install "robot_ik[web]"', "yellow")
+        text = f"the window is opened; for the page in a browser: {install_command('web')}"
+        console.say(text, "yellow")
         return "window"
     console.say("neither browser page nor display: the recorder films 10 s instead", "yellow")
     return "recorder"

@@ -376,7 +376,8 @@ def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], pose
             if np.abs(positions - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
                 continue
             best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss == 0.0)[0]])
-            assert best is not None
+            if best is None:
+                raise RuntimeError("no pose was found for a point in reach")
             if not best.flaw:
                 miss[i], poses[i] = 0.0, best.q
                 found.append(i)

@@ -161,7 +161,8 @@ class _Way:
                 break
             duration *= 1.0 if steady else _SLOWER
             abduction += _AWAY if touching else 0.0
-        assert best is not None
+        if best is None:
+            raise RuntimeError("no duration was tried")
         return best
 
     def _try(self, duration: float, abduction: float) -> Slices[tuple[Frames, float, bool]]:

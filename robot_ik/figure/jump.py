@@ -384,7 +384,8 @@ def jump_slices(
             found = motion
             break
         yield
-    assert found is not None
+    if found is None:
+        raise RuntimeError("no way to jump was tried")
     return placed_motion(figure, found, stance)
 
 

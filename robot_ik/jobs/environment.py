@@ -6,7 +6,7 @@ import os
 from importlib import metadata
 from types import ModuleType
 
-from robot_ik.errors import RobotIkError
+from robot_ik.errors import DISTRIBUTION, RobotIkError
 
 _MESA = "libgl1 libgl1-mesa-dri"
 
@@ -71,7 +71,7 @@ def version_of(package: str) -> str:
 
 
 def installed_versions() -> dict[str, str]:
-    """Versions of robot_ik and of what it stands on, without importing any of it."""
+    """Return the versions of this distribution and its main dependencies, without importing them."""
     opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
-    names = ("robot_ik", "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
+    names = (DISTRIBUTION, "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
     return {name: version_of(name) for name in names}

@@ -244,7 +244,8 @@ class _Reach:
     @property
     def camera(self) -> Vision:
         """The camera, which there is wherever no goal was given."""
-        assert self.report.vision is not None
+        if self.report.vision is None:
+            raise RuntimeError("no goal was given and no camera is open")
         return self.report.vision
 
     def run(self, compiling: Precompilation) -> None:
@@ -322,7 +323,8 @@ class _Reach:
 
     def known(self) -> Bound:
         """Standard deviation of a seen goal, as the last picture of the marker says it."""
-        assert self.report.seen is not None
+        if self.report.seen is None:
+            raise RuntimeError("no marker was seen")
         return self.report.seen.uncertainty(self.camera.scene.pose_marker_tool.position)
 
     def plan(self, goal: Goal, solution: Solution) -> Trajectory:

@@ -185,7 +185,8 @@ class LeaderArm(Operator):
         here = self._read()
         if self._joints is not None:
             return self._joints.follower(here)
-        assert self._begin is not None
+        if self._begin is None:
+            raise RuntimeError("command() before engage()")
         leader, hand = self._begin
         seen = self._leader.engage(here)
         step = self._scale * (seen.position - leader.position)

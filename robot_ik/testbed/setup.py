@@ -296,7 +296,8 @@ def prepare(
     if before is not None and is_figure(before.loaded) is not is_figure(loaded):
         setup = replace(setup, choices=())  # an arm's methods do not suit a figure, nor a figure's an arm
     setup = completed(setup, loaded)
-    assert setup.kind is not None and setup.extras is not None
+    if setup.kind is None or setup.extras is None:
+        raise RuntimeError("the setup is not completed")
     same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
     used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
     goals = RobotGoals(used, setup.kind, setup.extras)

@@ -113,7 +113,7 @@ def test_a_picture_without_matplotlib_is_refused_before_the_work(
     )
     run = robot_ik("experiments", "s12", "--plot")
     run.assert_one_screen_error()
-    assert 'pip install "robot_ik[plots]"' in run.err
+    assert 'pip install "robot-ik-testbed[plots]"' in run.err
 
 
 def test_a_whole_percentage_is_not_rounded_down() -> None:

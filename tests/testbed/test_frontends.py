@@ -244,7 +244,7 @@ def test_the_viewer_is_chosen_and_said(
     monkeypatch.setattr(view, "find_spec", lambda name: None)
     monkeypatch.setattr(view, "probe_display", lambda timeout: Probe(True, "display opened"))
     assert view.choose_viewer("auto") == "window"
-    assert "robot_ik[web]" in capsys.readouterr().err
+    assert "robot-ik-testbed[web]" in capsys.readouterr().err
     monkeypatch.setattr(view, "probe_display", lambda timeout: Probe(False, "no display"))
     assert view.choose_viewer("auto") == "recorder"
     assert "recorder" in capsys.readouterr().err

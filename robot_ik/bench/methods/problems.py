@@ -105,8 +105,9 @@ def unreachable(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSe
     """Poses outside the ball that the tool cannot leave: nothing can reach them."""
     ball = robot.reach()
     targets = []
-    for _ in range(count if ball is not None else 0):
-        assert ball is not None
+    for _ in range(count):
+        if ball is None:
+            break
         centre, radius = ball
         pose = robot.measure(robot.sample(rng)).matrix
         direction = pose[:3, 3] - centre

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict
 
 from robot_ik.batch import usable_cores
 from robot_ik.bench.peers.worker import calibration
+from robot_ik.errors import DISTRIBUTION
 from robot_ik.jobs.results import png_of, require_plots
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ class Results(_Data):
 
 def this_machine() -> Machine:
     """The machine, and how fast it is just now."""
-    packages = ("robot_ik", "mujoco", "numpy", "numba")
+    packages = (DISTRIBUTION, "mujoco", "numpy", "numba")
     return Machine(
         system=f"{platform.system()} {platform.machine()}",
         processor=_processor(),

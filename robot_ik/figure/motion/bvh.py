@@ -520,7 +520,8 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
         if node.along and _only_rotations(bvh, n, node.along):
             for a, axis, name in zip(address, node.axes, node.along, strict=True):
                 angle = bvh.channel(n, name)
-                assert angle is not None
+                if angle is None:
+                    raise RuntimeError("a joint of the file has no channel of the axis that it turns about")
                 qpos[:, a] = model.qpos0[a] + np.radians(angle) * np.sign(axis[np.abs(axis).argmax()])
         elif node.kind == mujoco.mjtJoint.mjJNT_HINGE:
             qpos[:, address] = model.qpos0[address] + _hinge_angles(node, bvh.rotation(n))
