@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -134,7 +134,7 @@ class FrameRows:
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
         sizes |= {"n": n, "b": n + 1, "k": max(3 * groups, robot.nv)}
-        given = {
+        given: dict[str, Any] = {
             "tree": robot.tree.block,
             "masses": self.figure.masses,
             "kind": np.array(kind, dtype=np.int64),
