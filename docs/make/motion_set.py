@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.goals import PosePriorGoal
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.figure.actions import take
 from robot_ik.figure.figure import RATE as FIGURE_RATE
@@ -33,6 +32,7 @@ from robot_ik.figure.gait import WALK, prints_of, walk, walk_prints
 from robot_ik.figure.jump import jump
 from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored
 from robot_ik.figure.poses import BEND, REACH, find_pose
+from robot_ik.goals import PosePriorGoal
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base

@@ -66,7 +66,9 @@ def limb_block(limb: Limb, tree: Tree) -> Block:
         "wrist_in_tool": limb.wrist_in_tool,
         "limits": np.array([tree.lower[v], tree.upper[v]]),
     }
-    return LIMB.allocate(given={name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    return LIMB.allocate(
+        given={name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    )
 
 
 class PreparedProof:
