@@ -230,7 +230,7 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
     ]
     problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra], solver="lm")
     stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(position)]
-    solver, q = make_solver("lm"), np.array(robot.home)
+    q = np.array(robot.home)
     for one, two in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
             problem.retarget(one + share * (two - one), len(goals))
