@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import robot_ik as rik
-from robot_ik.solvers import able_solvers
+from robot_ik.solvers import SOLVERS, able_solvers
 
 Array = NDArray[np.float64]
 
