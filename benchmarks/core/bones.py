@@ -41,7 +41,8 @@ TREE = """\
    <joint name="elbow" pos="0.05 0 0" axis="0 1 0.2" range="-2.2 2.2"/><geom size="0.05"/>
    <body name="hand" pos="0.3 0 0"><joint name="roll" axis="1 0 0"/><geom size="0.05"/>
     <site name="tool" pos="0.1 0 0" quat="0.7 0 0.7 0.1"/></body></body></body>
- <body name="branch" pos="0 0.2 0"><joint name="swing" axis="0 0 1" range="-1 1"/><geom size="0.05"/>
+ <body name="branch" pos="0 0.2 0">
+  <joint name="swing" axis="0 0 1" range="-1 1"/><geom size="0.05"/>
   <site name="lamp" pos="0 0.3 0"/></body>
 </body></worldbody></mujoco>"""
 

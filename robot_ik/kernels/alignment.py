@@ -101,7 +101,7 @@ def best_axis(correlation):
     # Aligned, or a half turn away. Then an axis across the vectors is best: the coordinate axis
     # that is most across them, without its part along them.
     gains = diagonal[0] - total, diagonal[1] - total, diagonal[2] - total
-    gain = max(gains[0], gains[1], gains[2])
+    gain = max(gains[0], max(gains[1], gains[2]))
     if not gain > _LEAST_GAIN * size:
         return 0.0, 0.0, 0.0
     columns = so3.transpose(correlation)

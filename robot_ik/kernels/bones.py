@@ -184,7 +184,7 @@ def locate(tree, goals, search, bones, c):
         g = c - nodes
         frame_pose(search.world, goals.node[g], goals.local, g, search.frames)
         point = so3.read_vector(search.frames, g, 0)
-    so3.write_row(bones.point, c, 0, point)
+    so3.write_row(bones.point, c, point)
 
 
 @outlined

@@ -135,7 +135,7 @@ def reach_back(tree, goals, search, bones):
                     pulled = pulled_point(tree, bones, k, c)
                 target = so3.add(target, so3.scale(share, pulled))
             c = bones.sibling[c]
-        so3.write_row(bones.target, k, 0, target)
+        so3.write_row(bones.target, k, target)
 
 
 # Straight chains
@@ -186,7 +186,7 @@ def is_straight(bones, root, tip, line, length):
     k = tip
     while k != root:
         x, y, z = so3.cross(line, offset(bones.point, k, bones, root))
-        largest = max(largest, abs(x), abs(y), abs(z))
+        largest = max(max(largest, abs(x)), max(abs(y), abs(z)))
         k = bones.parent[k]
     return largest < _STRAIGHT * length
 
@@ -200,7 +200,7 @@ def push_off_line(tree, world, bones, root, tip, line):
         shifted = so3.add(
             so3.read_vector(bones.point, k, 0), so3.scale(_BEND * bones.length[k], side)
         )
-        so3.write_row(bones.point, k, 0, shifted)
+        so3.write_row(bones.point, k, shifted)
         k = bones.parent[k]
 
 
@@ -214,7 +214,7 @@ def stretch_to_goal(tree, bones):
     reach = so3.norm(line)
     k = tip
     while k != root:
-        so3.write_row(bones.target, k, 0, so3.add(origin, so3.scale(along / reach, line)))
+        so3.write_row(bones.target, k, so3.add(origin, so3.scale(along / reach, line)))
         along -= bones.length[k]
         k = bones.parent[k]
 
@@ -250,7 +250,7 @@ def fabrik_step(tree, goals, search, bones, options):
     if bones.reduced != search.reduced:
         link_points(tree, goals, search, bones)
     for g in range(goals.row.shape[0]):
-        so3.write_row(bones.target, nodes + g, 0, so3.read_matrix_point(search.target, g))
+        so3.write_row(bones.target, nodes + g, so3.read_matrix_point(search.target, g))
     locate_all(tree, goals, search, bones)
     bones.ball_pull = options.pull if lacks_wrist(tree, goals, search, bones) else 0.0
     too_far = bend_straight_chains(tree, goals, search, bones)

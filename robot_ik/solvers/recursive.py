@@ -90,7 +90,7 @@ def intersect_spheres(bones, e, b, p, radius):
     length = so3.norm(side)
     side = so3.scale(1.0 / length, side) if length > _MIN_SINE * gap else so3.perpendicular(line)
     center = so3.add(so3.read_vector(bones.point, p, 0), so3.scale(along, line))
-    so3.write_row(bones.target, b, 0, so3.add(center, so3.scale(across, side)))
+    so3.write_row(bones.target, b, so3.add(center, so3.scale(across, side)))
     return True
 
 
@@ -120,7 +120,7 @@ def drag_bone(bones, e, b, root, low, high):
             direction = so3.add(
                 so3.scale(math.cos(allowed), back), so3.scale(math.sin(allowed), side)
             )
-    so3.write_row(bones.target, b, 0, so3.add(end, so3.scale(bone, direction)))
+    so3.write_row(bones.target, b, so3.add(end, so3.scale(bone, direction)))
 
 
 @outlined
@@ -131,9 +131,9 @@ def pull_chain(tree, search, bones):
     for i in range(count):
         c = bones.path[i]
         total += bones.length[c]
-        so3.write_row(bones.target, c, 0, so3.read_vector(bones.point, c, 0))
+        so3.write_row(bones.target, c, so3.read_vector(bones.point, c, 0))
     root = bones.path[0]
-    so3.write_row(bones.target, bones.path[count - 1], 0, so3.read_matrix_point(search.target, 0))
+    so3.write_row(bones.target, bones.path[count - 1], so3.read_matrix_point(search.target, 0))
     rest = total
     for i in range(count - 1, 0, -1):
         e = bones.path[i]

@@ -122,13 +122,13 @@ def target_bone(tree, search, bones, i, j, count, improved):
     length = so3.norm(line)
     scale = 1.0 / length if length > _NO_BONE else 0.0
     for m in range(i + 1, j):
-        so3.write_row(bones.target, bones.path[m], 0, anchor)
-    so3.write_row(bones.target, bones.path[j], 0, end)
+        so3.write_row(bones.target, bones.path[m], anchor)
+    so3.write_row(bones.target, bones.path[j], end)
     along = 0.0
     for m in range(j + 1, count):
         c = bones.path[m]
         along += bones.length[c]
-        so3.write_row(bones.target, c, 0, so3.add(end, so3.scale(scale * along, line)))
+        so3.write_row(bones.target, c, so3.add(end, so3.scale(scale * along, line)))
 
 
 @outlined

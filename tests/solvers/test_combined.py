@@ -9,6 +9,8 @@ from robot_ik.errors import OptionError, UnknownSolverError, UnsupportedGoalErro
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Status
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.sequence import PreparedSequence
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +125,30 @@ def test_a_goal_that_is_proven_out_of_reach_gets_no_restarts(puma):
     far = combined(puma, PositionGoal(None, (3.0, 1.0, 1.0)), "ccd lm").solve()
     assert far.status is Status.UNREACHABLE
     assert far.restarts == 0
+
+
+class Recorder:
+    """A prepared method that remembers its budget."""
+
+    def __init__(self, name, problem):
+        self.name = name
+        self.prepared = make_solver(name).prepare(problem)
+
+    def run(self, problem, budget):
+        self.budget = budget
+        return self.prepared.run(problem, budget)
+
+
+@pytest.mark.parametrize(
+    ("others", "restarts"), [([], 0), ([OrientationGoal(None, (1, 0, 0, 0))], None)]
+)
+def test_goals_beside_one_that_is_out_of_reach_get_restarts(puma, others, restarts):
+    far = PositionGoal("flange", (3.0, 1.0, 1.0))
+    problem = Problem(puma, [far, *others], solver="ccd")
+    attempts = [Recorder("ccd", problem), Recorder("lm", problem)]
+    solution = PreparedSequence("combined", problem, attempts).run(problem, Budget())
+    assert solution.status is Status.UNREACHABLE
+    assert attempts[1].budget.restarts == restarts
 
 
 def test_the_better_of_two_failures_is_kept(puma):
