@@ -9,6 +9,7 @@ which goals are met.
 
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ Case = tuple[rik.Robot, list[rik.Goal], np.ndarray | None]
 Cases = Callable[[], Iterator[Case]]
 
 
-def arm_poses(**posture: object) -> Iterator[Case]:
+def arm_poses(**posture: Any) -> Iterator[Case]:
     """A pose within reach, and a posture."""
     arm = rik.load_robot("srs_arm")
     rng = np.random.default_rng(0)
@@ -77,7 +78,7 @@ def arm_three_levels() -> Iterator[Case]:
         )
 
 
-def stack(figure: rik.Robot, ball: np.ndarray, **posture: object) -> list[rik.Goal]:
+def stack(figure: rik.Robot, ball: np.ndarray, **posture: Any) -> list[rik.Goal]:
     """Feet, balance, hand, gaze and posture."""
     home = figure.home
     return [
@@ -90,7 +91,7 @@ def stack(figure: rik.Robot, ball: np.ndarray, **posture: object) -> list[rik.Go
     ]
 
 
-def figure_reaches(**posture: object) -> Iterator[Case]:
+def figure_reaches(**posture: Any) -> Iterator[Case]:
     """Balls inside and outside the reach of the hand."""
     figure = rik.load_robot("humanoid")
     hand = figure.forward(figure.home, "right_hand").position

@@ -309,7 +309,7 @@ def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
 
 
 def _inertia_table(robot: Robot) -> Array:
-    """Return the inertia (n, 6) xx yy zz xy xz yz of each node about its centre of mass, in its axes."""
+    """Return the inertia (n, 9) of each node about its centre of mass, in its axes, row by row."""
     model, mass = robot.model, mass_table(robot)[: robot.tree.size]
     whole = np.zeros((robot.tree.size, 3, 3))
     for body in range(1, model.nbody):
@@ -321,8 +321,7 @@ def _inertia_table(robot: Robot) -> Array:
         axes = rotation @ quat_to_matrix(model.body_iquat[body])
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         whole[node] += inertia + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
-    xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
-    return np.column_stack([xx, yy, zz, xy, xz, yz])
+    return whole.reshape(-1, 9)
 
 
 def _foot(robot: Robot, frame: str, pelvis: str) -> Foot:

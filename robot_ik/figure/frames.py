@@ -134,7 +134,7 @@ class FrameRows:
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
         sizes |= {"n": n, "b": n + 1, "k": max(3 * groups, robot.nv)}
-        given: dict[str, Any] = {
+        given: dict[str, NDArray[Any] | Block] = {
             "tree": robot.tree.block,
             "masses": self.figure.masses,
             "kind": np.array(kind, dtype=np.int64),

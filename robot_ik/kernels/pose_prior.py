@@ -3,13 +3,13 @@
 Features x of a pose are joint positions, the lean of the free base and rotation vectors of balls,
 minus their centre and divided by their spread. The energy is E(x) = −log Σ w_k N(x; μ_k, P_k⁻¹).
 With the share γ_k of each part in this sum, the gradient of E is g = Σ γ_k P_k (x − μ_k). With
-H = Σ γ_k P_k = L D Lᵀ and the smallest energy E₀ the residual and its Jacobian are
+H = Σ γ_k P_k = L Lᵀ and the smallest energy E₀ the residual and its Jacobian are
 
-    r = (−D^-½ L⁻¹ g, √(2 (E − E₀) − |D^-½ L⁻¹ g|²))        J = (D^½ Lᵀ ∂x/∂dq, 0)
+    r = (−L⁻¹ g, √(2 (E − E₀) − |L⁻¹ g|²))        J = (Lᵀ ∂x/∂dq, 0)
 
 so that ½ |r|² = E − E₀ and Jᵀ r = −∂E/∂dq exactly. JᵀJ is the Hessian of the bound that
 expectation-maximisation puts on E (Dempster, Laird & Rubin 1977). The root is real because the
-smallest value of the bound, E − ½ |D^-½ L⁻¹ g|², is at least E₀.
+smallest value of the bound, E − ½ |L⁻¹ g|², is at least E₀.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -69,7 +69,7 @@ def prior_residual(goals, search, work, g):
     solve_lower(work.hessian, work.first, work.gradient, count)
     square = 0.0
     for i in range(count):
-        entry = math.sqrt(work.hessian[i, i]) * work.gradient[i]
+        entry = work.gradient[i]
         square += entry * entry
         search.residual[row + i] = -weight * entry
     rest = max(2.0 * (energy - prior.min_energy) - square, 0.0)
@@ -97,7 +97,7 @@ def prior_jacobian(tree, goals, search, work, g, jacobian):
 
 @inlined
 def add_column(tree, goals, search, work, row, column, v, factor, jacobian):
-    """Add factor · D^½ Lᵀ ∂x/∂dq of degree of freedom ``v`` to a column of ``jacobian``."""
+    """Add factor · Lᵀ ∂x/∂dq of degree of freedom ``v`` to a column of ``jacobian``."""
     prior = goals.prior
     node = tree.dof_node[v]
     axis = v - tree.vadr[node] - (3 if tree.kind[node] == FREE else 0)
@@ -111,9 +111,9 @@ def add_column(tree, goals, search, work, row, column, v, factor, jacobian):
         rate *= factor / prior.spread[j]
         if rate == 0.0:
             continue
-        for i in range(j + 1):
-            lower = work.hessian[j, i] if i < j else 1.0
-            jacobian[row + i, column] += rate * lower / math.sqrt(work.hessian[i, i])
+        for i in range(j):
+            jacobian[row + i, column] += rate * work.hessian[j, i]
+        jacobian[row + j, column] += rate / work.hessian[j, j]  # which is 1 / L
 
 
 @outlined

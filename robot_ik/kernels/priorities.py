@@ -37,11 +37,9 @@ from robot_ik.kernels.block import Layout
 from robot_ik.kernels.jit import inlined, kernel, outlined
 from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import (
-    divide_by_pivots,
     eliminate,
     factorise,
     row_dot,
-    scaled_dot,
     solve_lower,
     solve_upper,
 )
@@ -368,18 +366,18 @@ def serve_soft_level(goals, search, work, level, damping, rank):
     copy(work.gradient, work.direction)
     solve_lower(factors, work.first, work.direction, columns)
     for b in range(rank):
-        row = work.projected[b]
-        copy(work.basis[b], row)
-        solve_lower(factors, work.first, row, columns)
+        copy(work.basis[b], work.projected[b])
+        solve_lower(factors, work.first, work.projected[b], columns)
         for c in range(b + 1):
-            work.gram[b, c] = scaled_dot(factors, row, work.projected[c], columns)
-        work.multipliers[b] = scaled_dot(factors, row, work.direction, columns)
+            work.gram[b, c] = row_dot(work.projected, b, work.projected, c)
+        work.multipliers[b] = 0.0
+        for u in range(columns):
+            work.multipliers[b] += work.projected[b, u] * work.direction[u]
     if not eliminate(work.gram, work.multipliers, rank):
         return
     for b in range(rank):
         for u in range(columns):
             work.direction[u] -= work.multipliers[b] * work.projected[b, u]
-    divide_by_pivots(factors, work.direction, columns)
     solve_upper(factors, work.first, work.direction, columns)
     for u in range(columns):
         search.step[u] += work.direction[u]

@@ -20,10 +20,9 @@ from robot_ik.kernels.body_goals import center_of_mass, center_velocity
 from robot_ik.kernels.frame_goals import orientation_error
 from robot_ik.kernels.jit import inlined, kernel, outlined
 from robot_ik.kernels.linalg import (
-    divide_by_pivots,
     factorise,
     reduced_system,
-    scaled_dot,
+    row_dot,
     solve_lower,
     solve_upper,
 )
@@ -70,7 +69,7 @@ WHOLE_BODY = Layout(
     axes="ints",  # (g,) bit k: the row of world axis k counts
     share="table",  # (g, nv) 1 where a degree of freedom may serve the group
     masses="table",  # (n + 1, 4) mass and centre of each node, see ``body_goals.center_of_mass``
-    inertia="table",  # (n, 6) xx yy zz xy xz yz of each node about this centre, in the node's axes
+    inertia="table",  # (n, 9) of each node about this centre, in the node's axes, row by row
     stiffness="floats",  # (nv,) weight of the posture
     lower="floats",  # (nv,)
     upper="floats",  # (nv,)
@@ -80,7 +79,7 @@ WHOLE_BODY = Layout(
     scratch="table 2 12",
     pose="table g 12",
     moments="table b 4",
-    carried="table n 6",  # inertia about the centre of mass of each node with its descendants
+    carried="table n 9",  # inertia about the centre of mass of each node with its descendants
     center="floats 3",
     previous="floats nq",  # the frame before
     displacement="floats nv",  # from the frame before to q
@@ -118,7 +117,7 @@ def carry(tree, body):
     for k in range(nodes - 1, 0, -1):
         parent = tree.parent[k]
         if parent >= 0:
-            for i in range(6):
+            for i in range(9):
                 body.carried[parent, i] += body.carried[k, i]
 
 
@@ -127,22 +126,29 @@ def write_inertia(body, k, center):
     """Write the inertia of node ``k`` alone, in the world, about ``center`` to body.carried."""
     mass = body.masses[k, 0]
     rotation = so3.read_rotation(body.world, k)
-    local_center = so3.read_vector(body.masses, k, 1)
-    position = so3.add(so3.read_vector(body.world, k, 0), so3.apply(rotation, local_center))
-    x, y, z = so3.subtract(position, center)
-    xx, yy, zz = so3.read_vector(body.inertia, k, 0)
-    xy, xz, yz = so3.read_vector(body.inertia, k, 3)
-    local = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    arm = so3.apply(rotation, so3.read_vector(body.masses, k, 1))
+    r = so3.subtract(so3.add(so3.read_vector(body.world, k, 0), arm), center)
+    local = read_inertia(body.inertia, k)
     # The columns of I Rᵀ.
-    first = so3.apply(local, rotation[0])
-    second = so3.apply(local, rotation[1])
-    third = so3.apply(local, rotation[2])
-    body.carried[k, 0] = mass * (y * y + z * z) + so3.dot(rotation[0], first)
-    body.carried[k, 1] = mass * (x * x + z * z) + so3.dot(rotation[1], second)
-    body.carried[k, 2] = mass * (x * x + y * y) + so3.dot(rotation[2], third)
-    body.carried[k, 3] = so3.dot(rotation[0], second) - mass * x * y
-    body.carried[k, 4] = so3.dot(rotation[0], third) - mass * x * z
-    body.carried[k, 5] = so3.dot(rotation[1], third) - mass * y * z
+    columns = (
+        so3.apply(local, rotation[0]),
+        so3.apply(local, rotation[1]),
+        so3.apply(local, rotation[2]),
+    )
+    for i in range(3):
+        for j in range(3):
+            body.carried[k, 3 * i + j] = so3.dot(rotation[i], columns[j]) - mass * r[i] * r[j]
+        body.carried[k, 4 * i] += mass * so3.dot(r, r)
+
+
+@inlined
+def read_inertia(table, k):
+    """Return the inertia in row ``k``, a matrix row by row."""
+    return (
+        so3.read_vector(table, k, 0),
+        so3.read_vector(table, k, 3),
+        so3.read_vector(table, k, 6),
+    )
 
 
 @inlined
@@ -158,9 +164,7 @@ def momentum_rate(tree, body, v):
         so3.read_vector(body.moments, node, 1), so3.scale(body.moments[node, 0], center)
     )
     velocity, omega = kinematics.velocity_of(tree, body.world, v, center)
-    xx, yy, zz = so3.read_vector(body.carried, node, 0)
-    xy, xz, yz = so3.read_vector(body.carried, node, 3)
-    inertia = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    inertia = read_inertia(body.carried, node)
     return so3.add(so3.apply(inertia, omega), so3.cross(moment, velocity))
 
 
@@ -309,6 +313,7 @@ def solve_held(body, damping, slack):
     step = body.step
     factor = body.factor
     multiplier = body.multiplier
+    solved = body.hard_solved
     count = body.hard_count
     n = step.shape[0]
     reduced_system(
@@ -317,29 +322,26 @@ def solve_held(body, damping, slack):
     factorise(factor, body.first, n)
     copy(body.wanted, multiplier)
     for r in range(count):
-        row = body.hard_solved[r]
         for v in range(n):
-            row[v] = body.hard[r, v]
+            solved[r, v] = body.hard[r, v]
             if body.side[v] != 0:
-                multiplier[r] -= row[v] * step[v]
-                row[v] = 0.0
-        solve_lower(factor, body.first, row, n)
+                multiplier[r] -= solved[r, v] * step[v]
+                solved[r, v] = 0.0
+        solve_lower(factor, body.first, solved[r], n)
     solve_lower(factor, body.first, step, n)
     for r in range(count):
-        row = body.hard_solved[r]
-        multiplier[r] -= scaled_dot(factor, row, step, n)
+        for v in range(n):
+            multiplier[r] -= solved[r, v] * step[v]
         for c in range(r + 1):
-            body.schur[r, c] = scaled_dot(factor, row, body.hard_solved[c], n)
+            body.schur[r, c] = row_dot(solved, r, solved, c)
         body.schur[r, r] += slack
     # A hard row that depends on others has no pivot, and its multiplier is zero.
     factorise(body.schur, body.first, count)
     solve_lower(body.schur, body.first, multiplier, count)
-    divide_by_pivots(body.schur, multiplier, count)
     solve_upper(body.schur, body.first, multiplier, count)
     for r in range(count):
         for v in range(n):
-            step[v] += body.hard_solved[r, v] * multiplier[r]
-    divide_by_pivots(factor, step, n)
+            step[v] += solved[r, v] * multiplier[r]
     solve_upper(factor, body.first, step, n)
 
 

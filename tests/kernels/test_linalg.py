@@ -186,7 +186,6 @@ def solve_with_factors(matrix, first, x):
     n = len(x)
     linalg.factorise(matrix, first, n)
     linalg.solve_lower(matrix, first, x, n)
-    linalg.divide_by_pivots(matrix, x, n)
     linalg.solve_upper(matrix, first, x, n)
 
 
@@ -208,4 +207,4 @@ def test_an_unknown_without_a_pivot_is_zero():
     matrix = np.array([[2.0, 0.0], [0.0, 0.0]])
     x = np.array([4.0, 1.0])
     solve_with_factors(matrix, np.zeros(2, dtype=np.int64), x)
-    assert x.tolist() == [2.0, 0.0]
+    np.testing.assert_allclose(x, [2.0, 0.0], rtol=1e-15)

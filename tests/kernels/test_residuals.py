@@ -100,7 +100,7 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     rows = rows_at(problem, here)
     assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
     for goal, row in zip(goals, rows.miss, strict=True):
-        metres, radians = goal.miss(robot, here)  # MuJoCo's forward pass
+        metres, radians = goal.error(robot, here)  # MuJoCo's forward pass
         asked = goal.weights
         assert row[0] == pytest.approx(metres, abs=1e-9) or asked[0] == 0.0
         assert row[1] == pytest.approx(radians, abs=2e-8) or asked[1] == 0.0
