@@ -21,8 +21,8 @@ LINK_THICKNESS = 0.06
 DH_THICKNESS = 0.04
 """Radius of the drawn links of a DH chain, as a share of the longest link."""
 
-SHORTEST_LINK = 1e-9
-"""Metres. Shorter links are not drawn."""
+SHORTEST_LINK = 1e-4
+"""Metres. Shorter links are not drawn, because MuJoCo refuses capsules of almost no length."""
 
 LONGEST_CHAIN = 500
 """Links of a chain. MuJoCo's compile time grows with the cube of the links: 10 s for 400."""

@@ -6,11 +6,11 @@ import importlib.util
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from pydantic import Field
 
-from robot_ik.config import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
+from robot_ik.config import Positive, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import (
     ConfigError,
     InvalidModelError,
@@ -34,9 +34,6 @@ _EXPECTED = (
     "a robot is a name of the catalogue, the path or text of an MJCF or URDF file, "
     "or an MjSpec or MjModel"
 )
-_PositionAndWxyz = Annotated[
-    tuple[float, float, float, float, float, float, float], Field(strict=False)
-]
 
 
 class Tool(Table):
@@ -45,31 +42,6 @@ class Tool(Table):
     site: str | None = None
     body: str | None = None
     about: str = ""
-
-
-class GalleryScene(Table):
-    """The pose that ``robot-ik robots --gallery`` draws beside the home pose.
-
-    A goal is a position, or a position and a quaternion wxyz, in the world. The frames of ``keep``
-    stay at their home poses. ``view_deg`` is azimuth (from x to y) and elevation of the view.
-    """
-
-    about: str = "reaching"
-    goals: dict[str, Position | _PositionAndWxyz] = Field(default={})
-    keep: Several[str] = ()
-    view_deg: Pair = (-55.0, 16.0)
-
-
-class FigureParts(Table):
-    """Frames of a figure, by side if there are two. ``bend`` is a keyframe."""
-
-    hands: dict[str, str] = Field(default={})
-    feet: dict[str, str] = Field(default={})
-    gaze: str | None = None
-    neck: Several[str] = ()
-    pelvis: str
-    trunk: str
-    bend: str | None = None
 
 
 class Coupled(Table):
@@ -102,9 +74,9 @@ class _Keys(Table):
     groups: dict[str, Several[str]] = Field(default={})
     stiffness: dict[str, Positive] = Field(default={})
     couplings: dict[str, Coupled] = Field(default={})
-    figure: FigureParts | None = None
+    figure: dict[str, Any] | None = None  # figure/parts.py checks it
     reach: dict[str, Any] | None = None  # jobs/scene.py checks it
-    gallery: GalleryScene | None = None
+    gallery: dict[str, Any] | None = None  # testbed/gallery_scene.py checks it
 
 
 class _RobotTable(_Keys):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import robot_ik as rik
@@ -66,6 +66,7 @@ def dh_matrix(row, value, convention):
 
 
 @settings(max_examples=25)
+@example(rows=[DHRow(a=6e-8), DHRow()], convention="standard", seed=0)
 @given(
     rows=st.lists(ROW, min_size=1, max_size=7),
     convention=st.sampled_from(["standard", "modified"]),

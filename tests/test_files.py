@@ -51,6 +51,7 @@ from robot_ik.motion import Trajectory
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.testbed.commands import CommandLog, Reset, Start
+from robot_ik.testbed.gallery_scene import gallery_scene
 
 ROOT = Path(robot_ik.__file__).parent
 HARDWARE = Path(str(sys.modules["robot_ik.hardware"].__file__)).parent
@@ -134,7 +135,7 @@ def _robot_folder(path: Path) -> object:
     if not folder.exists():
         shutil.copytree(Path(str(ROBOT.path)).parent, folder)
     shutil.copyfile(path, folder / "robot.toml")
-    return load_robot(folder)
+    return gallery_scene(load_robot(folder))
 
 
 def _saved(save: Callable[[Path], object]) -> Callable[[Path], str]:

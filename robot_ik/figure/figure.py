@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError
+from robot_ik.figure.parts import figure_parts
 from robot_ik.geometry import axis_rotations, quat_to_matrix
 from robot_ik.goals import mass_table
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
@@ -258,7 +259,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         UnknownRobotError, UnknownFrameError, UnknownJointError: With the close names.
     """
     robot = name if isinstance(name, Robot) else load_robot(name)
-    parts = robot.file.figure
+    parts = figure_parts(robot)
     if parts is None or set(parts.feet) != set(SIDES):
         raise ModelError(
             f"{robot.name!r} is no figure: its robot.toml names no left and right foot",

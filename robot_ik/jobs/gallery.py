@@ -26,8 +26,8 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
-from robot_ik.robot_file import GalleryScene
 from robot_ik.solution import Solution
+from robot_ik.testbed.gallery_scene import GalleryScene, gallery_scene
 
 # ------------------------------------------------------------------------------------------
 # A robot photographed in an empty gallery: rays and soft shadows on a seamless floor, no OpenGL.
@@ -179,7 +179,7 @@ def draw_robot(robot: Robot, seed: int = 0, height: int = HEIGHT) -> Portrait:
     Raises:
         ModelError: The model has nothing that can be seen.
     """
-    scene = robot.file.gallery or GalleryScene()
+    scene = gallery_scene(robot)
     at_home = surface_points(robot.model, robot.qpos(robot.home))
     if not len(at_home):
         raise ModelError(f"{robot.path} has no visible geom to draw", path=robot.path)
@@ -202,7 +202,7 @@ def _with_goals(photo: Photo, solution: Solution) -> Image:
     image = photo.image.copy()
     radius = max(2.5, photo.image.shape[0] / 110)
     moved = [goal for goal in solution.goals if isinstance(goal, PositionGoal | PoseGoal)]
-    kept = solution.robot.file.gallery.keep if solution.robot.file.gallery else ()
+    kept = gallery_scene(solution.robot).keep
     positions = [goal.target.position for goal in moved if goal.frame not in kept]
     for position in positions:
         seen = photo.camera.inverse().apply(position)

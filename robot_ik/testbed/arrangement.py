@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
+from robot_ik.testbed.gallery_scene import gallery_scene
 
 Colour = tuple[int, int, int]
 
@@ -24,7 +25,6 @@ LIMIT_COLOUR: Colour = (220, 38, 38)
 BALL_RADIUS = 0.03
 """Of the model's extent."""
 FIELD_OF_VIEW = math.radians(38.0)
-_USUAL_VIEW_DEG = -60.0
 _DOWN = 0.42  # tangent of the elevation: about 23 degrees
 _PLATE_DISTANCE = 0.24  # of the extent: where the label stands in front of the base
 _MARGIN = 0.9  # part of the picture that is used: balls and hands reach beyond their middles
@@ -79,8 +79,7 @@ class Arrangement:
 
 def arranged(robot: Robot, count: int) -> Arrangement:
     """The positions of ``count`` instances: 1 2 behind, 3 4 in front, as the first view sees them."""
-    gallery = robot.file.gallery
-    azimuth = math.radians(gallery.view_deg[0] if gallery else _USUAL_VIEW_DEG)
+    azimuth = math.radians(gallery_scene(robot).view_deg[0])
     forward = -np.array((math.cos(azimuth), math.sin(azimuth)))
     right = np.array((-math.sin(azimuth), math.cos(azimuth)))
     extent = float(robot.model.stat.extent)

@@ -40,6 +40,7 @@ from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed import commands
+from robot_ik.testbed.gallery_scene import gallery_scene
 
 # Without restarts: an arm that follows must not jump.
 BUDGET = Budget(iterations=200, restarts=0)
@@ -225,13 +226,13 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
 
 def is_figure(robot: Robot) -> bool:
     """Whether it stands on feet: a floating base and frames to keep."""
-    return robot.nq > robot.nv and bool(robot.file.gallery and robot.file.gallery.keep)
+    return robot.nq > robot.nv and bool(gallery_scene(robot).keep)
 
 
 def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
     """The goals that the page offers beside the ball's."""
     figure = is_figure(robot)
-    keep = robot.file.gallery.keep if figure and robot.file.gallery else ()
+    keep = gallery_scene(robot).keep if figure else ()
     found = [ExtraGoal(f"keep {frame}", True, 0, f"{frame} stays where it is at home") for frame in keep]
     if figure:
         found.append(ExtraGoal("balance", True, 1, "centre of mass over its place at home"))
@@ -379,7 +380,7 @@ def without_limits(robot: Robot) -> Robot:
 def first_ball(robot: Robot) -> Pose:
     """Where the ball is before it moves: what the robot's gallery picture reaches for, else home."""
     home = robot.measure(robot.home)  # by MuJoCo: nothing has to be compiled for the first picture
-    goals = robot.file.gallery.goals if robot.file.gallery else {}
+    goals = gallery_scene(robot).goals
     if robot.tool not in goals:
         return home
     values = goals[robot.tool]

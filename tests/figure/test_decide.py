@@ -299,7 +299,7 @@ def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities)
     robot = load_robot("humanoid")
     parts = robot.file.figure
     assert parts is not None
-    file = robot.file.model_copy(update={"figure": parts.model_copy(update={"hands": {}})})
+    file = robot.file.model_copy(update={"figure": parts | {"hands": {}}})
     armless = load_figure(replace(robot, file=file))
     found = Decider(replace(abilities, figure=armless, maps={})).decide((0.4, -0.2, 1.2))
     assert found.action == "nothing" and "no hands" in found.reason

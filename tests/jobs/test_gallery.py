@@ -26,6 +26,7 @@ from robot_ik.jobs.gallery import (
 )
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
+from robot_ik.testbed.gallery_scene import gallery_scene
 
 TWO_LINKS = """
 <mujoco><worldbody><body><joint name="a" axis="0 -1 0" range="-90 90"/>
@@ -50,8 +51,8 @@ def two_links(folder: Path, rgba: str = ".2 .4 .8 1") -> Path:
 @pytest.mark.parametrize("name", sorted(catalogue()))
 def test_every_robot_does_what_its_picture_says(name: str) -> None:
     robot = load_robot(name)
-    scene = robot.file.gallery
-    assert scene is not None and scene.goals, "a robot that ships has a scene of its own"
+    scene = gallery_scene(robot)
+    assert scene.goals, "a robot that ships has a scene of its own"
     floor = float(surface_points(robot.model, robot.qpos(robot.home))[:, 2].min())
     solution = pose_at_work(robot, scene, floor, seed=0)
     assert solution.converged, solution
@@ -152,8 +153,9 @@ def test_a_goal_of_a_scene_has_three_numbers_or_seven(tmp_path: Path) -> None:
     two_links(tmp_path)
     text = 'schema = 1\ntitle = "two"\nmodel = "two_links.xml"\n[gallery]\ngoals = {{ tip = {} }}\n'
     (tmp_path / "robot.toml").write_text(text.format("[1.0, 2.0]"))
-    with pytest.raises(ConfigError, match=r"gallery\.goals"):
-        load_robot(tmp_path)
+    robot = load_robot(tmp_path)
+    with pytest.raises(ConfigError, match=r"robot\.toml: gallery\.goals"):
+        gallery_scene(robot)
 
 
 def test_a_sheet_shows_every_robot_in_full_rows(tmp_path: Path) -> None:

@@ -24,18 +24,18 @@ from robot_ik.ports import Array
 from robot_ik.problem import Budget
 from robot_ik.robot import Robot
 
-# A solve of one tick begins a tick away from its solution: no search.
+# The start of a solve is one tick from its solution, so restarts are not needed.
 _BUDGET = Budget(iterations=20, restarts=0)
-# m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
+# m. Largest distance of the target from the frame: a target out of reach does not pull harder.
 _LEASH = 0.06
 # Joints that leave the position of their own anchor as it is.
 _TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
-# So often a step that is too fast is halved before the figure rests for a tick.
+# Halvings of a step that is too fast, before the robot rests for a tick.
 _HALVINGS = 8
 
 
 class Drag:
-    """A robot that is dragged by one frame while others are pinned.
+    """Drags a robot by one frame while other frames are pinned.
 
         drag = Drag(robot, "left_forearm", pinned=["left_foot", "right_foot"])
         q = drag.step((0.4, 0.3, 1.2))          # every tick
@@ -46,10 +46,10 @@ class Drag:
         q = drag.step((0.1, 0.2, 0.4))          # every tick
 
     Attributes:
-        robot: Whose joints.
-        q: (nq,) where they stand; read-only.
-        dragged: The frame that is dragged; None: none.
-        pinned: Frames that stay where they are.
+        robot: The robot.
+        q: Current joint angles (nq,). Read-only.
+        dragged: The frame that is dragged, None without one.
+        pinned: Frames that do not move.
     """
 
     def __init__(
@@ -63,25 +63,26 @@ class Drag:
         speed: float = 1.0,
         balance: bool = False,
     ) -> None:
-        """Takes hold.
+        """Start dragging.
 
         Args:
-            robot: Any.
+            robot: The robot.
             dragged: A site or body.
             pinned: Sites or bodies.
-            start: (nq,); None: home.
+            start: Joint angles (nq,). None for the home pose.
             rate: Steps a second.
-            speed: Part of the joints' speed limits, or a multiple of them: they may be those of servos.
-            balance: Keep the centre of mass over the point where it is now.
+            speed: Factor of the speed limits of the joints. It may exceed 1.
+            balance: Whether the centre of mass stays above its current point.
 
         Raises:
-            UnknownFrameError: With the close names.
+            UnknownFrameError: The robot has no such frame.
             InvalidGoalError: The same frame is dragged and pinned.
             TrajectoryError: ``rate`` or ``speed`` is not above zero.
         """
         require_positive("rate", rate, "Hz")
         require_positive("speed", speed, "times the limits")
-        self.robot, self.rate = robot, float(rate)
+        self.robot = robot
+        self.rate = float(rate)
         self._most = speed * robot.velocity_limits / rate
         self._point = np.zeros(3)
         self._mass: Array | None = None
@@ -103,18 +104,18 @@ class Drag:
         return tuple(self._pins)
 
     def place(self, q: ArrayLike) -> None:
-        """Puts the robot somewhere else at once: pins and the dragged point are taken anew from there."""
+        """Set the joint angles. Pins and the dragged point are taken from the new pose."""
         self.q = np.array(self.robot.check_q(q))
         self.q.flags.writeable = False
         self._pins = {frame: PoseGoal.at(frame, self.robot.measure(self.q, frame)) for frame in self._pins}
         self._moved()
 
     def take(self, frame: str | None) -> None:
-        """Drags another frame from here on; None: lets go.
+        """Drag another frame. None stops dragging.
 
         Raises:
-            UnknownFrameError: With the close names.
-            InvalidGoalError: It is pinned.
+            UnknownFrameError: The robot has no such frame.
+            InvalidGoalError: The frame is pinned.
         """
         if frame is not None:
             self.robot.frame(frame)
@@ -124,14 +125,14 @@ class Drag:
         self._moved()
 
     def grab(self, body: str, grip: ArrayLike) -> None:
-        """Takes hold of a point of a body: ``step`` brings it to a position.
+        """Drag a point of a body. ``step`` brings it to a position.
 
         Args:
             body: Name of a body.
-            grip: (3,) the point in the body's own frame, metres.
+            grip: The point (3,) in the frame of the body, m.
 
         Raises:
-            UnknownFrameError: With the close names.
+            UnknownFrameError: The robot has no such body.
             InvalidGoalError: That part is pinned.
         """
         index = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, body)

@@ -1,8 +1,8 @@
-"""Learning a pose prior from motion: a Gaussian mixture by expectation-maximisation.
+"""Learning a pose prior from motions: a Gaussian mixture by expectation-maximisation.
 
-Frames in, ``PosePrior`` out, for a ``PosePriorGoal``: poses are mirrored, thinned to those that
-differ, scaled by their spread, and a mixture is fitted whose covariances are shrunk towards spheres, so that
-a few hundred poses are enough for forty joints.  It prefers poses like those that it was shown.
+Poses are mirrored, thinned to those that differ, and scaled by their spread. The covariances of the
+mixture are shrunk towards spheres, so that a few hundred poses are enough for forty joints. The
+result is a ``PosePrior`` for a ``PosePriorGoal``, which prefers poses like the learned ones.
 """
 
 from __future__ import annotations
@@ -17,24 +17,43 @@ from robot_ik.ports import Array
 from robot_ik.pose_prior import PosePrior, feature_names
 from robot_ik.robot import Robot
 
-# Share of a covariance that is spread evenly over all directions, and the least standard deviation (of x).
-# Narrow parts hold a pose fast in the part where it begins: of 52 poses of motions held out, the likelihood
-# ended below that of the pose itself in 60 % with a deviation of 0.03, 17 % with 0.3, 6 % with 0.5.
-_SHRINKAGE, _LEAST_DEVIATION = 0.05, 0.5
-# rad, m: a joint that hardly moves is not taken for a law.
-_LEAST_SPREAD = 0.03
-# Rounds of EM, and the gain of log-likelihood a pose below which it ends.
-_EM_ROUNDS, _EM_GAIN = 200, 1e-5
-_CONTOUR = 0.99
-# So many poses are kept, those that differ most.
-_MOST_POSES = 3000
+SHRINKAGE = 0.05
+"""Share of a covariance that is spread evenly over all directions."""
+
+SMALLEST_DEVIATION = 0.5
+"""Smallest standard deviation of a scaled feature. Narrow parts keep a pose in the part where it
+starts: of 52 poses of motions that were not learned, the likelihood ended below that of the pose
+itself in 60 % with 0.03, in 17 % with 0.3 and in 6 % with 0.5."""
+
+SMALLEST_SPREAD = 0.03
+"""rad or m. A joint that hardly moves is not a rule."""
+
+EM_ROUNDS = 200
+"""Largest number of rounds of expectation-maximisation."""
+
+EM_GAIN = 1e-5
+"""Gain of log-likelihood per pose below which the rounds end."""
+
+CONTOUR = 0.99
+"""Share of the learned poses inside the contour."""
+
+MOST_POSES = 3000
+"""Poses that are kept: those that differ most."""
+
+FEWEST_POSES = 10
+"""Poses for each part of the mixture."""
+
+SAME_AXIS = 1e-6
+"""Largest deviation of the cosine between mirrored axes from ±1."""
 
 
 def mirrored(robot: Robot, q: ArrayLike) -> Array:
-    """Poses (m, nq), or one, as in a mirror in the plane y = 0: ``left_…`` joints become ``right_…`` ones.
+    """Return poses (m, nq) or one pose (nq,) mirrored in the plane y = 0.
+
+    The values of ``left_…`` and ``right_…`` joints are exchanged.
 
     Raises:
-        InvalidGoalError: A joint of one side has no fellow, or one about another axis.
+        InvalidGoalError: A joint has no counterpart on the other side, or one about another axis.
     """
     rows = np.atleast_2d(np.asarray(q, dtype=float))
     out = rows.copy()
@@ -45,7 +64,9 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
         kind, to = int(robot.tree.kind[k]), int(robot.tree.qadr[k])
         fellow = other_side(joint)
         if fellow not in robot.joints:
-            raise InvalidGoalError(f"joint {joint!r} of {robot.name!r} has no fellow {fellow!r}")
+            raise InvalidGoalError(
+                f"joint {joint!r} of {robot.name!r} has no counterpart {fellow!r}"
+            )
         other = robot.joints.index(fellow)
         source = int(robot.tree.qadr[other])
         if kind in (BALL, FREE):
@@ -56,21 +77,23 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
             continue
         axes = data.xaxis[robot.tree.joint_ids[k]], data.xaxis[robot.tree.joint_ids[other]]
         along = float(axes[0] @ (axes[1] * (flip if kind == HINGE else -flip)))
-        if abs(abs(along) - 1.0) > 1e-6:
-            raise InvalidGoalError(f"joints {joint!r} and {fellow!r} of {robot.name!r} are no mirror image")
+        if abs(abs(along) - 1.0) > SAME_AXIS:
+            raise InvalidGoalError(
+                f"joints {joint!r} and {fellow!r} of {robot.name!r} are not mirror images"
+            )
         out[:, to] = np.sign(along) * rows[:, source]
     return np.asarray(out[0] if np.ndim(q) == 1 else out)
 
 
 def other_side(name: str) -> str:
-    """``left_…`` of ``right_…`` and the other way round; the same for what has no side."""
+    """Return the name with left and right exchanged; the same name without a side."""
     if "left" in name:
         return name.replace("left", "right")
     return name.replace("right", "left")
 
 
 def thinned(x: Array, count: int) -> NDArray[np.int64]:
-    """Indices of ``count`` rows of x (m, n) that lie far from each other (farthest point, Gonzalez 1985)."""
+    """Return the indices of ``count`` distant rows of x (m, n) (farthest point, Gonzalez 1985)."""
     if len(x) <= count:
         return np.arange(len(x))
     chosen = [int(np.random.default_rng(0).integers(len(x)))]
@@ -88,16 +111,17 @@ def fit_pose_prior(
     parts: int = 8,
     mirror: bool = True,
 ) -> PosePrior:
-    """Learns a prior from poses.
+    """Learn a prior from poses.
 
     Args:
-        robot: Whose.
-        q: (m, nq) frames of motions; of many, those poses that differ most are kept.
-        parts: Of the mixture.
-        mirror: Learn from each pose and its mirror image.
+        robot: The robot.
+        q: Poses (m, nq). Of many, the ones that differ most are kept.
+        parts: Number of parts of the mixture.
+        mirror: Whether the mirror image of each pose is learned, too.
 
     Raises:
-        InvalidGoalError: Fewer than ten poses a part, or no such joints to mirror.
+        InvalidGoalError: There are fewer than ten poses for each part, or the joints cannot be
+            mirrored.
     """
     rows = np.asarray(q, dtype=float)
     if mirror:
@@ -108,17 +132,17 @@ def fit_pose_prior(
         np.eye(len(chosen))[None],
     )  # fmt: skip
     x = plain.features(robot, rows)
-    spread = np.maximum(x.std(axis=0), _LEAST_SPREAD)
-    x = x[thinned(x / spread, _MOST_POSES)]
-    if len(x) < 10 * parts:
+    spread = np.maximum(x.std(axis=0), SMALLEST_SPREAD)
+    x = x[thinned(x / spread, MOST_POSES)]
+    if len(x) < FEWEST_POSES * parts:
         raise InvalidGoalError(
             f"{len(x)} poses are too few for {parts} parts", hint="ten poses a part at least"
         )
-    middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), _LEAST_SPREAD)
+    middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), SMALLEST_SPREAD)
     x = (x - middle) / spread
     weights, means, covariances = _mixture(x, parts)
     prior = PosePrior(chosen, middle, spread, weights, means, covariances)
-    contour = float(np.quantile(prior.energy_of(x), _CONTOUR))
+    contour = float(np.quantile(prior.energy_of(x), CONTOUR))
     return PosePrior(chosen, middle, spread, weights, means, covariances, contour)
 
 
@@ -127,14 +151,14 @@ def _mixture(x: Array, parts: int) -> tuple[Array, Array, Array]:
     shares = np.eye(parts)[_clusters(x, parts)]
     last = -np.inf
     weights, means, covariances = _m_step(x, shares)
-    for _ in range(_EM_ROUNDS):
+    for _ in range(EM_ROUNDS):
         logs = _part_logs(x, weights, means, covariances)
         best = logs.max(axis=1, keepdims=True)
         density = np.exp(logs - best)
         total = density.sum(axis=1, keepdims=True)
         mean_log = float((best + np.log(total)).mean())
         weights, means, covariances = _m_step(x, density / total)
-        if mean_log - last < _EM_GAIN:
+        if mean_log - last < EM_GAIN:
             break
         last = mean_log
     return weights, means, covariances
@@ -148,9 +172,9 @@ def _m_step(x: Array, shares: Array) -> tuple[Array, Array, Array]:
     for k, count in enumerate(counts):
         off = x - means[k]
         covariance = (shares[:, k, None] * off).T @ off / count
-        even = max(float(np.trace(covariance)) / n, _LEAST_DEVIATION**2)
-        covariances[k] = (1.0 - _SHRINKAGE) * covariance + _SHRINKAGE * even * np.eye(n)
-        covariances[k] += _LEAST_DEVIATION**2 * np.eye(n)
+        even = max(float(np.trace(covariance)) / n, SMALLEST_DEVIATION**2)
+        covariances[k] = (1.0 - SHRINKAGE) * covariance + SHRINKAGE * even * np.eye(n)
+        covariances[k] += SMALLEST_DEVIATION**2 * np.eye(n)
     return counts / counts.sum(), means, covariances
 
 
@@ -160,7 +184,9 @@ def _part_logs(x: Array, weights: Array, means: Array, covariances: Array) -> Ar
     for k, covariance in enumerate(covariances):
         factor = np.linalg.cholesky(covariance)
         white = np.linalg.solve(factor, (x - means[k]).T)
-        logs[:, k] = np.log(weights[k]) - np.log(np.diagonal(factor)).sum() - 0.5 * np.sum(white**2, axis=0)
+        logs[:, k] = (
+            np.log(weights[k]) - np.log(np.diagonal(factor)).sum() - 0.5 * np.sum(white**2, axis=0)
+        )
     return logs
 
 
