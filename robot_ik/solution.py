@@ -91,7 +91,7 @@ class Solution:
         iterations, restarts: Steps of all tries; random restarts used.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
-        given, targets: The goals as they were given to the problem, and the matrices (g, 4, 4) that they were moved
+        given, targets: The goals as given to the problem, and the matrices (g, 4, 4) they were moved
             to since; ``goals`` puts the two together.
     """
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import robot_ik as rik
-from robot_ik.solvers import SOLVERS
+from robot_ik.solvers import SOLVERS, able_solvers
 
 Array = NDArray[np.float64]
 
@@ -74,9 +74,10 @@ def stretched(robot: rik.Robot) -> float:
 
 
 def methods() -> Iterator[str]:
-    """Names of the methods that serve poses of the PUMA, without the one that is another's double."""
-    problem = rik.Problem(rik.load_robot("puma560"), rik.PoseGoal(None, (0, 0, 0)))
-    yield from (n for n in SOLVERS if n != "combined" and rik.make_solver(n).applies(problem))
+    """Names of the methods that serve poses of the PUMA, without ``combined``."""
+    robot = rik.load_robot("puma560")
+    able = able_solvers(rik.Problem(robot, robot.forward(robot.home)))
+    yield from (name for name in able if name != "combined")
 
 
 def convergence_table(tables: ModuleType) -> str:
@@ -110,12 +111,11 @@ def targets_table(tables: ModuleType) -> str:
     rows = []
     for name in methods():
         problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), solver=name)
-        solver, cells = rik.make_solver(name), []
+        cells = []
         for cases in sets.values():
             found = []
             for q, start in cases:
-                problem.retarget(robot.forward(q))
-                found.append(problem.solve(start))
+                found.append(problem.solve(start, target=robot.forward(q)))
             steps = [s.iterations for s in found if s.converged]
             share = f"{100 * len(steps) / len(found):.0f} %"
             cells.append(f"{share}, {_steps(steps)}" if steps else share)
@@ -147,11 +147,12 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
     q = robot.home.copy()
     q[_WRIST] = _SWING
     q = rik.solve(robot, rik.PoseGoal.at(None, poses[0]), solver="lm", start=q).require().q
-    problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), budget=rik.Budget(iterations=100, restarts=0), solver=name)
-    solver, changes, misses = rik.make_solver(name), [], []
+    budget = rik.Budget(iterations=100, restarts=0)
+    problem = rik.Problem(robot, poses[0], solver=name, budget=budget)
+    changes = []
+    misses = []
     for pose in poses[1:]:
-        problem.retarget(pose)
-        solution = problem.solve(q)
+        solution = problem.solve(q, target=pose)
         changes.append(float(np.abs(solution.q - q).max()))
         misses.append(solution.error.angle)
         q = solution.q

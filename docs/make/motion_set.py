@@ -38,7 +38,6 @@ from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
-from robot_ik.solvers import make_solver
 
 Array = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1]
@@ -176,7 +175,7 @@ def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tu
     """What is solved for a pose of which feet and right hand alone are known; miss in m, seconds."""
     goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
     goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
-    problem, solver = Problem(robot, [*goals, *extra], solver="lm"), make_solver("lm")
+    problem = Problem(robot, [*goals, *extra], solver="lm")
     start = np.array(robot.home)
     start[:7] = truth[:7]
     problem.solve(start)
@@ -230,7 +229,7 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
     ]
     problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra], solver="lm")
     stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(position)]
-    solver, q = make_solver("lm"), np.array(robot.home)
+    q = np.array(robot.home)
     for one, two in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
             problem.retarget(one + share * (two - one), len(goals))

@@ -272,14 +272,14 @@ def _compile_inner(function: F, **options: Any) -> F:
 def kernel(function: F) -> F:
     """An entry point: compiled on its first call, cached between processes, the GIL released while it runs.
 
-    Entry points may allocate; what loops calls ``pure`` functions.
+    Entry points may allocate; what loops calls ``inlined`` functions.
     """
     with _cache_of(function):
         compiled: F = numba.njit(**_OPTIONS, pipeline_class=KernelCompiler)(function)
     return compiled
 
 
-def pure(function: F) -> F:
+def inlined(function: F) -> F:
     """Inner code: arrays in, arrays changed, nothing allocated, so nothing is reference-counted.
 
     Without this, numba counts references at every array that passes through a tuple or a call: a solver
@@ -288,16 +288,14 @@ def pure(function: F) -> F:
     return _compile_inner(function, forceinline=True)
 
 
-inlined = pure
-
 
 def literal(function: F) -> F:
-    """Like ``pure``, but sums are formed as they are written: where rounding errors shall cancel."""
+    """Like ``inlined``, but sums are formed as they are written: where rounding errors shall cancel."""
     return _compile_inner(function, forceinline=True, fastmath={"contract"})
 
 
 def outlined(function: F) -> F:
-    """Like ``pure`` but never forced into its callers: what is large or called from several places.
+    """Like ``inlined`` but never forced into its callers: what is large or called from several places.
 
     Stated explicitly, as a function first compiled for a forced one would inherit the force.
     """
