@@ -81,6 +81,7 @@ def test_a_typing_error_has_close_names(given, known, close):
         ("replay", ["reach"]),
         ("calibrate", ["camera"]),
         ("--solver", ["--overwrite"]),
+        ("--record", ["--seconds"]),
         ("nojoint", ["root"]),
     ],
 )

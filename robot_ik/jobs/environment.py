@@ -46,7 +46,9 @@ def import_mujoco() -> ModuleType:
     """
     try:
         import mujoco
-    except Exception as reason:  # MuJoCo fails here with AttributeError, RuntimeError, ImportError, …
+    except (
+        Exception
+    ) as reason:  # MuJoCo fails here with AttributeError, RuntimeError, ImportError, …
         value = os.environ.get("MUJOCO_GL", "")
         if value and not isinstance(reason, ModuleNotFoundError):
             raise graphics_error(value, reason) from reason

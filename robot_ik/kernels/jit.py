@@ -94,9 +94,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 # What compiled code of one file takes from another lies in these.
 _WITH_COMPILED_CODE = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
-_IMPORT = re.compile(
-    r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE
-)
+_IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
@@ -149,9 +147,7 @@ def cache_folder(module: str = __name__) -> Path:
         digest.update(source.name.encode())
         digest.update(_imported(source)[0])
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
-    candidates = [
-        Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"
-    ]
+    candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
     with contextlib.suppress(RuntimeError):  # no home folder at all
         candidates.insert(0, _user_cache())
     for base in candidates:
@@ -286,7 +282,6 @@ def inlined(function: F) -> F:
     step then costs 4 µs instead of 0.5.  Such a function may be called from compiled code only.
     """
     return _compile_inner(function, forceinline=True)
-
 
 
 def literal(function: F) -> F:

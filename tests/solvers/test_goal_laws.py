@@ -121,9 +121,7 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
         start = near(robot, 6)
         start.flags.writeable = False
         kept = start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy()
-        fresh = [
-            outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals
-        ]
+        fresh = [outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals]
         for k in (0, 1, 0):
             solution = hot.solve(start, target=goals[k])
             assert outcome(solution) == fresh[k]

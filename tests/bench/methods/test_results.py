@@ -81,7 +81,7 @@ def test_without_matplotlib_it_says_what_to_install(
     results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"robot_ik\[plots\]"):
+    with pytest.raises(MissingExtraError, match=r"robot-ik-testbed\[plots\]"):
         draw(results)
 
 
