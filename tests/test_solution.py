@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.errors import NotConvergedError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 

@@ -65,8 +65,9 @@ class SolveOptions:
 
 def run(options: SolveOptions) -> int:
     """Solves and prints; 0 converged, 1 not."""
+    from robot_ik.budget import Budget
     from robot_ik.goals import Tolerance
-    from robot_ik.problem import Budget, Problem
+    from robot_ik.problem import Problem
     from robot_ik.robot import load_robot
     from robot_ik.solvers import make_solver, solver_name
 

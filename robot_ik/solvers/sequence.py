@@ -9,13 +9,17 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_ik.budget import Budget
 from robot_ik.geometry import Array
-from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import BatchResult, Ints, Prepared
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem
 
 _CONVERGED = Status.CONVERGED
 # A method with such a status was stopped; it did not fail.

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import (
@@ -19,7 +20,7 @@ from robot_ik.goals import (
     PostureGoal,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver

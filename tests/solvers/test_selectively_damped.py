@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.selectively_damped import SelectivelyDamped

@@ -6,10 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.errors import InvalidGoalError, UnsupportedGoalError
 from robot_ik.goals import AimGoal, CenterOfMassGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS

@@ -12,12 +12,13 @@ import numpy as np
 from robot_ik.bench.methods import growth
 from robot_ik.bench.methods.problems import SLACK, ProblemSet, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
+from robot_ik.budget import Budget
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from robot_ik.budget import Budget
 from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.figure.motion.bvh import Bvh, data_at_rest
@@ -28,7 +29,6 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
-from robot_ik.problem import Budget
 from robot_ik.robot import Robot
 
 SIDES = ("left", "right")

@@ -11,7 +11,8 @@ import pytest
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Settings
 from robot_ik.bench.methods.runner import Bench, prepare
-from robot_ik.problem import Budget, Problem
+from robot_ik.budget import Budget
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.theses import s12
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import MissingExtraError
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 
 FEW = 15
 
