@@ -183,7 +183,7 @@ class PreparedSequence:
         results.status[open_rows[unreachable[open_rows]]] = Status.UNREACHABLE
 
     def _costs(self, results: BatchResult) -> Array:
-        """(n,) weighted squares of the misses; below zero for a result that converged."""
+        """(n,) weighted squares of the errors; below zero for a result that converged."""
         costs = ((results.error * self._weight) ** 2).sum(axis=1)
         costs[results.status == _CONVERGED] = -1.0
         return np.asarray(costs)

@@ -68,7 +68,7 @@ def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
 
 
 def honest(robot, solution, tolerance):
-    """q finite and inside, and the status as MuJoCo's miss has it."""
+    """q finite and inside, and the status as MuJoCo's error has it."""
     assert np.isfinite(solution.q).all() and not robot.outside(solution.q)
     within = solution.error.position <= tolerance.position and solution.error.angle <= tolerance.angle
     assert solution.converged == within, (solution, solution.error)

@@ -116,10 +116,10 @@ def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
             PostureGoal(q=figure.home, priority=4),
         ]
         found = solve(figure, goals)
-        misses = found.errors
-        assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
-        assert (misses[3].position < 1e-4) is reached
-        assert misses[4].angle < 1e-3 or not reached
+        errors = found.errors
+        assert max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
+        assert (errors[3].position < 1e-4) is reached
+        assert errors[4].angle < 1e-3 or not reached
         assert not figure.outside(found.q)
 
 
@@ -138,9 +138,9 @@ def test_a_figure_at_full_stretch_keeps_its_feet(seed):
         PostureGoal(q=home, joints={"root": 0.0}, priority=4),
     ]
     start = figure.integrate(home, np.concatenate([np.zeros(6), rng.uniform(-0.3, 0.3, figure.model.nv - 6)]))
-    misses = solve(figure, goals, start=start, solver="lm").errors
-    assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
-    assert misses[3].position == pytest.approx(0.283, abs=0.002)
+    errors = solve(figure, goals, start=start, solver="lm").errors
+    assert max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
+    assert errors[3].position == pytest.approx(0.283, abs=0.002)
 
 
 def test_laws_hold_with_priorities_too(arm):

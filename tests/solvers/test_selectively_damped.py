@@ -115,4 +115,4 @@ def test_many_goals_on_a_floating_base(name, options):
         problem = Problem(robot, [PositionGoal(f, robot.forward(q, f).position) for f in frames], solver=make_solver(name, **options))
         solution = problem.solve()
         assert solution.converged and not robot.outside(solution.q)
-        assert max(miss.position for miss in solution.errors) <= 1e-4
+        assert max(error.position for error in solution.errors) <= 1e-4

@@ -83,7 +83,7 @@ def test_the_improved_version_turns_less_near_the_root():
 
 
 @both
-def test_on_hinges_a_miss_is_honest(improved):
+def test_on_hinges_a_error_is_honest(improved):
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(6)
     budget = Budget(iterations=100, restarts=3)
@@ -91,8 +91,8 @@ def test_on_hinges_a_miss_is_honest(improved):
     for _ in range(10):
         target = robot.forward(robot.sample(rng)).position
         solution = problem.solve(target=target)
-        miss = np.linalg.norm(robot.measure(solution.q).position - target)
-        assert solution.converged == (miss <= 1e-4)
+        error = np.linalg.norm(robot.measure(solution.q).position - target)
+        assert solution.converged == (error <= 1e-4)
         assert np.array_equal(robot.clip(solution.q), solution.q)
 
 

@@ -58,7 +58,7 @@ class Bench:
                 if good:
                     self.cell.largest_step = max(self.cell.largest_step, step)
                     self.cell.jumps += step > JUMP
-                # Lost: put back on the path, so that one miss is one miss.
+                # Lost: put back on the path, so that one error is one error.
                 previous = q if good else self.problems.witnesses[index]
             progress((index + 1) / len(self.problems))
             if time.perf_counter() > deadline and index >= 9:
@@ -120,16 +120,16 @@ def curve(bench: Bench, settings: Settings) -> Curve | None:
     rows, longest = np.full((CURVE_PROBLEMS, CURVE_STEPS), np.nan), 0
     for k, target in enumerate(bench.problems.targets[:CURVE_PROBLEMS]):
         steps = problem.solve(bench.problems.first, target=target).trace
-        best, miss, longest = np.inf, np.nan, max(longest, len(steps))
+        best, error, longest = np.inf, np.nan, max(longest, len(steps))
         for step in steps:
             if step.cost < best:
-                best, miss = step.cost, step.position
-            rows[k, min(step.iteration, CURVE_STEPS) - 1] = miss
-        rows[k, len(steps) :] = miss
+                best, error = step.cost, step.position
+            rows[k, min(step.iteration, CURVE_STEPS) - 1] = error
+        rows[k, len(steps) :] = error
     if longest <= 1:  # a formula
         return None
     cell, middle = bench.cell, np.nanmedian(rows, axis=0).tolist()
-    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, miss=middle)
+    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, error=middle)
 
 
 # ------------------------------------------------------------------------------------------

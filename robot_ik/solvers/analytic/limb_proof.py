@@ -118,7 +118,7 @@ class PreparedProof:
         results: BatchResult,
         budget: Budget,
     ) -> None:
-        """Write the status of each row, with an infinite miss: a proof finds no point."""
+        """Write the status of each row, with an infinite error: a proof finds no point."""
         results.error[...] = np.inf
         for row in range(len(targets)):
             self._target[0] = targets[row]

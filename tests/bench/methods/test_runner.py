@@ -74,7 +74,7 @@ def test_a_solver_that_lies_is_found_out() -> None:
 def test_tracking_starts_at_the_last_answer_and_counts_jumps() -> None:
     problems = make_set("warm", load_robot("puma560"), 12)
     solutions = problems.witnesses.copy()
-    solutions[4] += 0.5  # a miss: the next start is back on the path
+    solutions[4] += 0.5  # an error: the next start is back on the path
     wrist = solutions[8, 3:]  # the same pose with the wrist flipped
     wrist[:] = wrist[0] - np.pi * np.sign(wrist[0]), -wrist[1], wrist[2] - np.pi * np.sign(wrist[2])
     one = bench("warm", solutions)

@@ -118,7 +118,7 @@ def test_without_matplotlib_the_picture_is_refused(monkeypatch: pytest.MonkeyPat
         s12.s12_picture(s12.S12Report())
 
 
-def test_one_miss_fails_the_whole(report: s12.S12Report) -> None:
+def test_one_error_fails_the_whole(report: s12.S12Report) -> None:
     worse = dict(report.tracks)
     worse["best", "lm", 4] = dataclasses.replace(worse["best", "lm", 4], solved=FEW - 1)
     assert dataclasses.replace(report, tracks=worse).failures == [("lm", 4)]

@@ -219,8 +219,8 @@ def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch(name, elbow):
         goal = PoseGoal.at(None, robot.forward(q))
         branches = solve_all(robot, goal, start=q)
         assert branches and not any(robot.outside(branch.q, 0.0) for branch in branches)
-        misses = [goal.error(robot, branch.q, goal.target) for branch in branches]
-        assert np.max(misses) < 2e-6
+        errors = [goal.error(robot, branch.q, goal.target) for branch in branches]
+        assert np.max(errors) < 2e-6
 
 
 def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
