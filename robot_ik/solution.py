@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Array
-from robot_ik.goals import Goal
+from robot_ik.goals import Goal, at_matrix
 from robot_ik.kernels import search
 
 if TYPE_CHECKING:
@@ -114,8 +114,6 @@ class Solution:
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
         """The goals with the targets they had in this solve."""
-        from robot_ik.problem import at_matrix
-
         rows = [goal.rows(self.robot) for goal in self.given]
         return tuple(at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True))
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.errors import (
     InvalidGoalError,
     ModelError,
@@ -18,7 +19,7 @@ from robot_ik.errors import (
     UnsupportedGoalError,
 )
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, able_solvers, make_solver
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver

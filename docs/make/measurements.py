@@ -1,6 +1,6 @@
 """Measures the methods and writes the tables of the pages: `python docs/make/measurements.py`.
 
-A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, misses and joint changes are
+A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, errors and joint changes are
 counted, nothing is timed: one machine gives the same numbers each time.  Other machines may differ in the
 last digit, so the tests look only for a row of every method.
 """
@@ -124,16 +124,16 @@ def targets_table(tables: ModuleType) -> str:
 
 
 def path_table(tables: ModuleType) -> str:
-    """Largest joint change in one tick, and largest miss, along a path past a singular wrist."""
+    """Largest joint change in one tick, and largest error, along a path past a singular wrist."""
     robot = rik.load_robot("puma560")
     rows = []
     for name in methods():
         cells: list[str] = []
         for off in PATHS.values():
-            change, miss = follow(robot, name, off)
-            cells += [f"{np.degrees(change):.1f}°", f"{np.degrees(miss):.2f}°"]
+            change, error = follow(robot, name, off)
+            cells += [f"{np.degrees(change):.1f}°", f"{np.degrees(error):.2f}°"]
         rows.append((_linked(name), *cells))
-    head = [f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest miss")]
+    head = [f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest error")]
     return str(tables.markdown(("method", *head), rows))
 
 
@@ -141,7 +141,7 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
     """Follows the path tick by tick without restarts.
 
     Returns:
-        Largest joint change in a tick and largest miss, rad.
+        Largest joint change in a tick and largest error, rad.
     """
     poses = path(robot, off)
     q = robot.home.copy()
@@ -150,13 +150,13 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
     budget = rik.Budget(iterations=100, restarts=0)
     problem = rik.Problem(robot, poses[0], solver=name, budget=budget)
     changes = []
-    misses = []
+    errors = []
     for pose in poses[1:]:
         solution = problem.solve(q, target=pose)
         changes.append(float(np.abs(solution.q - q).max()))
-        misses.append(solution.error.angle)
+        errors.append(solution.error.angle)
         q = solution.q
-    return max(changes), max(misses)
+    return max(changes), max(errors)
 
 
 def path(robot: rik.Robot, off: float) -> list[rik.Pose]:

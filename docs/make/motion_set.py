@@ -172,7 +172,7 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
 
 
 def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tuple[Array, float, float]:
-    """What is solved for a pose of which feet and right hand alone are known; miss in m, seconds."""
+    """What is solved for a pose of which feet and right hand alone are known; error in m, seconds."""
     goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
     goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
     problem = Problem(robot, [*goals, *extra], solver="lm")
@@ -202,7 +202,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     ]
     rows = {}
     for label, extra in ways.items():
-        q, miss, seconds = zip(*(solve_poses(robot, truth, extra) for truth in poses), strict=True)
+        q, error, seconds = zip(*(solve_poses(robot, truth, extra) for truth in poses), strict=True)
         x, wanted = prior.features(robot, np.array(q)), prior.features(robot, np.array(poses))
         nearest = [float(np.sqrt(np.mean((known - row) ** 2, axis=1)).min()) for row in x]
         off = (x - wanted)[:, unseen] * prior.spread[unseen]
@@ -212,7 +212,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
             "nearest pose": round(float(np.median(nearest)), 2),
             "rms of elbows and spine, degrees": round(float(np.degrees(np.sqrt(np.mean(off**2)))), 1),
             "inside the 99 % contour": round(float(np.mean(energy <= prior.contour)), 2),
-            "largest miss of the hand, mm": round(1e3 * max(miss), 3),
+            "largest error of the hand, mm": round(1e3 * max(error), 3),
             "ms for a pose from home": round(1e3 * float(np.median(seconds)), 2),
         }
     truth_energy = prior.energy(robot, np.array(poses))

@@ -303,8 +303,8 @@ def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
                 "poses": portrait.captions,
                 "status": portrait.solution.status.name,
                 "solver": portrait.solution.solver,
-                "miss_m": portrait.solution.error.position,
-                "miss_rad": portrait.solution.error.angle,
+                "error_m": portrait.solution.error.position,
+                "error_rad": portrait.solution.error.angle,
                 "file": file,
             }
             for portrait, file in drawn

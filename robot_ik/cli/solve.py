@@ -65,8 +65,9 @@ class SolveOptions:
 
 def run(options: SolveOptions) -> int:
     """Solves and prints; 0 converged, 1 not."""
+    from robot_ik.budget import Budget
     from robot_ik.goals import Tolerance
-    from robot_ik.problem import Budget, Problem
+    from robot_ik.problem import Problem
     from robot_ik.robot import load_robot
     from robot_ik.solvers import make_solver, solver_name
 
@@ -146,7 +147,7 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
         "meaning": solution.status.meaning,
         "joints": list(robot.joints),
         "q": solution.q,
-        "miss": {"position": solution.error.position, "angle": solution.error.angle},
+        "error": {"position": solution.error.position, "angle": solution.error.angle},
         "tolerance": {"position": problem.tolerance.position, "angle": problem.tolerance.angle},
         "iterations": solution.iterations,
         "restarts": solution.restarts,
@@ -156,11 +157,11 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
 
 
 def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
-    miss = facts["miss"]
+    error = facts["error"]
     effort = [console.count_of(facts[f"{what}s"], what) for what in ("iteration", "restart")]
     head = (
         ("status", f"{facts['status']}: {facts['meaning']}"),
-        ("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg"),
+        ("error", f"{1e3 * error['position']:.4f} mm, {math.degrees(error['angle']):.4f} deg"),
         ("effort", ", ".join(effort)),
         ("time", f"{1e6 * facts['seconds']:.0f} µs"),
     )

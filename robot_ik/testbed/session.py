@@ -128,7 +128,7 @@ class View:
         seen.update(json.dumps(fields).encode())
         arrays = [self.ball.position, self.ball.wxyz]
         for one in self.instances:
-            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.miss, one.angle))]
+            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.error, one.angle))]
         arrays += [branch.q for branch in self.branches]
         for array in arrays:
             seen.update(np.ascontiguousarray(array, dtype=float).tobytes())

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robot_ik.branches import Branch, solve_all
+from robot_ik.budget import Budget
 from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
@@ -35,7 +36,7 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.batch import solve_batch
+from robot_ik.budget import Budget
 from robot_ik.errors import (
     GoalError,
     InvalidGoalError,
@@ -29,7 +30,7 @@ from robot_ik.goals import (
     Tolerance,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
 from tests.solvers.law_cases import served

@@ -5,8 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from tests.solvers.law_cases import general, goal_of, inside, measured, outcome
 

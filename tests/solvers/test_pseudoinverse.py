@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import OptionError
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers.pseudoinverse import Pseudoinverse
 from tests.residual_rows import columns_of

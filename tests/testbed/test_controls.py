@@ -217,7 +217,7 @@ def test_a_row_says_how_the_last_solve_ended_and_what_is_off(session: Session) -
     one = session.view().instances[0]
     row = MeasuredPanel._row(0, one, acting=False)
     assert one.status != "converged" and f"<small>{one.status}</small>" in row and "mm</td>" in row
-    aimed = dataclasses.replace(one, miss=0.0, angle=0.5)
+    aimed = dataclasses.replace(one, error=0.0, angle=0.5)
     assert aimed.off == "28.65°" and "28.65°</td>" in MeasuredPanel._row(0, aimed, acting=False)
 
 

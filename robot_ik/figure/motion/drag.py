@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.budget import Budget
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose, vector
 from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal
@@ -21,7 +22,6 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import require_positive
 from robot_ik.ports import Array
-from robot_ik.problem import Budget
 from robot_ik.robot import Robot
 
 # The start of a solve is one tick from its solution, so restarts are not needed.

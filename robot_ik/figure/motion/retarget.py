@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from robot_ik.budget import Budget
 from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.figure.motion.bvh import Bvh, data_at_rest
@@ -28,7 +29,6 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
-from robot_ik.problem import Budget
 from robot_ik.robot import Robot
 
 SIDES = ("left", "right")
@@ -130,13 +130,13 @@ class Retargeted:
 
     Attributes:
         motion: Ours.
-        hand_miss: (n, 2) metres between the left and right hand and where they should be.
+        hand_error: (n, 2) metres between the left and right hand and where they should be.
         rests: (n, 2) whether the left and right foot is pinned.
         scale: Our metres for a unit of the file, by the legs.
     """
 
     motion: Keyframes
-    hand_miss: Array = field(repr=False)
+    hand_error: Array = field(repr=False)
     rests: NDArray[np.bool_] = field(repr=False)
     scale: float
 
@@ -367,9 +367,9 @@ def retarget(
     bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
     ours = _Measures(robot, bodies)
     paths, rests, scale = _targets(bvh, indices, ours, rest, up)
-    rows, miss = _solve_frames(robot, bodies, paths)
+    rows, error = _solve_frames(robot, bodies, paths)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
-    return Retargeted(motion, miss, rests, scale)
+    return Retargeted(motion, error, rests, scale)
 
 
 def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array) -> list[Goal]:
@@ -391,16 +391,16 @@ def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array
 def _solve_frames(
     robot: Robot, bodies: Mapping[str, str], paths: Mapping[str, Any]
 ) -> tuple[list[Array], Array]:
-    """Joint vectors (n, nq) and the misses of the hands (n, 2)."""
+    """Joint vectors (n, nq) and the errors of the hands (n, 2)."""
     rows: list[Array] = []
-    q, miss = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
+    q, error = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
     base = free_base(robot)
     if base is not None:
         q[base][:3] += paths["pelvis"][0].position - robot.forward(q, bodies["pelvis"]).position
-    for k in range(len(miss)):
+    for k in range(len(error)):
         goals = _goals(bodies, paths, k, robot.home)
         q = solve(robot, goals, solver="lm", start=q, budget=_BUDGET if k else _FIRST_BUDGET).q
         rows.append(q)
         for i, role in enumerate(f"{side}_wrist" for side in SIDES):
-            miss[k, i] = np.linalg.norm(robot.forward(q, bodies[role]).position - paths[role][k])
-    return rows, miss
+            error[k, i] = np.linalg.norm(robot.forward(q, bodies[role]).position - paths[role][k])
+    return rows, error

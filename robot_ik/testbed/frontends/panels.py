@@ -342,7 +342,7 @@ class GoalsPanel:
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
         self._folder = gui.add_folder(None)
-        self._misses = gui.add_html("")
+        self._errors = gui.add_html("")
         self._rows: dict[str, tuple[Control | None, Control]] = {}
 
     def _picked(self, value: str) -> None:
@@ -369,7 +369,7 @@ class GoalsPanel:
             (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
         ]
-        self._misses.content = page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else "")
+        self._errors.content = page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else "")
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._folder._children.values()):

@@ -224,11 +224,11 @@ def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
     page = (docs / "how-to" / "poses.md").read_text(encoding="utf-8")
     labels = {"goals alone": "goals alone", "with a posture goal": "with a soft posture (home)"}
     for name, row in found["rows"].items():
-        degrees, inside, nearest, miss = (
+        degrees, inside, nearest, error = (
             row["rms of elbows and spine, degrees"], row["inside the 99 % contour"], row["nearest pose"],
-            row["largest miss of the hand, mm"],
+            row["largest error of the hand, mm"],
         )  # fmt: skip
-        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {miss:.2f} mm |"
+        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
         assert line.replace("%", " %") in page
     assert f"Held out were {found['held out']} of {found['motions']} motions" in page
     assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
