@@ -229,9 +229,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # ------------------------------------------------------------------------------- all are found
 
-READING = {name for name in vars(config) if re.match(r"(read|parse)(_|$)", name)} | {
-    "read_model"
-}
+READING = {name for name in vars(config) if re.match(r"(read|parse)(_|$)", name)} | {"read_model"}
 
 FOREIGN = {
     "tomllib.loads", "tomllib.load", "json.loads", "json.load", "yaml.load", "yaml.safe_load",
@@ -313,8 +311,7 @@ def _readers() -> set[str]:
         imported = {
             alias.name
             for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom)
-            and node.module in ("robot_ik.config", "robot_ik.model")
+            if isinstance(node, ast.ImportFrom) and node.module in ("robot_ik.config", "robot_ik.model")
             for alias in node.names
         }
         for node in ast.walk(tree):

@@ -24,7 +24,11 @@ from robot_ik.solvers import SOLVERS, able_solvers, make_solver
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver
 
-ITERATIVE = [name for name, kind in SOLVERS.items() if (issubclass(kind, IterativeSolver) or hasattr(kind, 'first_steps'))]
+ITERATIVE = [
+    name
+    for name, kind in SOLVERS.items()
+    if (issubclass(kind, IterativeSolver) or hasattr(kind, "first_steps"))
+]
 
 
 @pytest.fixture(scope="module")

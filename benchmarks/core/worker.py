@@ -5,8 +5,8 @@
     python worker.py batch ROBOT METHOD
     python worker.py compile ROBOT METHOD
 
-Prints one line of JSON. It knows the calls of both designs: the solver that takes a problem, and the
-problem that owns its solver.
+Prints one line of JSON. It knows the calls of both designs: the solver that takes a problem, and
+the problem that owns its solver.
 """
 
 from __future__ import annotations

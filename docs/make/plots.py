@@ -82,9 +82,7 @@ def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
     pose = robot.forward(robot.home)
     goal = rik.PoseGoal.at(None, pose) if task.pose else rik.PositionGoal(None, pose.position)
     try:
-        problem = rik.Problem(
-            robot, goal, solver=name, tolerance=TOLERANCE, budget=BUDGET, trace=True
-        )
+        problem = rik.Problem(robot, goal, solver=name, tolerance=TOLERANCE, budget=BUDGET, trace=True)
     except rik.RobotIkError:
         return None
     residuals, steps = [], []

@@ -77,9 +77,7 @@ def run(options: SolveOptions) -> int:
     solver = make_solver(name, **solver_options(name, options.set))
     tolerance = Tolerance(position=options.position_tolerance, angle=options.angle_tolerance)
     budget = Budget(iterations=options.iterations, restarts=options.restarts)
-    problem = Problem(
-        robot, goal, solver=solver, tolerance=tolerance, budget=budget, seed=options.seed
-    )
+    problem = Problem(robot, goal, solver=solver, tolerance=tolerance, budget=budget, seed=options.seed)
     start = options.start or None
     with console.busy("solving"):
         problem.solve(start)

@@ -288,7 +288,6 @@ def inlined(function: F) -> F:
     return _compile_inner(function, forceinline=True)
 
 
-
 def literal(function: F) -> F:
     """Like ``inlined``, but sums are formed as they are written: where rounding errors shall cancel."""
     return _compile_inner(function, forceinline=True, fastmath={"contract"})

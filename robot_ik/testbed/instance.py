@@ -220,9 +220,7 @@ class Instance:
     def measure_statistics(self, goals: RobotGoals, ball: Pose) -> None:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
         self._statistics = Statistics.of(self._solves)
-        self._goals = tuple(
-            (name, *goal.error(self.robot, self.q)) for name, goal in goals.named(ball)
-        )
+        self._goals = tuple((name, *goal.error(self.robot, self.q)) for name, goal in goals.named(ball))
 
     def view(self) -> InstanceView:
         """What is seen of it."""

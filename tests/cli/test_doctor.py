@@ -238,9 +238,7 @@ def test_free_port_then_used_port() -> None:
 
 
 @linux
-@pytest.mark.parametrize(
-    ("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)]
-)
+@pytest.mark.parametrize(("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)])
 def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = tmp_path / "ttyUSB7"
     port.write_text("")

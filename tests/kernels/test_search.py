@@ -14,7 +14,8 @@ RUN = Layout("Draws", tree=TREE, goals=GOALS, search=SEARCH)
 open_run = RUN.open
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
-<body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
+<body name="a"><joint name="hinge" range="0.2 0.9"/>
+ <joint name="slide" type="slide" range="-0.3 0.1"/>
  <geom size="0.1"/>
  <body name="b"><joint name="ball" type="ball" range="0 0.7" limited="true"/><geom size="0.1"/>
   <body name="c"><joint name="still" range="-1 1"/><joint name="endless"/><geom size="0.1"/></body>
@@ -84,5 +85,7 @@ def test_the_same_seed_gives_the_same_bits_and_others_do_not(load_xml):
 def test_joints_that_do_not_matter_are_left_alone(load_xml):
     robot = load_xml(MIXED)
     out = starts(robot, 3, 20, joints=("hinge", "ball"))
-    assert not out[:, [1, 6, 7]].any() and np.array_equal(out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1)))
+    assert not out[:, [1, 6, 7]].any() and np.array_equal(
+        out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1))
+    )
     assert out[:, 0].std() > 0 and out[:, 3].std() > 0

@@ -205,7 +205,9 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
         if problem is None:
             continue
         solution = problem.solve(np.full(6, 0.1))
-        assert solution.converged and solution.iterations == 0 and solution.error == rik.solution.Deviation(0, 0)
+        assert (
+            solution.converged and solution.iterations == 0 and solution.error == rik.solution.Deviation(0, 0)
+        )
         assert np.array_equal(solution.q, puma.clip(np.full(6, 0.1)))
 
 

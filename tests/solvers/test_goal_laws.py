@@ -122,9 +122,7 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
         start = near(robot, 6)
         start.flags.writeable = False
         kept = start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy()
-        fresh = [
-            outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals
-        ]
+        fresh = [outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals]
         for k in (0, 1, 0):
             solution = hot.solve(start, target=goals[k])
             assert outcome(solution) == fresh[k]
@@ -194,7 +192,8 @@ def test_following_goals_of_every_kind(robots, name, kind):
     recorder = RecorderSink(robot.joints)
     goals = [goals_near(robot, seed)[kind] for seed in (0, 1)]
     report = follow(
-        robot, ScriptSource([(0.0, goals[0]), (0.8, goals[1])]), sinks=[recorder], solver=name, clock=VirtualClock(),
+        robot, ScriptSource([(0.0, goals[0]), (0.8, goals[1])]), sinks=[recorder], solver=name,
+        clock=VirtualClock(),
         start=robot.home, duration=1.6, rate=50.0, tolerance=TOLERANCE,
     )  # fmt: skip
     path = recorder.trajectory()

@@ -118,7 +118,9 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
     for robot in tied.values():
-        problem = served(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name)
+        problem = served(
+            robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name
+        )
         if problem is None:
             continue
         start = near(robot, 2, 0.1)

@@ -135,7 +135,9 @@ TICKS, SETTLING, STILL = 140, 100, 1e-3
 def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     robot = robots(robot_name)
     budget = Budget(restarts=FLOORS["tracking_restarts"][name])
-    problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget, solver=name)
+    problem = Problem(
+        robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget, solver=name
+    )
     make_solver(name)
     q, largest = robot.home, 0.0
     for tick in range(TICKS):
@@ -158,7 +160,9 @@ def test_law_7_budgets_hold(name, robot_name, robots):
         assert solution.iterations <= iterations
         if iterations < 130:
             assert solution.status is Status.ITERATION_LIMIT
-    assert np.array_equal(Problem(robot, goal, budget=Budget(iterations=0), solver=solver).solve().q, robot.home)
+    assert np.array_equal(
+        Problem(robot, goal, budget=Budget(iterations=0), solver=solver).solve().q, robot.home
+    )
     assert Problem(robot, goal, budget=Budget(restarts=0), solver=solver).solve().restarts == 0
     assert Problem(robot, goal, budget=Budget(restarts=3), solver=solver).solve().restarts <= 3
     none = Problem(robot, goal, budget=Budget(seconds=0.0), solver=solver).solve()

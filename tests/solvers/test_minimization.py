@@ -55,9 +55,7 @@ def slope_by_differences(problem, q, step=1e-5):
     return np.array(slope)
 
 
-@pytest.mark.parametrize(
-    ("robot_name", "kind"), [("puma560", "pose"), ("planar", "position")]
-)
+@pytest.mark.parametrize(("robot_name", "kind"), [("puma560", "pose"), ("planar", "position")])
 def test_the_first_step_goes_down_the_slope_that_differences_find(robot_name, kind, near_problems, one_step):
     for problem, q in near_problems(robot_name, kind):
         slope = slope_by_differences(problem, q)
@@ -145,7 +143,12 @@ def test_linear_equalities_hold_at_every_step(tmp_path):
     rng = np.random.default_rng(1)
     for _ in range(3):
         start, there = robot.sample(rng), robot.sample(rng)
-        problem = Problem(robot, PositionGoal(None, 1.3 * robot.forward(there).position), tolerance=FINE, solver=Minimization())
+        problem = Problem(
+            robot,
+            PositionGoal(None, 1.3 * robot.forward(there).position),
+            tolerance=FINE,
+            solver=Minimization(),
+        )
         for steps in range(1, 15):
             problem.budget = Budget(iterations=steps, restarts=0)
             q = problem.solve(start).q

@@ -112,7 +112,11 @@ def test_many_goals_on_a_floating_base(name, options):
     for _ in range(3):
         q = robot.sample(rng)
         frames = ("left_hand", "right_hand", "left_foot", "right_foot")
-        problem = Problem(robot, [PositionGoal(f, robot.forward(q, f).position) for f in frames], solver=make_solver(name, **options))
+        problem = Problem(
+            robot,
+            [PositionGoal(f, robot.forward(q, f).position) for f in frames],
+            solver=make_solver(name, **options),
+        )
         solution = problem.solve()
         assert solution.converged and not robot.outside(solution.q)
         assert max(error.position for error in solution.errors) <= 1e-4

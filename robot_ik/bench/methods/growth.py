@@ -67,7 +67,17 @@ def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
     node, local = robot.attachment()
     nodes = np.array(robot.tree.ancestors(node), dtype=np.int64)
     world, scratch, out = np.empty((robot.tree.size, 12)), np.empty((2, 12)), np.empty((1, 12))
-    common = (robot.tree.block.address, nodes, node, local[None, :], qs, np.empty(robot.nq), world, scratch, out)
+    common = (
+        robot.tree.block.address,
+        nodes,
+        node,
+        local[None, :],
+        qs,
+        np.empty(robot.nq),
+        world,
+        scratch,
+        out,
+    )
     jacobian = np.empty((6, robot.nv))
     forward_us = round(_best(lambda: loop_forward(*common)) / _LOOP, 4)
     jacobian_us = round(_best(lambda: loop_jacobian(*common, jacobian)) / _LOOP, 4)

@@ -168,9 +168,7 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
                     budget=budget,
                     seed=report.seed,
                 )
-                report.tracks[variant, name, case.number] = track(
-                    problem, targets, witnesses[0], show
-                )
+                report.tracks[variant, name, case.number] = track(problem, targets, witnesses[0], show)
                 done += 1
     report.complete = True
     return report

@@ -53,7 +53,9 @@ class Probe:
 
     ok: bool  # it ran to its end
     text: str  # its output when it did; else the last line of its complaint
-    late: bool = False  # it was stopped because its time was over, which proves nothing on a busy machine
+    late: bool = (
+        False  # it was stopped because its time was over, which proves nothing on a busy machine
+    )
 
 
 def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | None = None) -> Probe:

@@ -39,9 +39,7 @@ class Scripted(Solver):
         calls.append(problem.search.arrays["start"].copy())
         q = np.array(self.solutions[(len(calls) - 1) % len(self.solutions)])
         targets = problem.search.arrays["target"].reshape(-1, 4, 4).copy()
-        return Solution(
-            q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets
-        )
+        return Solution(q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets)
 
 
 calls: list[np.ndarray] = []

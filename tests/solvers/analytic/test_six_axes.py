@@ -310,7 +310,9 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
     rng = np.random.default_rng(seed)
     robot = random_arm(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
     solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
-    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance, solver=solver)
+    problem = Problem(
+        robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance, solver=solver
+    )
     for _ in range(40):
         luck = rng.random(6)
         q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))
