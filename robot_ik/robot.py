@@ -369,7 +369,8 @@ class Robot:
         world = np.empty((self.tree.size, 12))
         scratch = np.empty((2, 12))
         address = self.tree.block.address
-        inputs = (address, nodes, node, local[None, :], self.check_q(q))
+        # A copy: numba would compile the forward pass again for an array that is read-only.
+        inputs = (address, nodes, node, local[None, :], self.check_q(q).copy())
         return *inputs, world, scratch, *outputs
 
     @cached_property
