@@ -107,7 +107,7 @@ class Tree:
         return nodes[::-1]
 
     def reach(self, node: int, local: Array) -> tuple[Array, float] | None:
-        """Return a ball that the frame ``local`` (12,) on ``node`` cannot leave; see ``Robot.reach``.
+        """Return centre and radius of a ball that a frame ``local`` (12,) on ``node`` cannot leave.
 
         It is None if the base floats or a slide is unlimited.
         """

@@ -175,7 +175,7 @@ def install_fake(folder: Path, name: str, version: str) -> None:
 
 def test_our_own_distribution_is_found() -> None:
     status, found, _ = doctor.check_distribution(SOON)
-    assert status == environment.OK and found.startswith("robot-ik-testbed ")
+    assert status == checks.OK and found.startswith("robot-ik-testbed ")
 
 
 @pytest.mark.parametrize("name", ["robot-ik", "robot_ik"])
@@ -185,7 +185,7 @@ def test_another_project_with_our_import_name_is_a_problem(
     install_fake(tmp_path, name, "0.4.0")
     monkeypatch.syspath_prepend(tmp_path)
     status, found, do = doctor.check_distribution(SOON)
-    assert status == environment.PROBLEM and "robot-ik 0.4.0 is another project" in found
+    assert status == checks.PROBLEM and "robot-ik 0.4.0 is another project" in found
     assert do.startswith("pip uninstall -y robot-ik && ") and do.endswith(" robot-ik-testbed")
 
 
@@ -196,13 +196,13 @@ def test_metadata_that_a_build_left_behind_is_no_problem(
     info.mkdir()
     (info / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: robot_ik\nVersion: 0.1.0\n")
     monkeypatch.syspath_prepend(tmp_path)
-    assert doctor.check_distribution(SOON)[0] == environment.OK
+    assert doctor.check_distribution(SOON)[0] == checks.OK
 
 
 def test_a_checkout_that_is_not_installed_is_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "version_of", lambda name: "")
     status, _, do = doctor.check_distribution(SOON)
-    assert status == environment.NOTE and do == "pip install robot-ik-testbed"
+    assert status == checks.NOTE and do == "pip install robot-ik-testbed"
 
 
 def test_broken_mujoco_gl_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:

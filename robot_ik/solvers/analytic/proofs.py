@@ -1,9 +1,9 @@
 """Proofs that no joint angles inside the limits bring the frame within tolerance of its target.
 
 The proofs follow the formulas of the closed forms with intervals in place of numbers. The centre
-of the wrist is known to the tolerance of the position, plus the tolerance of the angle times the length
-of the tool. If every branch ends in an empty set or beyond a limit, the goal is unreachable. Near
-singular poses the intervals grow until nothing can be proven. They are never too small.
+of the wrist is known to the tolerance of the position, plus the tolerance of the angle times the
+length of the tool. If every branch ends in an empty set or beyond a limit, the goal is unreachable.
+Near singular poses the intervals grow until nothing can be proven. They are never too small.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 

@@ -245,8 +245,8 @@ def spherical_wrist(form, target):
 def three_parallel(form):
     """Find all branches of an arm with parallel axes 2, 3, 4 and intersecting axes 5, 6.
 
-    Universal Robots builds such arms. Fills ``form.branches`` (8, 6), which is cleared, with the row
-    4·shoulder + 2·flip + elbow.
+    Universal Robots builds such arms. Fills ``form.branches`` (8, 6), which is cleared, with the
+    row 4·shoulder + 2·flip + elbow.
     """
     noinline()
     axes = form.axes
@@ -291,7 +291,7 @@ def three_parallel(form):
             q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, u), held)  # R5ᵀ u
             q6 = -q6
             # If axis 6 is parallel to the three, only θ ± q6 matters. Each elbow takes the q6
-            # nearest to the start for which the elbow reaches and all angles are inside their limits.
+            # nearest to the start for which the elbow reaches and all angles are inside limits.
             free = weight <= ALIGNED * ALIGNED
             settled = 0
             for k in range(_FREE_TRIES if free else 1):

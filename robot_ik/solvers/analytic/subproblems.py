@@ -50,7 +50,8 @@ def angle_between(k, p, q):
     """Subproblem 1: return the angle about k from p to q, and the product of their distances to k.
 
     If the product is zero, every angle is a solution. The parts along k are removed first.
-    Otherwise the products of vectors nearly parallel to k, as near a singular pose, would cancel all digits.
+    Otherwise the products of vectors nearly parallel to k, as near a singular pose, would cancel
+    all digits.
     """
     p = so3.subtract(p, so3.scale(so3.dot(k, p), k))
     q = so3.subtract(q, so3.scale(so3.dot(k, q), k))
@@ -148,7 +149,8 @@ FORM = Layout(
 RUN = Layout("ClosedFormRun", tree=TREE, goals=GOALS, search=SEARCH, form=FORM)
 open_run = RUN.open
 
-# What a run is for: the solution; every branch, even for a start at the goal; only measuring the start.
+# Modes of a run: find the solution; find every branch, even for a start at the goal; only measure
+# the start.
 SOLVE, EVERY, START_ONLY = range(3)
 
 
