@@ -22,7 +22,7 @@ MOST_NAMES = 30
 """Names that a message lists at most."""
 
 DISTRIBUTION = "robot-ik-testbed"
-"""Name on the package index. ``robot-ik`` there is another project that installs ``robot_ik`` too."""
+"""Name on the package index. ``robot-ik`` is another project, which installs ``robot_ik`` too."""
 
 
 def install_command(extra: str = "") -> str:
@@ -428,7 +428,7 @@ class ModelError(RobotIkError):
 
 
 class InvalidModelError(ModelError, ValueError):
-    """A model cannot be built from the given values, or a value is not a name, path, text or spec."""
+    """A model cannot be built from the given values, or a value has a wrong type."""
 
 
 class InvalidPoseError(RobotIkError, ValueError):
@@ -519,7 +519,7 @@ class ProblemInUseError(RobotIkError):
     def __init__(self) -> None:
         super().__init__(
             "this Problem is being solved by another thread: its arrays are in use",
-            hint="give each thread a Problem of its own (copy.copy(problem)), or let them take turns",
+            hint="give each thread its own Problem (copy.copy(problem)), or let them take turns",
         )
 
 

@@ -59,7 +59,7 @@ def test_the_rows_are_the_energy_and_their_slope_its_gradient(
     problem = Problem(robot, PosePriorGoal(prior=prior, weight=weight))
     for q in some_poses(robot, 3, size=0.4):
         rows = rows_at(problem, q)
-        energy = prior.energy(robot, q) - prior.least
+        energy = prior.energy(robot, q) - prior.min_energy
         assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
         assert rows.cost / weight**2 == pytest.approx(energy, rel=1e-9, abs=1e-9)
         gradient = np.zeros(robot.nv)
@@ -87,7 +87,7 @@ def test_gauss_newton_steps_never_make_a_pose_less_likely(
             energies.append(prior.energy(robot, q))
         # Leans and balls are no linear features: a little is left to them while steps are long.
         assert (np.diff(energies) < 1e-2 * max(1.0, energies[0] - energies[-1])).all()
-        assert energies[-1] < energies[0] and energies[-1] >= prior.least - 1e-9
+        assert energies[-1] < energies[0] and energies[-1] >= prior.min_energy - 1e-9
 
 
 def test_place_and_heading_say_nothing(humanoid: rik.Robot) -> None:
@@ -228,7 +228,9 @@ def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
             row["rms of elbows and spine, degrees"], row["inside the 99 % contour"], row["nearest pose"],
             row["largest error of the hand, mm"],
         )  # fmt: skip
-        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
+        line = (
+            f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
+        )
         assert line.replace("%", " %") in page
     assert f"Held out were {found['held out']} of {found['motions']} motions" in page
     assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
