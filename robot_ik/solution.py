@@ -127,7 +127,9 @@ class Solution:
     @property
     def error(self) -> Deviation:
         """Largest error of the goals that are not soft, measured by MuJoCo on first access."""
-        needed = [error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft]
+        needed = [
+            error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft
+        ]
         return Deviation(
             position=max((error.position for error in needed), default=0.0),
             angle=max((error.angle for error in needed), default=0.0),

@@ -154,7 +154,9 @@ def cache_folder(module: str = __name__) -> Path:
         digest.update(source.name.encode())
         digest.update(_imported(source)[0])
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
-    candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
+    candidates = [
+        Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"
+    ]
     with contextlib.suppress(RuntimeError):  # no home folder at all
         candidates.insert(0, _user_cache())
     for base in candidates:
