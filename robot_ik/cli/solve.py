@@ -145,7 +145,7 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
         "goal": {"position": wanted.position, "wxyz": wanted.wxyz if goal.weights[1] > 0.0 else None},
         "converged": solution.converged,
         "status": solution.status.name.lower(),
-        "meaning": solution.status.meaning,
+        "meaning": solution.meaning,
         "joints": list(robot.joints),
         "q": solution.q,
         "miss": {"position": solution.error.position, "angle": solution.error.angle},
