@@ -87,7 +87,7 @@ class PreparedSequence:
         self._start = problem.search.arrays["start"]
         self._weight = problem.compiled.block.arrays["weight"][0]
         self._attempts = attempts
-        self.has_branches = any(attempt.has_branches for attempt in attempts)
+        self.proves_best = any(attempt.proves_best for attempt in attempts)
         self._hand_over = hand_over and len(attempts) > 1
 
     def run(self, problem: Problem, budget: Budget) -> Solution:
@@ -107,8 +107,8 @@ class PreparedSequence:
         """Try the other methods after ``first`` has failed, within what is left of the budget."""
         if is_proven_best(first):
             return first
-        if first.status is Status.UNREACHABLE and attempts[0].name == attempts[-1].name:
-            return first  # proven, and the last attempt would find the same point
+        if first.status is Status.UNREACHABLE and not self._later_improves(attempts):
+            return first
         began = time.perf_counter() - first.seconds
         traces = [] if first.trace_rows is None else [first.trace_rows]
         progress = _Progress.of(first, self._search["best_cost"])
@@ -162,7 +162,7 @@ class PreparedSequence:
         unreachable = results.status == Status.UNREACHABLE
         last = results.status.copy()
         open_rows = np.flatnonzero((results.status != _CONVERGED) & ~proven_best(results))
-        if attempts[0].name == attempts[-1].name:
+        if not self._later_improves(attempts):
             open_rows = open_rows[~unreachable[open_rows]]
         for attempt in attempts[1:]:
             futile = unreachable | (self._hand_over and attempt is not attempts[-1])
@@ -185,6 +185,12 @@ class PreparedSequence:
         for status in _STOPPED:
             results.status[open_rows[last[open_rows] == status]] = status
         results.status[open_rows[unreachable[open_rows]]] = Status.UNREACHABLE
+
+    @staticmethod
+    def _later_improves(attempts: Sequence[Prepared]) -> bool:
+        """Return whether a later attempt may improve the point of the first, proven unreachable."""
+        same_method = attempts[0].name == attempts[-1].name  # it would find the same point
+        return not same_method or any(attempt.proves_best for attempt in attempts)
 
     def _costs(self, results: BatchResult) -> Array:
         """(n,) weighted squares of the misses; below zero for a result that converged."""

@@ -568,7 +568,7 @@ class PreparedFiveJoint:
     """The closed form of a five-joint arm, made ready for one problem."""
 
     name = "analytic"
-    has_branches = True
+    proves_best = True
 
     def __init__(self, form: FiveJointForm, problem: Problem) -> None:
         self.form = form

@@ -73,7 +73,7 @@ class PreparedProof:
     """The proof made ready for one problem. A solve ends UNREACHABLE, or STALLED without a proof."""
 
     name = "proof"
-    has_branches = False
+    proves_best = False
 
     def __init__(self, limb: Limb, problem: Problem) -> None:
         blocks = {

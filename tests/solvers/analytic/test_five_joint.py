@@ -118,6 +118,10 @@ def test_a_position_out_of_reach_is_proven_and_the_nearest_is_kept(name):
         checked += 1
         assert solution.status is rik.Status.UNREACHABLE
         assert "out of reach" in solution.meaning
+        # From a start near the goal ``auto`` tries lm first.
+        plain = rik.solve(robot, goal.target, start=solution.q)
+        assert plain.status is rik.Status.UNREACHABLE
+        assert plain.error.position < solution.error.position + 1e-5
         for _ in range(6):
             q = robot.sample(rng)
 
