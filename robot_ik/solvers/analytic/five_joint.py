@@ -294,7 +294,7 @@ def solve_run(run, mode):
     if run.target.range < ON_AXIS and run.arm.radius < ON_AXIS:
         run.find.branches = 0
         return  # the pan is free: there are two parameters
-    if mode == TRACK and branches.track(run.arm, run.target, run.find):
+    if mode == TRACK and track(run):
         take_joint_angles(run, 0)
         within = close_position(run)
         distance = state.miss[run.position_goal, 0]
@@ -312,6 +312,14 @@ def solve_run(run, mode):
         state.status = CONVERGED if within else STALLED
     elif complete and mode != EVERY:
         take_nearest(run)
+
+
+@outlined
+def track(run):
+    """Solve on the branch of the start: near the start, or else anywhere on the branch."""
+    if branches.track(run.arm, run.target, run.find):
+        return True
+    return branches.solve_first_branch(run.arm, run.target, run.find)
 
 
 @outlined

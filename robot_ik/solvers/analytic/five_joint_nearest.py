@@ -26,9 +26,10 @@ from robot_ik.solvers.analytic.five_joint_pitch import (
 # Turns that are tried, and starts of the pan.
 _TURNS = 33
 _PANS = 4
-# Alternations of pan and plane; m: smallest improvement that goes on.
-_MAX_ALTERNATIONS = 40
-_NO_IMPROVEMENT = 1e-12
+# Alternations of pan and plane, and of the last polish; m: smallest improvement that goes on.
+_ALTERNATIONS = 40
+_LAST_ALTERNATIONS = 1000
+_NO_IMPROVEMENT = 1e-13
 # rad: step of the turn at which the refinement ends, and the factor of each step.
 _LAST_TURN_STEP = 1e-9
 _STEP_FACTOR = 0.6
@@ -212,13 +213,13 @@ def clipped_pan(arm, pan):
 
 
 @outlined
-def solve_turn(arm, target, nearest, turn, pan):
+def solve_turn(arm, target, nearest, turn, pan, alternations):
     """Return the smallest distance at a fixed turn, from a pan angle on; write nearest.trial."""
     across = arm.side + arm.radius * math.sin(turn)
     tool = tool_at_turn(arm, turn)
     last = math.inf
     nearest.trial[4] = turn - arm.turn_zero
-    for _ in range(_MAX_ALTERNATIONS):
+    for _ in range(alternations):
         lateral = target.range * math.sin(target.azimuth - pan) - across
         forward = target.range * math.cos(target.azimuth - pan)
         point = complex(forward, -target.height) - shoulder_of(arm)
@@ -256,7 +257,7 @@ def solve_nearest(arm, target, nearest):
         else:
             pan = arm.lower[0] if k == 2 else arm.upper[0]
         for j in range(_TURNS):
-            distance = solve_turn(arm, target, nearest, low + j * width, pan)
+            distance = solve_turn(arm, target, nearest, low + j * width, pan, _ALTERNATIONS)
             if distance < best:
                 best = distance
                 best_turn = low + j * width
@@ -266,9 +267,13 @@ def solve_nearest(arm, target, nearest):
         step *= _STEP_FACTOR
         for sign in (-1.0, 1.0):
             turn = min(high, max(low, best_turn + sign * step))
-            distance = solve_turn(arm, target, nearest, turn, nearest.q[0])
+            distance = solve_turn(arm, target, nearest, turn, nearest.q[0], _ALTERNATIONS)
             if distance < best:
                 best = distance
                 best_turn = turn
                 keep_trial(nearest)
+    distance = solve_turn(arm, target, nearest, best_turn, nearest.q[0], _LAST_ALTERNATIONS)
+    if distance < best:
+        best = distance
+        keep_trial(nearest)
     return best

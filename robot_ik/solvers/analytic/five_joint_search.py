@@ -63,6 +63,8 @@ _SAME_EXCESS = 1e-6
 _WORTH_POLISHING = math.radians(0.5)
 # rad: half width of the parameters that ``track`` searches around the start.
 _TRACK_WINDOW = 0.15
+# rad: an optimum nearer than this to an end of the window is outside.
+_AT_WINDOW_END = 1e-4
 # rad: a joint that would move farther in one step of ``track`` jumps.
 _LONGEST_STEP = 1.0
 # Pieces of one branch, cuts of the parameter, and branches: two of the pan, up to four of the elbow.
@@ -633,6 +635,20 @@ def solve_branch(arm, target, search, branch, every):
 
 
 @outlined
+def solve_first_branch(arm, target, search):
+    """Search the branch of the start alone; return whether it has a configuration."""
+    order_branches(arm, target, search)
+    search.known = math.inf
+    search.best[0, _ANGLE] = math.inf
+    take_branch(arm, target, search, 0)
+    write_pieces(arm, target, search, 0)
+    sample_branch(arm, target, search, 0)
+    if search.counts[0] > 0:
+        solve_branch(arm, target, search, 0, True)
+    return search.best[0, _ANGLE] < math.inf
+
+
+@outlined
 def is_out_of_reach(arm, target, search, distance, angle):
     """Return whether it is proven that no configuration comes this near to the target.
 
@@ -687,12 +703,11 @@ def push_whole_range(arm, target, search):
 
 @outlined
 def track(arm, target, search):
-    """Solve on the branch of the start, near its parameter; return whether this was possible.
+    """Solve on the branch of the start, near its parameter; return whether an optimum is there.
 
     The roll or pan joint stops at its limit; it does not jump by a full turn.
     """
     order_branches(arm, target, search)
-    search.known = math.inf
     branch = 0
     take_branch(arm, target, search, branch)
     write_pieces(arm, target, search, branch)
@@ -725,6 +740,9 @@ def track(arm, target, search):
     if not search.best[branch, _ANGLE] < math.inf:
         return False
     polish(arm, target, search, branch, _POLISH_STEPS)
+    away = abs(search.best[branch, _PARAMETER] - centre)
+    if away > _TRACK_WINDOW - _AT_WINDOW_END:
+        return False  # the optimum is outside
     write_joint_angles(arm, target, search, branch)
     largest = 0.0
     for k in range(5):
