@@ -30,8 +30,9 @@ _PANS = 4
 _ALTERNATIONS = 40
 _LAST_ALTERNATIONS = 1000
 _NO_IMPROVEMENT = 1e-13
-# rad: step of the turn at which the refinement ends, and the factor of each step.
+# rad: step of the turn at which the refinement ends; most steps; factor after a step in vain.
 _LAST_TURN_STEP = 1e-9
+_MAX_TURN_STEPS = 120
 _STEP_FACTOR = 0.6
 
 NEAREST = Layout(
@@ -262,9 +263,11 @@ def solve_nearest(arm, target, nearest):
                 best = distance
                 best_turn = low + j * width
                 keep_trial(nearest)
-    step = width
-    while step > _LAST_TURN_STEP:
-        step *= _STEP_FACTOR
+    step = _STEP_FACTOR * width
+    for _ in range(_MAX_TURN_STEPS):
+        if step < _LAST_TURN_STEP:
+            break
+        before = best
         for sign in (-1.0, 1.0):
             turn = min(high, max(low, best_turn + sign * step))
             distance = solve_turn(arm, target, nearest, turn, nearest.q[0], _ALTERNATIONS)
@@ -272,6 +275,8 @@ def solve_nearest(arm, target, nearest):
                 best = distance
                 best_turn = turn
                 keep_trial(nearest)
+        if not best < before - _NO_IMPROVEMENT:
+            step *= _STEP_FACTOR
     distance = solve_turn(arm, target, nearest, best_turn, nearest.q[0], _LAST_ALTERNATIONS)
     if distance < best:
         best = distance
