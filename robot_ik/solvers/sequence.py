@@ -105,7 +105,7 @@ class PreparedSequence:
         self, problem: Problem, first: Solution, attempts: Sequence[Prepared], budget: Budget
     ) -> Solution:
         """Try the other methods after ``first`` has failed, within what is left of the budget."""
-        if is_proven_best(first):
+        if is_proven_best(attempts[0], first):
             return first
         if first.status is Status.UNREACHABLE and not self._later_improves(attempts):
             return first
@@ -126,9 +126,17 @@ class PreparedSequence:
                 solution.trace_rows[:, 1] += progress.restarts
                 traces.append(solution.trace_rows)
             progress = progress.after(solution, self._search["best_cost"])
-            if solution.converged or is_proven_best(solution):
+            if is_proven_best(attempt, solution):
+                return self._total(solution, progress, traces, began)
+            if solution.converged:
                 break
-        best = progress.best
+        return self._total(progress.best, progress, traces, began)
+
+    @staticmethod
+    def _total(
+        best: Solution, progress: _Progress, traces: Sequence[Array], began: float
+    ) -> Solution:
+        """Return ``best`` with the status, steps and time of all attempts."""
         best.status = progress.status()
         best.iterations = progress.iterations
         best.restarts = progress.restarts
@@ -199,13 +207,13 @@ class PreparedSequence:
         return np.asarray(costs)
 
 
-def is_proven_best(solution: Solution) -> bool:
-    """Return whether a solution misses its goal, with the proof that no other comes nearer."""
-    return solution.status is Status.UNREACHABLE and solution.angle_bound is not None
+def is_proven_best(attempt: Prepared, solution: Solution) -> bool:
+    """Return whether a solution misses its goal, with the proof that none meets it."""
+    return solution.status is Status.UNREACHABLE and attempt.proves_best
 
 
 def proven_best(results: BatchResult) -> NDArray[np.bool_]:
-    """Return which rows ``is_proven_best`` holds for."""
+    """Return which rows miss their goal, with a proven bound of the angle."""
     return np.asarray((results.status == Status.UNREACHABLE) & ~np.isnan(results.angle_bound))
 
 

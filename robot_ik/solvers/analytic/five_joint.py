@@ -33,7 +33,12 @@ from robot_ik.kernels.tree import HINGE, TREE, Tree
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution
 from robot_ik.solvers.analytic import five_joint_search as branches
-from robot_ik.solvers.analytic.five_joint_nearest import NEAREST, solve_nearest, tool_point
+from robot_ik.solvers.analytic.five_joint_nearest import (
+    NEAREST,
+    solve_nearest,
+    solve_nearest_locally,
+    tool_point,
+)
 from robot_ik.solvers.analytic.five_joint_pitch import ARM, ONE_AXIS, TARGET, WHOLE
 from robot_ik.solvers.analytic.five_joint_search import (
     ANGLE,
@@ -258,13 +263,16 @@ def smallest_bound(find):
 
 
 @outlined
-def move_to_nearest(run):
-    """Move run.target to the nearest position that the arm reaches."""
+def move_to_nearest(run, mode):
+    """Move run.target to the nearest position that the arm reaches; in a loop, from the start."""
     arm = run.arm
     target = run.target
     across = target.range
     goal = (across * math.cos(target.azimuth), across * math.sin(target.azimuth), target.height)
-    distance = solve_nearest(arm, target, run.nearest)
+    if mode == TRACK:
+        distance = solve_nearest_locally(arm, target, run.nearest, run.find.start)
+    else:
+        distance = solve_nearest(arm, target, run.nearest)
     reached = tool_point(arm, run.nearest.q)
     if distance > 0.0:
         away = so3.scale(_ALLOWANCE / distance, so3.subtract(reached, goal))
@@ -311,7 +319,7 @@ def solve_run(run, mode):
         keep_best(state)
         state.status = CONVERGED if within else STALLED
     elif complete and mode != EVERY:
-        take_nearest(run)
+        take_nearest(run, mode)
 
 
 @outlined
@@ -323,10 +331,16 @@ def track(run):
 
 
 @outlined
-def take_nearest(run):
+def take_nearest(run, mode):
     """Solve for the nearest position, with the best orientation there."""
     state = run.search
-    move_to_nearest(run)
+    move_to_nearest(run, mode)
+    if mode == TRACK and track(run):
+        within = take_joint_angles(run, 0)
+        keep_best(state)
+        state.status = CONVERGED if within else STALLED
+        put_target(run)
+        return
     branches.solve_branches(run.arm, run.target, run.find, False)
     branch, _ = choose_branch(run.find)
     if branch < 0:

@@ -33,6 +33,9 @@ _NO_IMPROVEMENT = 1e-13
 # rad: step of the turn at which the refinement ends; most steps; factor after a step in vain.
 _LAST_TURN_STEP = 1e-9
 _MAX_TURN_STEPS = 120
+# rad: first and last step of the turn in a loop.
+_LOCAL_TURN_STEP = 0.1
+_LAST_LOCAL_STEP = 1e-4
 _STEP_FACTOR = 0.6
 
 NEAREST = Layout(
@@ -247,8 +250,7 @@ def solve_nearest(arm, target, nearest):
     """Return the smallest distance found from the tool point to the target; write nearest.q."""
     best = math.inf
     low = arm.lower[4] + arm.turn_zero
-    high = arm.upper[4] + arm.turn_zero
-    width = (high - low) / (_TURNS - 1)
+    width = (arm.upper[4] - arm.lower[4]) / (_TURNS - 1)
     best_turn = low
     for k in range(_PANS):
         if k == 0:
@@ -263,9 +265,35 @@ def solve_nearest(arm, target, nearest):
                 best = distance
                 best_turn = low + j * width
                 keep_trial(nearest)
-    step = _STEP_FACTOR * width
+    best, best_turn = refine_turn(arm, target, nearest, best, best_turn, width, _LAST_TURN_STEP)
+    distance = solve_turn(arm, target, nearest, best_turn, nearest.q[0], _LAST_ALTERNATIONS)
+    if distance < best:
+        best = distance
+        keep_trial(nearest)
+    return best
+
+
+@outlined
+def solve_nearest_locally(arm, target, nearest, start):
+    """Return the smallest distance near joint angles ``start``; write nearest.q.
+
+    It takes about a twentieth of the time of ``solve_nearest``, for loops.
+    """
+    turn = start[4] + arm.turn_zero
+    best = solve_turn(arm, target, nearest, turn, start[0], _ALTERNATIONS)
+    keep_trial(nearest)
+    best, _ = refine_turn(arm, target, nearest, best, turn, _LOCAL_TURN_STEP, _LAST_LOCAL_STEP)
+    return best
+
+
+@outlined
+def refine_turn(arm, target, nearest, best, best_turn, step, last_step):
+    """Improve nearest.q by smaller and smaller steps of the turn; return the distance and the turn."""
+    low = arm.lower[4] + arm.turn_zero
+    high = arm.upper[4] + arm.turn_zero
+    step *= _STEP_FACTOR
     for _ in range(_MAX_TURN_STEPS):
-        if step < _LAST_TURN_STEP:
+        if step < last_step:
             break
         before = best
         for sign in (-1.0, 1.0):
@@ -277,8 +305,4 @@ def solve_nearest(arm, target, nearest):
                 keep_trial(nearest)
         if not best < before - _NO_IMPROVEMENT:
             step *= _STEP_FACTOR
-    distance = solve_turn(arm, target, nearest, best_turn, nearest.q[0], _LAST_ALTERNATIONS)
-    if distance < best:
-        best = distance
-        keep_trial(nearest)
-    return best
+    return best, best_turn

@@ -253,6 +253,28 @@ def test_tracking_stays_on_its_branch(name):
     assert kept >= 10
 
 
+@arms
+def test_tracking_out_of_reach_settles_at_the_nearest_position(name):
+    robot, rng = load(name), np.random.default_rng(17)
+    problem = rik.Problem(robot, best_goal(rik.Pose()), keep_branch=True)
+    center, radius = robot.reach()
+    for _ in range(3):
+        inside = random_pose(robot, rng)
+        outwards = np.array(inside.position) - center
+        outwards /= np.linalg.norm(outwards)
+        far = rik.Pose(center + 1.3 * radius * outwards, inside.wxyz)
+        q = problem.solve(target=inside).q
+        for s in np.linspace(0.0, 1.0, 150):
+            position = (1.0 - s) * np.array(inside.position) + s * np.array(far.position)
+            solution = problem.solve(q, target=rik.Pose(position, inside.wxyz))
+            q = solution.q
+        assert solution.status is rik.Status.UNREACHABLE
+        nearest = rik.solve(robot, best_goal(far))
+        assert solution.error.position < nearest.error.position + 1e-4
+        again = problem.solve(q, target=far)
+        assert np.abs(again.q - q).max() < 1e-3
+
+
 def test_follow_reports_a_better_branch():
     robot, rng = load("koch_v11"), np.random.default_rng(11)
     while True:
