@@ -45,7 +45,7 @@ def test_a_straight_policy_reaches_reachable_goals(robot):
         assert info["reachable"]
         for _ in range(50):
             action = np.clip(straight(observation), -1.0, 1.0).astype(np.float32)
-            observation, reward, terminated, truncated, info = env.step(action)
+            observation, reward, terminated, _, info = env.step(action)
             assert (reward == 0.0) == info["is_success"] and not terminated
             if info["is_success"]:
                 break
@@ -115,7 +115,9 @@ def test_many_arms_move_as_single_arms(control):
         observation, rewards, *_, info = envs.step(actions)
         for k, single in enumerate(singles):
             alone, reward, *_, alone_info = single.step(actions[k])
-            np.testing.assert_allclose(observation["observation"][k], alone["observation"], atol=1e-12)
+            np.testing.assert_allclose(
+                observation["observation"][k], alone["observation"], atol=1e-12
+            )
             assert rewards[k] == reward
             assert info["is_success"][k] == alone_info["is_success"]
 

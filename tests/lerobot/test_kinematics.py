@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-from tests.five_joint_arms import load
 
 import robot_ik as rik
 from robot_ik.errors import ModelError, UnknownJointError
 from robot_ik.lerobot import Kinematics
+from tests.five_joint_arms import load
 
 NAMES = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 
