@@ -43,7 +43,7 @@ def test_reachable_poses_are_met_in_one_call_from_anywhere():
 
 
 def test_a_path_of_small_steps_has_no_jumps():
-    robot, kinematics = so101()
+    _, kinematics = so101()
     values = np.array([0.0, -30.0, 40.0, 50.0, 5.0, 10.0])
     first = kinematics.forward_kinematics(values)
     for angle in np.linspace(0.0, 2.0 * np.pi, 200):
