@@ -17,6 +17,8 @@ from robot_ik.solvers.analytic import SERVED
 
 # Branches that differ by less than this in every joint, rad, are the same branch.
 _SAME = 1e-6
+# Branches whose angles differ by less than this, rad, are ordered by their distance from the start.
+_EQUAL_ANGLE = 1.5e-4
 # Distance beyond a limit at which a joint still counts as inside, rad or m.
 _SLACK = 1e-9
 # Distance beyond a limit within which a joint is moved back to the limit, rad or m. At a singular
@@ -33,11 +35,15 @@ class Branch:
         name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
         q: (nq,) joint angles. Multiples of 2π bring each into its limits, near the start.
         inside: Whether all joints are inside their limits.
+        angle: Radians between its orientation and the wanted one. 0 except for five joints.
+        angle_bound: No configuration of this branch has a smaller angle.
     """
 
     name: str
     q: NDArray[np.float64]
     inside: bool
+    angle: float = 0.0
+    angle_bound: float = 0.0
 
     def __repr__(self) -> str:
         return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
@@ -52,9 +58,14 @@ def solve_all(
 ) -> tuple[Branch, ...]:
     """Return every branch with which the closed form meets a goal, nearest to ``start`` first.
 
-    It serves arms of two parallel hinges for a position, and arms of six hinges with a spherical
-    wrist or shoulder, or with three parallel axes, for a pose. At a singular pose one joint angle
+    It serves arms of two parallel hinges for a position, arms of five hinges (pan, three parallel
+    pitch axes, roll) for a pose, and arms of six hinges with a spherical wrist or shoulder, or with
+    three parallel axes, for a pose. At a singular pose one joint angle
     is free; it stays as near to ``start`` as possible.
+
+    An arm of five joints meets a position in infinitely many ways and a pose almost never. Each of
+    its up to four branches has the best orientation at the position, and the smallest angle comes
+    first.
 
     Args:
         robot: From ``load_robot``.
@@ -77,7 +88,7 @@ def solve_all(
     branches = problem.branches(origin)
     if not branches:
         return ()
-    qs = np.array([q for _, q in branches])
+    qs = np.array([branch.q for branch in branches])
     same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
     far = ((qs - origin) ** 2).sum(axis=1).tolist()
     first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
@@ -89,7 +100,9 @@ def solve_all(
     if off.max() > _SLACK:
         qs = np.where(off <= _ROUNDING, ends, qs)
     inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
-    first.sort(key=lambda k: (not inside[k], far[k]))
+    first.sort(key=lambda k: (not inside[k], round(branches[k].angle / _EQUAL_ANGLE), far[k]))
     return tuple(
-        Branch(branches[k][0], qs[k], inside=inside[k]) for k in first if inside[k] or not limits
+        Branch(branches[k].name, qs[k], inside[k], branches[k].angle, branches[k].angle_bound)
+        for k in first
+        if inside[k] or not limits
     )

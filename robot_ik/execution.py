@@ -44,6 +44,15 @@ TICK_ITERATIONS = 1000
 TICK_RESTARTS = 100
 """Random restarts of a tick."""
 
+BETTER_PERIOD = 0.2
+"""Seconds between searches for a branch with a better orientation."""
+
+BETTER_ANGLE = math.radians(1.0)
+"""rad. A branch is better if its orientation is nearer by this."""
+
+SAME_POSITION = 1e-6
+"""m. Positions whose errors differ by less are equally near."""
+
 SINGLE_SAMPLE_PERIOD = 0.01
 """Seconds between the repeated samples of a trajectory of one sample, which has no rate."""
 
@@ -142,6 +151,8 @@ class FollowTick:
         solution: The solution. None while the position is kept.
         q: The command (nq,): towards ``solution.q``, as far as the joints may move in one period.
         capped: Whether that was less than the whole distance.
+        better: A solution on another branch whose orientation is nearer by ``BETTER_ANGLE`` or
+            more. It is searched a few times a second, for arms with five joints only.
         measured: The measured joint angles (nq,) after the command. None without a source.
     """
 
@@ -152,6 +163,7 @@ class FollowTick:
     q: Array
     capped: bool
     measured: Array | None
+    better: Solution | None = None
 
 
 @dataclass(eq=False, repr=False)
@@ -169,6 +181,7 @@ class FollowReport:
         duration: Seconds from the first tick to the last.
         overruns: Number of ticks that were late by a period or more.
         last: The last solution. None if there never was a goal.
+        better: The last ``FollowTick.better`` that is not None.
         tracking_error: Largest distance (nq,) of measured from commanded. None without a source.
     """
 
@@ -182,6 +195,7 @@ class FollowReport:
     duration: float = 0.0
     overruns: int = 0
     last: Solution | None = None
+    better: Solution | None = None
     tracking_error: Array | None = None
 
     def __repr__(self) -> str:
@@ -372,6 +386,9 @@ def follow(
     followed too, because it is the nearest that was found. The loop ends when ``duration`` is over
     or ``until`` returns True.
 
+    An arm with five joints stays on its branch while the branch goes on, even if another branch
+    has a better orientation. ``FollowTick.better`` tells where that is.
+
     The first goal of another kind or frame than the one before builds a new problem, which compiles
     its method once on a machine. ``warm_up`` beforehand keeps that out of the loop.
 
@@ -416,7 +433,7 @@ def follow(
     if duration is not None:
         count = max(1, int(np.ceil(duration * rate - COUNT_ROUNDING)))
     largest_step = motion_limits(robot, speed)[0] / rate
-    following = _FollowState(robot, method, tolerance, first, largest_step)
+    following = _FollowState(robot, method, tolerance, first, largest_step, rate)
     report = following.report
     schedule = Schedule(clock)
     begin = schedule.origin
@@ -426,12 +443,15 @@ def follow(
             begin = now
         goal = goals.poll(now)
         solution, capped = following.step(goal)
+        better = following.better_branch(solution)
         for sink in sinks:
             sink.send(report.q, now)
         measured = None if source is None else following.compare(source.read().q)
         report.duration = now - begin
         report.overruns = schedule.overruns
-        tick = FollowTick(report.ticks - 1, now - begin, goal, solution, report.q, capped, measured)
+        tick = FollowTick(
+            report.ticks - 1, now - begin, goal, solution, report.q, capped, measured, better
+        )
         if on_tick is not None:
             on_tick(tick)
         if report.ticks == count or (until is not None and until(tick)):
@@ -442,13 +462,21 @@ class _FollowState:
     """State of ``follow``: its problem, and the report, whose ``q`` is the command."""
 
     def __init__(
-        self, robot: Robot, solver: Solver, tolerance: Tolerance | None, start: Array, step: Array
+        self,
+        robot: Robot,
+        solver: Solver,
+        tolerance: Tolerance | None,
+        start: Array,
+        step: Array,
+        rate: float,
     ) -> None:
         self._robot = robot
         self._solver = solver
         self._tolerance = tolerance
         self._largest_allowed = step
+        self._ticks_between_searches = max(1, round(rate * BETTER_PERIOD))
         self._problem: Problem | None = None
+        self._search: Problem | None = None
         self._kinds: Sequence[object] = []
         self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
@@ -457,6 +485,7 @@ class _FollowState:
         from robot_ik.budget import Budget
         from robot_ik.problem import Problem  # here, because it loads the compiler
 
+        budget = Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS)
         kinds = [goal.kind for goal in goals]
         if self._problem is not None and kinds == self._kinds:
             self._problem.replace_goals(goals)
@@ -466,8 +495,14 @@ class _FollowState:
             goals,
             solver=self._solver,
             tolerance=self._tolerance,
-            budget=Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS),
+            budget=budget,
+            keep_branch=True,
         )
+        self._search = None
+        if self._problem.has_branches:
+            self._search = Problem(
+                self._robot, goals, solver=self._solver, tolerance=self._tolerance, budget=budget
+            )
         self._kinds = kinds
         return self._problem
 
@@ -491,6 +526,21 @@ class _FollowState:
         report.q = _frozen(q)
         report.capped += excess > 1.0
         return solution, excess > 1.0
+
+    def better_branch(self, solution: Solution | None) -> Solution | None:
+        """Return a solution on another branch with a clearly nearer orientation, or None."""
+        report = self.report
+        if self._search is None or solution is None:
+            return None
+        if (report.ticks - 1) % self._ticks_between_searches:
+            return None
+        self._search.replace_goals(solution.goals)
+        other = self._search.solve(report.q)
+        is_better = other.error.angle < solution.error.angle - BETTER_ANGLE
+        if not is_better or other.error.position > solution.error.position + SAME_POSITION:
+            return None
+        report.better = other
+        return other
 
     def compare(self, measured: Array) -> Array:
         """Record the distance of ``measured`` (nq,) from the command, and return a copy."""

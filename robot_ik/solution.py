@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import enum
+import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -35,6 +37,10 @@ class Status(enum.IntEnum):
         if self is Status.CONVERGED:
             return "every goal that is needed is within tolerance"
         return f"{_CAUSE[self]}; the nearest point found is kept"
+
+
+# m: a position that is missed by less is reached.
+_POSITION_REACHED = 1e-6
 
 
 def short_numbers(q: Array) -> str:
@@ -92,7 +98,9 @@ class Solution:
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
         given: The goals as given to the problem.
-        targets: (g, 4, 4) their current targets. ``goals`` has both.
+        targets: The matrices (g, 4, 4) of their parts in this solve. ``goals`` joins the two.
+        angle_bound: Radians, or None if nothing is proven. No configuration inside the limits with
+            the position of this one has a smaller angle to the wanted orientation.
     """
 
     q: Array
@@ -105,6 +113,7 @@ class Solution:
     given: tuple[Goal, ...]
     targets: Array
     trace_rows: Array | None = None
+    angle_bound: float | None = None
 
     @property
     def converged(self) -> bool:
@@ -114,9 +123,10 @@ class Solution:
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
         """The goals with the targets they had in this solve."""
-        rows = [goal.rows(self.robot) for goal in self.given]
+        first = itertools.accumulate((len(goal.parts) for goal in self.given), initial=0)
         return tuple(
-            at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True)
+            at_matrix(goal, goal.rows(self.robot), self.targets[k])
+            for goal, k in zip(self.given, first, strict=False)
         )
 
     @cached_property
@@ -143,6 +153,22 @@ class Solution:
             Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows
         )
 
+    @property
+    def meaning(self) -> str:
+        """One sentence for people: the meaning of the status, or how near the orientation came."""
+        if self.status is not Status.UNREACHABLE or self.angle_bound is None:
+            return self.status.meaning
+        angle_deg = math.degrees(self.error.angle)
+        if self.error.position <= _POSITION_REACHED:
+            return (
+                f"position reached; orientation {angle_deg:.1f}° off, "
+                "and no configuration of this arm does better"
+            )
+        return (
+            "position proven out of reach; the nearest position is kept, "
+            f"orientation {angle_deg:.1f}° off"
+        )
+
     def require(self) -> Solution:
         """Return this solution if it converged.
 
@@ -153,7 +179,7 @@ class Solution:
             return self
         distance = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
         raise NotConvergedError(
-            f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); "
+            f"{self.solver} did not reach the goal ({self.status.name}: {self.meaning}); "
             f"nearest: {distance} after {self.iterations} steps",
             self,
         )

@@ -179,3 +179,23 @@ def test_moving_figure(run: Run) -> None:
     assert actions == ["reach", "bend", "walk", "reach"]
     errors = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]
     assert len(errors) == 3 and max(errors) <= 5.0
+
+
+def test_learn_to_reach() -> None:
+    """The training itself needs stable-baselines3; here a known policy is measured."""
+    import gymnasium
+
+    example = program(EXAMPLES / "09_learn_to_reach.py")
+    env = gymnasium.make("robot_ik/Reach-v0", robot="koch_v11")
+
+    class Straight:
+        def predict(self, observation, deterministic):
+            offset = observation["desired_goal"] - observation["achieved_goal"]
+            return np.clip(offset / 0.05, -1.0, 1.0).astype(np.float32), None
+
+    class Still:
+        def predict(self, observation, deterministic):
+            return np.zeros(3, dtype=np.float32), None
+
+    assert example.success_rate(Straight(), env, episodes=10) == 1.0
+    assert example.success_rate(Still(), env, episodes=10) < 0.5

@@ -144,7 +144,7 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
         "goal": {"position": wanted.position, "wxyz": wanted.wxyz if goal.weights[1] > 0.0 else None},
         "converged": solution.converged,
         "status": solution.status.name.lower(),
-        "meaning": solution.status.meaning,
+        "meaning": solution.meaning,
         "joints": list(robot.joints),
         "q": solution.q,
         "error": {"position": solution.error.position, "angle": solution.error.angle},

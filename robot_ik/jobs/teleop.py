@@ -19,17 +19,17 @@ from robot_ik.budget import Budget
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, UnsafeCommandError
 from robot_ik.execution import Schedule
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
+from robot_ik.goals import BEST, EXACT, PoseGoal
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import stale_time
-from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.workcell.guided_motion import approach_profile
 
@@ -104,6 +104,16 @@ class Hand:
         self._robot = robot.with_limits(lower, upper)
         self._q = self._robot.home.copy()
         self.pose = self._robot.forward(self._q)
+        # An arm that cannot carry every pose needs the position, with the best orientation there.
+        self._whole = self._robot.nv >= _WHOLE
+        orientation = EXACT if self._whole else BEST
+        self._problem = Problem(
+            self._robot,
+            PoseGoal(None, self.pose.position, self.pose.wxyz, orientation=orientation),
+            solver="lm" if self._whole else "auto",
+            budget=_BUDGET,
+            keep_branch=True,
+        )
 
     def engage(self, angles: Angles) -> Pose:
         """Where it is at ``angles``, from where it is led on."""
@@ -119,11 +129,8 @@ class Hand:
         ``exactly``: there, or not at all; steps that add up must neither drift, nor rotate the hand at the
         end of its reach.
         """
-        whole = self._robot.nv >= _WHOLE
-        goals: list[Goal] = [PoseGoal.at(None, pose)]
-        if not whole:  # it cannot carry every pose: the position is needed, the orientation is wanted
-            goals = [PositionGoal(None, pose.position), OrientationGoal(None, pose.wxyz, soft=True)]
-        found = solve(self._robot, goals, solver="lm", start=self._q, budget=_BUDGET).q
+        whole = self._whole
+        found = self._problem.solve(self._q, target=pose).q
         if np.isfinite(found).all():
             there = self._robot.forward(found)
             away, angle = there.distance(pose)

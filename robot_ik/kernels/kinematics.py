@@ -347,6 +347,15 @@ def tree_frame(tree, nodes, node, local, q, world, scratch, out):
 
 
 @kernel
+def tree_frames(tree, nodes, node, local, qs, world, scratch, out):
+    """Write the pose of one frame for each row of qs (n, nq) to out (n, 12)."""
+    opened = open_tree(tree)
+    for row in range(qs.shape[0]):
+        forward(opened, nodes, qs[row], world, scratch)
+        frame_pose(world, node, local, types.int64(0), out[row : row + 1])
+
+
+@kernel
 def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Call ``frame_jacobian`` with the block of a tree."""
     frame_jacobian(open_tree(tree), nodes, node, local, q, world, scratch, out, jacobian)

@@ -33,9 +33,9 @@ class BoneSolver(IterativeSolver):
     def unsupported(self, problem: Problem) -> str:
         if unsupported := super().unsupported(problem):
             return unsupported
-        if len(problem.given) > 1 and not self.several_goals:
+        if len(problem.parts) > 1 and not self.several_goals:
             return "several goals at once"
-        for goal in problem.given:
+        for goal in problem.parts:
             position_weight, angle_weight = goal.weights
             if position_weight <= 0.0 < angle_weight:
                 return f"{goal.with_article} without weight on its position"

@@ -1,7 +1,8 @@
 """``PreparedSequence``: prepared methods that are tried in turn.
 
-The first attempt that converges ends the solve. Else the solution with the lowest cost is kept. All
-attempts share one budget, and the solution reports the steps, restarts and time of all of them.
+The first attempt that converges ends the solve. Else a solution with a proven bound of the angle is
+kept, or the solution with the lowest cost. All attempts share one budget, and the solution reports
+the steps, restarts and time of all of them.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_ik.budget import Budget
 from robot_ik.geometry import Array
@@ -46,7 +48,8 @@ class _Progress:
 
     def after(self, solution: Solution, cost: float) -> _Progress:
         """Return the progress after one more attempt."""
-        improved = solution.converged or cost < self.best_cost
+        lower_cost = cost < self.best_cost and self.best.angle_bound is None
+        improved = solution.converged or solution.angle_bound is not None or lower_cost
         return _Progress(
             best=solution if improved else self.best,
             best_cost=cost if improved else self.best_cost,
@@ -88,6 +91,7 @@ class PreparedSequence:
         self._start = problem.search.arrays["start"]
         self._weight = problem.compiled.block.arrays["weight"][0]
         self._attempts = attempts
+        self.proves_best = any(attempt.proves_best for attempt in attempts)
         self._hand_over = hand_over and len(attempts) > 1
 
     def run(self, problem: Problem, budget: Budget) -> Solution:
@@ -105,12 +109,14 @@ class PreparedSequence:
         self, problem: Problem, first: Solution, attempts: Sequence[Prepared], budget: Budget
     ) -> Solution:
         """Try the other methods after ``first`` has failed, within what is left of the budget."""
-        if first.status is Status.UNREACHABLE and attempts[0].name == attempts[-1].name:
-            return first  # proven, and the last attempt would find the same point
+        if is_proven_best(attempts[0], first):
+            return first
+        if first.status is Status.UNREACHABLE and not self._later_improves(attempts):
+            return first
         began = time.perf_counter() - first.seconds
         traces = [] if first.trace_rows is None else [first.trace_rows]
         progress = _Progress.of(first, self._search["best_cost"])
-        one_goal = len(problem.given) == 1
+        one_goal = len(problem.parts) == 1
         for attempt in attempts[1:]:
             seconds = time.perf_counter() - began
             futile = progress.unreachable and one_goal  # other goals may still be met
@@ -124,9 +130,17 @@ class PreparedSequence:
                 solution.trace_rows[:, 1] += progress.restarts
                 traces.append(solution.trace_rows)
             progress = progress.after(solution, self._search["best_cost"])
+            if is_proven_best(attempt, solution):
+                return self._total(solution, progress, traces, began)
             if solution.converged:
                 break
-        best = progress.best
+        return self._total(progress.best, progress, traces, began)
+
+    @staticmethod
+    def _total(
+        best: Solution, progress: _Progress, traces: Sequence[Array], began: float
+    ) -> Solution:
+        """Return ``best`` with the status, steps and time of all attempts."""
         best.status = progress.status()
         best.iterations = progress.iterations
         best.restarts = progress.restarts
@@ -159,8 +173,8 @@ class PreparedSequence:
         best_cost = self._costs(results)
         unreachable = results.status == Status.UNREACHABLE
         last = results.status.copy()
-        open_rows = np.flatnonzero(results.status != _CONVERGED)
-        if attempts[0].name == attempts[-1].name:
+        open_rows = np.flatnonzero((results.status != _CONVERGED) & ~proven_best(results))
+        if not self._later_improves(attempts):
             open_rows = open_rows[~unreachable[open_rows]]
         for attempt in attempts[1:]:
             futile = unreachable | (self._hand_over and attempt is not attempts[-1])
@@ -169,24 +183,42 @@ class PreparedSequence:
                 begin = results.q[rows] if self._hand_over else starts[rows]
                 attempt.run_many(problem, targets[rows], begin, part, rest)
                 cost = self._costs(part)
-                better = cost < best_cost[rows]
+                better = (cost < best_cost[rows]) & np.isnan(results.angle_bound[rows])
+                better |= (part.status == _CONVERGED) | ~np.isnan(part.angle_bound)
                 best_cost[rows[better]] = cost[better]
-                for name in ("q", "error", "status"):
+                for name in ("q", "error", "status", "angle_bound"):
                     getattr(results, name)[rows[better]] = getattr(part, name)[better]
                 results.iterations[rows] += part.iterations
                 results.restarts[rows] += part.restarts
                 unreachable[rows] |= part.status == Status.UNREACHABLE
                 last[rows] = part.status
-            open_rows = open_rows[results.status[open_rows] != _CONVERGED]
+            is_open = (results.status != _CONVERGED) & ~proven_best(results)
+            open_rows = open_rows[is_open[open_rows]]
         for status in _STOPPED:
             results.status[open_rows[last[open_rows] == status]] = status
         results.status[open_rows[unreachable[open_rows]]] = Status.UNREACHABLE
+
+    @staticmethod
+    def _later_improves(attempts: Sequence[Prepared]) -> bool:
+        """Return whether a later attempt may improve the point of the first, proven unreachable."""
+        same_method = attempts[0].name == attempts[-1].name  # it would find the same point
+        return not same_method or any(attempt.proves_best for attempt in attempts)
 
     def _costs(self, results: BatchResult) -> Array:
         """(n,) weighted squares of the errors; below zero for a result that converged."""
         costs = ((results.error * self._weight) ** 2).sum(axis=1)
         costs[results.status == _CONVERGED] = -1.0
         return np.asarray(costs)
+
+
+def is_proven_best(attempt: Prepared, solution: Solution) -> bool:
+    """Return whether a solution misses its goal, with the proof that none meets it."""
+    return solution.status is Status.UNREACHABLE and attempt.proves_best
+
+
+def proven_best(results: BatchResult) -> NDArray[np.bool_]:
+    """Return which rows miss their goal, with a proven bound of the angle."""
+    return np.asarray((results.status == Status.UNREACHABLE) & ~np.isnan(results.angle_bound))
 
 
 def remaining(

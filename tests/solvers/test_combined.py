@@ -131,6 +131,8 @@ def test_a_goal_that_is_proven_out_of_reach_gets_no_restarts(puma):
 class Recorder:
     """A prepared method that remembers its budget."""
 
+    proves_best = False
+
     def __init__(self, name, problem):
         self.name = name
         self.prepared = make_solver(name).prepare(problem)

@@ -45,8 +45,8 @@ open_run = RUN.open
 
 def limb_of(problem: Problem) -> Limb | None:
     """Return the limb of a problem with one goal that asks for all of its wrist; else None."""
-    goal = problem.given[0]
-    if problem.features or len(problem.given) != 1:
+    goal = problem.parts[0]
+    if problem.features or len(problem.parts) != 1:
         return None
     if not isinstance(goal, PoseGoal | PositionGoal):
         return None
@@ -79,6 +79,7 @@ class PreparedProof:
     """The proof for one problem. A solve ends UNREACHABLE, or STALLED without a proof."""
 
     name = "proof"
+    proves_best = False
 
     def __init__(self, limb: Limb, problem: Problem) -> None:
         blocks = {

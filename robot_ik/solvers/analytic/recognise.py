@@ -31,6 +31,7 @@ class Family(enum.IntEnum):
     SPHERICAL_WRIST = 1
     THREE_PARALLEL = 2
     SPHERICAL_SHOULDER = 3
+    FIVE_JOINT = 4
 
 
 # Names of the two solutions of each choice, for ``solve_all``. Row 4·first + 2·second + third.
@@ -97,6 +98,14 @@ def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
     if len(chain) == 2 and _parallel(axes, 0, 1):
         return _form(Family.PLANAR_TWO_LINK, chain, axes, tool, tool.position)
     return None
+
+
+def is_five_joint(axes: Array) -> bool:
+    """Return whether axes (5, 6) are pan, three parallel pitch axes perpendicular to it, and roll."""
+    if len(axes) != 5 or not (_parallel(axes, 1, 2) and _parallel(axes, 1, 3)):
+        return False
+    pitch = axes[1, :3]
+    return all(abs(float(pitch @ axes[k, :3])) < _PARALLEL for k in (0, 4))
 
 
 def recognise_limb(tree: Tree, node: int, local: Array, whole: bool) -> Limb | None:
