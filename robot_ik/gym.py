@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.budget import Budget
 from robot_ik.batch import solve_batch
+from robot_ik.budget import Budget
 from robot_ik.errors import MissingExtraError, ModelError, OptionError
 from robot_ik.geometry import Pose, is_real
 from robot_ik.goals import PositionGoal, Tolerance

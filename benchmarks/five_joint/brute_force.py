@@ -163,7 +163,10 @@ class Search:
             )
             sine = np.linalg.norm(difference[:, 1:], axis=1)
             return np.asarray(2.0 * np.arctan2(sine, np.abs(difference[:, 0])))
-        x, y, z, w = turn[:, 1], turn[:, 2], turn[:, 3], turn[:, 0]
+        x = turn[:, 1]
+        y = turn[:, 2]
+        z = turn[:, 3]
+        w = turn[:, 0]
         pointing = Rotation.from_quat(np.column_stack([x, y, z, w])).apply(self.rotation @ axis)
         wanted = rotation @ axis
         return np.arctan2(np.linalg.norm(np.cross(pointing, wanted), axis=1), pointing @ wanted)

@@ -102,13 +102,17 @@ def compare(robot: rik.Robot, poses: list[rik.Pose], free_axis: str | None) -> N
     print(f"{robot.name}, {what}: {len(poses)} targets")
     print(f"  with a configuration: closed form {reached}, brute force {brute_reached}")
     print(f"  brute force has one, the closed form has none: {missed}")
-    print(f"  worse by > 0.01°: closed form {worse} (worst {np.degrees(largest_excess):.5f}°), "
-          f"brute force {brute_worse}")  # fmt: skip
+    print(
+        f"  worse by > 0.01°: closed form {worse} (worst {np.degrees(largest_excess):.5f}°), "
+        f"brute force {brute_worse}"
+    )
     print(f"  bounds violated {violated}, not proven {unproven}, outside limits {outside}")
     print(f"  largest gap {np.degrees(largest_gap):.4f}°, position {1e6 * largest_position:.3f} µm")
     p50, p90, p99 = np.percentile(micros, [50, 90, 99])
-    print(f"  time µs: p50 {p50:.0f}, p90 {p90:.0f}, p99 {p99:.0f}, max {micros.max():.0f}; "
-          f"out of reach p50 {1e6 * np.median(far_times):.0f}")  # fmt: skip
+    print(
+        f"  time µs: p50 {p50:.0f}, p90 {p90:.0f}, p99 {p99:.0f}, max {micros.max():.0f}; "
+        f"out of reach p50 {1e6 * np.median(far_times):.0f}"
+    )
 
 
 def compare_far(robot: rik.Robot, rng: np.random.Generator) -> None:
@@ -129,8 +133,10 @@ def compare_far(robot: rik.Robot, rng: np.random.Generator) -> None:
         seconds.append(solution.seconds)
         best = nearest_distance(robot, position, rng)
         farther = max(farther, solution.error.position - best)
-    print(f"  out of reach: {count} targets, at most {1e6 * farther:.2f} µm farther than least "
-          f"squares; median {1e3 * np.median(seconds):.1f} ms")  # fmt: skip
+    print(
+        f"  out of reach: {count} targets, at most {1e6 * farther:.2f} µm farther than least "
+        f"squares; median {1e3 * np.median(seconds):.1f} ms"
+    )
 
 
 def track(robot: rik.Robot, rng: np.random.Generator) -> None:
@@ -153,10 +159,12 @@ def track(robot: rik.Robot, rng: np.random.Generator) -> None:
             steps.append(float(np.abs(solution.q - q).max()))
             q = solution.q
     times = 1e6 * np.array(seconds)
-    print(f"  tracking: {len(steps)} steps, p50 {np.median(times):.0f} µs, "
-          f"p99 {np.percentile(times, 99):.0f} µs, steps over 15° "
-          f"{int((np.array(steps) > np.radians(15)).sum())}, largest "
-          f"{np.degrees(max(steps)):.0f}°")  # fmt: skip
+    print(
+        f"  tracking: {len(steps)} steps, p50 {np.median(times):.0f} µs, "
+        f"p99 {np.percentile(times, 99):.0f} µs, steps over 15° "
+        f"{int((np.array(steps) > np.radians(15)).sum())}, largest "
+        f"{np.degrees(max(steps)):.0f}°"
+    )
 
 
 def five_joints(name: str) -> rik.Robot:

@@ -27,7 +27,13 @@ from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.errors import (
+    CalibrationError,
+    CameraError,
+    ConfigError,
+    FrameTimeoutError,
+    MarkerNotFoundError,
+)
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
 from robot_ik.jobs.scene import Scene, scene_for

@@ -484,7 +484,9 @@ def arm_block(tree: Tree, chain: list[int], axes: Array, tool: Pose) -> Block:
         axes: (5, 6) direction and a point of each joint axis at q = 0, world.
         tool: Pose of the frame at q = 0.
     """
-    pan, lift, roll = axes[0, :3], axes[1, :3], axes[4, :3]
+    pan = axes[0, :3]
+    lift = axes[1, :3]
+    roll = axes[4, :3]
     basis = np.array([np.cross(lift, pan), lift, pan])
     signs = np.array([1.0, 1.0, np.sign(lift @ axes[2, :3]), np.sign(lift @ axes[3, :3]), 1.0])
     points = (np.vstack([axes[:, 3:], tool.position]) - axes[0, 3:]) @ basis.T

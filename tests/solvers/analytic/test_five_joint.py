@@ -34,7 +34,8 @@ def configurations_at(robot, position, rng, count):
 @free_axes
 @arms
 def test_no_other_method_finds_a_better_orientation(name, free_axis):
-    robot, rng = load(name), np.random.default_rng(0)
+    robot = load(name)
+    rng = np.random.default_rng(0)
     for _ in range(12):
         pose = random_pose(robot, rng)
         goal = best_goal(pose, free_axis=free_axis)
@@ -54,7 +55,8 @@ def test_no_other_method_finds_a_better_orientation(name, free_axis):
 
 @arms
 def test_reachable_poses_are_reached(name):
-    robot, rng = load(name), np.random.default_rng(1)
+    robot = load(name)
+    rng = np.random.default_rng(1)
     for k in range(100):
         q = robot.sample(rng)
         if k % 3 == 0:  # on the border of the workspace
@@ -71,7 +73,8 @@ def test_reachable_poses_are_reached(name):
 
 @arms
 def test_a_pose_that_cannot_be_reached_keeps_the_position(name):
-    robot, rng = load(name), np.random.default_rng(2)
+    robot = load(name)
+    rng = np.random.default_rng(2)
     pose = random_pose(robot, rng)
     plain = rik.solve(robot, pose)
     best = rik.solve(robot, best_goal(pose))
@@ -89,7 +92,8 @@ def test_a_pose_that_cannot_be_reached_keeps_the_position(name):
 
 @arms
 def test_the_spelling_by_priorities_is_the_same(name):
-    robot, rng = load(name), np.random.default_rng(3)
+    robot = load(name)
+    rng = np.random.default_rng(3)
     pose = random_pose(robot, rng)
     best = rik.solve(robot, best_goal(pose))
     position = rik.PositionGoal(None, pose.position)
@@ -104,7 +108,8 @@ def test_the_spelling_by_priorities_is_the_same(name):
 
 @arms
 def test_a_position_out_of_reach_is_proven_and_the_nearest_is_kept(name):
-    robot, rng = load(name), np.random.default_rng(4)
+    robot = load(name)
+    rng = np.random.default_rng(4)
     center, radius = robot.reach()
     joints = arm_joints(robot)
     checked = 0
@@ -139,7 +144,8 @@ def test_a_position_out_of_reach_is_proven_and_the_nearest_is_kept(name):
 @pytest.mark.parametrize("tolerance", [rik.Tolerance(1e-4, 1e-3), rik.Tolerance(1e-2, 5e-2)])
 @arms
 def test_what_is_within_tolerance_of_a_reachable_pose_is_not_called_unreachable(name, tolerance):
-    robot, rng = load(name), np.random.default_rng(5)
+    robot = load(name)
+    rng = np.random.default_rng(5)
     problem = rik.Problem(robot, rik.Pose(), tolerance=tolerance, solver="analytic")
     for k in range(200):
         q = robot.sample(rng)
@@ -157,7 +163,8 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_not_called_unreachable(
 
 @pytest.mark.parametrize("tool", ["marker", "on_roll_axis"])
 def test_the_tool_may_be_anywhere(tool):
-    robot, rng = load("so101", tool), np.random.default_rng(6)
+    robot = load("so101", tool)
+    rng = np.random.default_rng(6)
     for _ in range(20):
         pose = random_pose(robot, rng)
         solution = rik.solve(robot, best_goal(pose))
@@ -182,7 +189,8 @@ def test_the_closest_tool_axis_of_an_arm_without_limits_is_in_the_arm_plane():
     text = SO101.replace('range="-1.', 'limited="false" range="-1.').replace(
         'range="-2.', 'limited="false" range="-2.'
     )
-    robot, rng = rik.load_robot(text, tool="on_roll_axis"), np.random.default_rng(7)
+    robot = rik.load_robot(text, tool="on_roll_axis")
+    rng = np.random.default_rng(7)
     for _ in range(30):
         pose = random_pose(robot, rng)
         solution = rik.solve(robot, best_goal(pose, free_axis="z"))
@@ -197,7 +205,8 @@ def test_the_closest_tool_axis_of_an_arm_without_limits_is_in_the_arm_plane():
 
 @arms
 def test_solve_all_returns_the_optimum_of_each_branch(name):
-    robot, rng = load(name), np.random.default_rng(8)
+    robot = load(name)
+    rng = np.random.default_rng(8)
     for _ in range(10):
         goal = best_goal(random_pose(robot, rng))
         branches = rik.solve_all(robot, goal)
@@ -217,7 +226,8 @@ def test_solve_all_returns_the_optimum_of_each_branch(name):
 @pytest.mark.parametrize("orientation", ["exact", "best"])
 @arms
 def test_a_batch_gives_the_same_as_single_solves(name, orientation):
-    robot, rng = load(name), np.random.default_rng(9)
+    robot = load(name)
+    rng = np.random.default_rng(9)
     poses = [random_pose(robot, rng) for _ in range(20)]
     poses += [robot.forward(robot.sample(rng)) for _ in range(5)]
     poses.append(rik.Pose((2.0, 0.0, 0.0)))
@@ -236,7 +246,8 @@ def test_a_batch_gives_the_same_as_single_solves(name, orientation):
 
 @arms
 def test_tracking_stays_on_its_branch(name):
-    robot, rng = load(name), np.random.default_rng(10)
+    robot = load(name)
+    rng = np.random.default_rng(10)
     problem = rik.Problem(robot, best_goal(rik.Pose()), keep_branch=True)
     kept = 0
     for _ in range(10):
@@ -255,7 +266,8 @@ def test_tracking_stays_on_its_branch(name):
 
 @arms
 def test_tracking_out_of_reach_settles_at_the_nearest_position(name):
-    robot, rng = load(name), np.random.default_rng(17)
+    robot = load(name)
+    rng = np.random.default_rng(17)
     problem = rik.Problem(robot, best_goal(rik.Pose()), keep_branch=True)
     center, radius = robot.reach()
     for _ in range(3):
@@ -276,7 +288,8 @@ def test_tracking_out_of_reach_settles_at_the_nearest_position(name):
 
 
 def test_follow_reports_a_better_branch():
-    robot, rng = load("koch_v11"), np.random.default_rng(11)
+    robot = load("koch_v11")
+    rng = np.random.default_rng(11)
     while True:
         goal = best_goal(random_pose(robot, rng))
         branches = rik.solve_all(robot, goal)
@@ -301,7 +314,8 @@ def test_follow_reports_a_better_branch():
 
 
 def test_a_joint_that_does_not_move_the_tool_stays_where_it_is():
-    robot, rng = load("so101"), np.random.default_rng(12)
+    robot = load("so101")
+    rng = np.random.default_rng(12)
     start = robot.home.copy()
     start[5] = 0.7
     solution = rik.solve(robot, best_goal(random_pose(robot, rng)), start=start)
@@ -309,7 +323,8 @@ def test_a_joint_that_does_not_move_the_tool_stays_where_it_is():
 
 
 def test_a_start_at_the_goal_takes_no_iteration():
-    robot, rng = load("omx_f"), np.random.default_rng(13)
+    robot = load("omx_f")
+    rng = np.random.default_rng(13)
     q = robot.sample(rng)
     for orientation in ("exact", "best"):
         pose = robot.forward(q)
@@ -320,7 +335,8 @@ def test_a_start_at_the_goal_takes_no_iteration():
 
 
 def test_the_same_call_gives_the_same_bits():
-    robot, rng = load("so101"), np.random.default_rng(14)
+    robot = load("so101")
+    rng = np.random.default_rng(14)
     goals = [best_goal(random_pose(robot, rng)) for _ in range(5)]
     first = [rik.solve(robot, goal).q for goal in goals]
     second = [rik.solve(robot, goal).q for goal in goals]
@@ -335,7 +351,8 @@ def test_arms_of_other_geometries_have_no_closed_form():
 
 
 def test_six_joints_take_the_best_orientation_too():
-    robot, rng = rik.load_robot("puma560"), np.random.default_rng(15)
+    robot = rik.load_robot("puma560")
+    rng = np.random.default_rng(15)
     pose = robot.forward(robot.sample(rng))
     solution = rik.solve(robot, best_goal(pose))
     assert solution.converged
@@ -343,8 +360,10 @@ def test_six_joints_take_the_best_orientation_too():
 
 
 def test_moving_the_target_of_a_best_goal_moves_both_parts():
-    robot, rng = load("so101"), np.random.default_rng(16)
-    first, second = random_pose(robot, rng), random_pose(robot, rng)
+    robot = load("so101")
+    rng = np.random.default_rng(16)
+    first = random_pose(robot, rng)
+    second = random_pose(robot, rng)
     for options in ({}, {"free_axis": "x"}):
         problem = rik.Problem(robot, best_goal(first, **options))
         for target in (second, second.matrix, best_goal(second, **options)):
