@@ -482,6 +482,43 @@ class UnsupportedJointError(ModelError):
     """A joint exists but cannot be used for the requested purpose."""
 
 
+class CollisionError(RobotIkError):
+    """Root of the errors of scenes, obstacles and collision checks."""
+
+
+class InvalidObstacleError(CollisionError, ValueError):
+    """An obstacle is malformed: a size that is not positive, a name that exists already, NaN."""
+
+
+class UnknownObstacleError(_UnknownName, CollisionError):
+    """The scene has no obstacle of this name."""
+
+    kind = "obstacle"
+
+
+class UnknownPartError(_UnknownName, CollisionError):
+    """The scene has no body or geom of this name."""
+
+    kind = "body or geom"
+
+
+class UnsupportedGeomError(CollisionError):
+    """A geom that takes part in collisions has a type whose distance is not exact.
+
+    Attributes:
+        geom: Name of the geom.
+        type: Its type: height field or signed distance function.
+    """
+
+    def __init__(self, geom: str, type: str) -> None:
+        self.geom = geom
+        self.type = type
+        super().__init__(
+            f"geom {geom!r} is a {type}, whose distances are not exact",
+            hint="replace it by boxes or meshes, or set contype and conaffinity of the geom to 0",
+        )
+
+
 class GoalError(RobotIkError, ValueError):
     """Root of the errors of goals."""
 
