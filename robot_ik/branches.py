@@ -2,44 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, require_robot
-from robot_ik.solution import short_numbers
 from robot_ik.solvers.analytic import SERVED
-
-# Branches nearer than this in every joint (rad) are one.
-_SAME = 1e-6
-# rad, m: so far beyond a limit a joint still counts as inside.
-_SLACK = 1e-9
-# rad, m: so far beyond, it is brought back.  At a singular pose (an arm stretched out, whose elbow has its
-# limit there) rounding moves a joint by its own square root, and far less what the joint carries.
-_ROUNDING = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Branch:
-    """One of the ways in which an arm can meet a goal.
-
-    Attributes:
-        name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the start.
-        inside: Whether all joints are inside their limits.
-    """
-
-    name: str
-    q: NDArray[np.float64]
-    inside: bool
-
-    def __repr__(self) -> str:
-        return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
+from robot_ik.solvers.analytic.branch import Branch, listed_branches
+from robot_ik.solvers.avoiding import require_same_robot
 
 
 def solve_all(
@@ -48,6 +23,7 @@ def solve_all(
     *,
     start: ArrayLike | None = None,
     limits: bool = True,
+    collisions: CollisionAvoidance | None = None,
 ) -> tuple[Branch, ...]:
     """Return every branch with which the closed form meets a goal, nearest to ``start`` first.
 
@@ -61,11 +37,15 @@ def solve_all(
             position (3,) is a goal of the tool.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
+        collisions: Measure the clearance of each branch. Free branches come first; the others are
+            kept, with the pair of parts that touches in ``branch.clearance``.
 
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
     """
     require_robot(robot)
+    if collisions is not None:
+        require_same_robot(robot, collisions)
     origin = robot.home if start is None else robot.check_q(start, "start")
     try:
         problem = Problem(robot, goal, solver="analytic")
@@ -73,22 +53,12 @@ def solve_all(
         error.able = ()
         error.hint = f"solve_all serves {SERVED}; solve(…) finds one solution for any arm"
         raise
-    branches = problem.branches(origin)
-    if not branches:
-        return ()
-    qs = np.array([q for _, q in branches])
-    same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
-    far = ((qs - origin) ** 2).sum(axis=1).tolist()
-    first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
-    hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
-    ends = (
-        np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
-    )
-    off = np.abs(ends - qs)
-    if off.max() > _SLACK:
-        qs = np.where(off <= _ROUNDING, ends, qs)
-    inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
-    first.sort(key=lambda k: (not inside[k], far[k]))
-    return tuple(
-        Branch(branches[k][0], qs[k], inside=inside[k]) for k in first if inside[k] or not limits
-    )
+    branches = listed_branches(robot, problem.branches(origin), origin, limits=limits)
+    if collisions is None:
+        return branches
+    measured = []
+    for branch in branches:
+        clearance = collisions.clearance(branch.q)
+        free = clearance.distance >= collisions.margin
+        measured.append(replace(branch, clearance=clearance, free=free))
+    return tuple(sorted(measured, key=lambda branch: (not branch.inside, not branch.free)))

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_ik.collision.scene import Clearance, Scene
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Array
 from robot_ik.goals import Goal
 from robot_ik.kernels import search
 
 if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.robot import Robot
 
 
@@ -28,12 +30,16 @@ class Status(enum.IntEnum):
     UNREACHABLE = search.UNREACHABLE
     BLOCKED_BY_LIMITS = search.BLOCKED
     NUMERICAL = search.NUMERICAL
+    BLOCKED_BY_COLLISION = search.BLOCKED_BY_COLLISION
+    NO_FREE_BRANCH = search.NO_FREE_BRANCH
 
     @property
     def meaning(self) -> str:
         """One sentence for people."""
         if self is Status.CONVERGED:
             return "every goal that is needed is within tolerance"
+        if self in _AT_THE_GOAL:
+            return f"{_CAUSE[self]}; the posture that is kept meets the goal and touches"
         return f"{_CAUSE[self]}; the nearest point found is kept"
 
 
@@ -52,7 +58,10 @@ _CAUSE = {
     Status.UNREACHABLE: "proven out of reach",
     Status.BLOCKED_BY_LIMITS: "joint limits hold it back",
     Status.NUMERICAL: "numbers left the finite range",
+    Status.BLOCKED_BY_COLLISION: "every posture that was found at the goal collides",
+    Status.NO_FREE_BRANCH: "proven: every branch of the closed form collides",
 }
+_AT_THE_GOAL = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,7 @@ class Solution:
         solver: Name of the method that found q.
         given, targets: The goals as they were given to the problem, and the matrices (g, 4, 4) that they were moved
             to since; ``goals`` puts the two together.
+        avoidance: The condition on collisions, if there was one.
     """
 
     q: Array
@@ -105,6 +115,7 @@ class Solution:
     given: tuple[Goal, ...]
     targets: Array
     trace_rows: Array | None = None
+    avoidance: CollisionAvoidance | None = None
 
     @property
     def converged(self) -> bool:
@@ -136,6 +147,17 @@ class Solution:
         )
 
     @cached_property
+    def clearance(self) -> Clearance:
+        """The nearest pair of parts at q, measured by MuJoCo on first access.
+
+        Without a condition on collisions these are the robot's own parts, and the geoms that its
+        model fixes to the world.
+        """
+        if self.avoidance is not None:
+            return self.avoidance.clearance(self.q)
+        return Scene(self.robot).clearance(self.q)
+
+    @cached_property
     def trace(self) -> tuple[Step, ...]:
         """One row for each step, when a trace was asked for."""
         rows = [] if self.trace_rows is None else self.trace_rows.tolist()
@@ -146,6 +168,9 @@ class Solution:
         if self.converged:
             return self
         off = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
+        if self.status in _AT_THE_GOAL and self.clearance.pair is not None:
+            first, second = self.clearance.pair
+            off += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); nearest: "
             f"{off} after {self.iterations} steps", self,

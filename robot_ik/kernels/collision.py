@@ -332,7 +332,7 @@ def least_distance(run, q, reach):
         pair = next_pair(run, least)
         if pair < 0:
             return least, nearest
-        lower, upper, overlap = pair_bounds(run, pair, least, -1.0)
+        lower, _, overlap = pair_bounds(run, pair, least, -1.0)
         distance = min(lower, 0.0) if overlap else lower
         if distance < least:
             least = distance
@@ -340,6 +340,12 @@ def least_distance(run, q, reach):
 
 
 # Entry points
+
+
+@kernel
+def posture_verdict(address, q, margin):
+    """Return the verdict of one posture ``q`` (nq,)."""
+    return verdict(open_run(address), q, margin)
 
 
 @kernel

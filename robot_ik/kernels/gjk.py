@@ -50,8 +50,10 @@ def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, far, enough):
         shapes: Block of ``SHAPES``.
         hint: (g,) first guesses for the vertices of meshes.
         simplex: Block of ``SIMPLEX``. Its axis is the first guess for v; zero for none.
-        a, b: The geoms.
-        rotation, offset: Pose of ``b`` in the frame of ``a``.
+        a: The first geom.
+        b: The second geom.
+        rotation: Rotation of ``b`` in the frame of ``a``.
+        offset: Position of ``b`` in the frame of ``a``.
         far: Distance of the cores that need not be exceeded.
         enough: Distance of the cores below which the exact distance does not matter; negative: it
             always matters.

@@ -1,0 +1,74 @@
+"""``Branch``: one of the ways in which an arm can meet a goal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.collision.scene import Clearance
+from robot_ik.geometry import Array
+from robot_ik.robot import Robot
+from robot_ik.solution import short_numbers
+
+# Branches nearer than this in every joint (rad) are one.
+_SAME = 1e-6
+# rad, m: so far beyond a limit a joint still counts as inside.
+_SLACK = 1e-9
+# rad, m: so far beyond, it is brought back.  At a singular pose (an arm stretched out, whose elbow has its
+# limit there) rounding moves a joint by its own square root, and far less what the joint carries.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """One of the ways in which an arm can meet a goal.
+
+    Attributes:
+        name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
+        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the start.
+        inside: Whether all joints are inside their limits.
+        clearance: The nearest pair of parts, by MuJoCo; None without a condition on collisions.
+        free: Whether the clearance is at least the margin; True without a condition on collisions.
+    """
+
+    name: str
+    q: NDArray[np.float64]
+    inside: bool
+    clearance: Clearance | None = None
+    free: bool = True
+
+    def __repr__(self) -> str:
+        clearance = "" if self.clearance is None else f", {self.clearance!r}"
+        return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside}{clearance})"
+
+
+def listed_branches(
+    robot: Robot, found: Sequence[tuple[str, Array]], origin: Array, *, limits: bool
+) -> tuple[Branch, ...]:
+    """Return different branches, those inside the limits first, then by distance from ``origin``.
+
+    Args:
+        robot: The robot.
+        found: Name and joint angles (nq,) of each branch.
+        origin: Joint angles (nq,).
+        limits: Leave out branches outside the joint limits.
+    """
+    if not found:
+        return ()
+    qs = np.array([q for _, q in found])
+    same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
+    far = ((qs - origin) ** 2).sum(axis=1).tolist()
+    first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
+    hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
+    ends = np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    off = np.abs(ends - qs)
+    if off.max() > _SLACK:
+        qs = np.where(off <= _ROUNDING, ends, qs)
+    inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
+    first.sort(key=lambda k: (not inside[k], far[k]))
+    return tuple(
+        Branch(found[k][0], qs[k], inside=inside[k]) for k in first if inside[k] or not limits
+    )
