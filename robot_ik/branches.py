@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from robot_ik.collision.avoidance import CollisionAvoidance
+from robot_ik.collision.avoidance import CollisionAvoidance, require_same_robot
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
@@ -14,7 +14,6 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot, require_robot
 from robot_ik.solvers.analytic import SERVED
 from robot_ik.solvers.analytic.branch import Branch, listed_branches
-from robot_ik.solvers.avoiding import require_same_robot
 
 
 def solve_all(

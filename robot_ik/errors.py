@@ -576,5 +576,39 @@ class TrajectoryError(RobotIkError):
     """No path within the limits connects the given configurations or poses."""
 
 
+class MotionBlockedError(TrajectoryError, CollisionError):
+    """A motion would touch, or come nearer than the margin.
+
+    Attributes:
+        time: Seconds from the start of the motion.
+        pair: Names of the two parts.
+        distance: Least distance of the two parts that was found on the motion, m; negative: the
+            depth of their contact.
+        margin: Distance that was asked for, m.
+        q: Joint angles (nq,) at ``time``.
+    """
+
+    def __init__(
+        self, time: float, pair: tuple[str, str], distance: float, margin: float, q: object
+    ) -> None:
+        self.time = time
+        self.pair = pair
+        self.distance = distance
+        self.margin = margin
+        self.q = q
+        first, second = pair
+        if distance < 0.0:
+            what = f"{first} would touch {second} by {-1e3 * distance:.1f} mm"
+        else:
+            what = (
+                f"{first} would come within {1e3 * distance:.1f} mm of {second} "
+                f"(margin {1e3 * margin:.1f} mm)"
+            )
+        super().__init__(
+            f"{what} at {time:.2f} s",
+            hint="move round it, or give the pair as ignore if they may touch",
+        )
+
+
 NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
 """Errors that mean "tried and not achieved". All others mean wrong input or environment."""

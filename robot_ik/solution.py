@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_ik.collision.scene import Clearance, Scene
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Array
 from robot_ik.goals import Goal
@@ -17,6 +16,7 @@ from robot_ik.kernels import search
 
 if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
+    from robot_ik.collision.scene import Clearance
     from robot_ik.robot import Robot
 
 
@@ -155,6 +155,9 @@ class Solution:
         """
         if self.avoidance is not None:
             return self.avoidance.clearance(self.q)
+        # Here, because it loads the kernels of collision checks, 50 ms.
+        from robot_ik.collision.scene import Scene
+
         return Scene(self.robot).clearance(self.q)
 
     @cached_property

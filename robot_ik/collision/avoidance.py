@@ -17,6 +17,7 @@ from robot_ik.collision.scene import Clearance, Scene, free_postures
 from robot_ik.errors import OptionError
 from robot_ik.geometry import is_real
 from robot_ik.kernels.block import Block
+from robot_ik.robot import Robot
 
 LARGEST_MARGIN = 10.0
 """m."""
@@ -84,3 +85,21 @@ class CollisionAvoidance:
     def memory(self) -> Block:
         """Return memory for one compiled check at a time (``collision.RUN``)."""
         return self.scene.memory(self.tables)
+
+
+def require_same_robot(robot: Robot, collisions: CollisionAvoidance) -> None:
+    """Raise ``OptionError`` for a condition on another robot, or for another value."""
+    if not isinstance(collisions, CollisionAvoidance):
+        raise OptionError(
+            "collisions",
+            f"{collisions!r}",
+            "CollisionAvoidance(scene)",
+            hint="None for no condition",
+        )
+    other = collisions.scene.robot
+    if other.model is not robot.model or other.joints != robot.joints:
+        raise OptionError(
+            "collisions",
+            f"its scene is of robot {other!r}, not of {robot!r}",
+            hint="make the scene with the same robot: Scene(robot, …)",
+        )

@@ -55,8 +55,8 @@ class Clearance:
 
     Attributes:
         distance: m; negative: the depth of the deepest contact. inf if nothing can touch.
-        pair: Names of the bodies; of a geom that is fixed to the world, its own name. None if
-            nothing can touch.
+        pair: Names of the bodies, the one that is farther along the robot first; of a geom that is
+            fixed to the world, its own name. None if nothing can touch.
         points: (2, 3) nearest points on the two parts, world, m.
         normal: (3,) unit vector from the second part to the first.
     """
@@ -261,7 +261,7 @@ class Scene:
         for lower, pair in _by_lower_bound(self.model, data, pairs):
             if lower > least:
                 break
-            a, b = pairs[pair].tolist()
+            a, b = self._outer_first(*pairs[pair].tolist())
             distance = mujoco.mj_geomDistance(self.model, data, a, b, least, segment)
             if distance < least:
                 least = distance
@@ -279,6 +279,11 @@ class Scene:
             points,
             normal / length if length > 0.0 else np.full(3, np.nan),
         )
+
+    def _outer_first(self, a: int, b: int) -> tuple[int, int]:
+        """Return two geoms with the one that is farther along the robot first."""
+        nodes = [self._bodies[self.model.geom_bodyid[geom]][0] for geom in (a, b)]
+        return (a, b) if nodes[0] >= nodes[1] else (b, a)
 
     @cached_property
     def touching(self) -> tuple[Touching, ...]:

@@ -19,7 +19,6 @@ import numpy as np
 
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.distances import announce
-from robot_ik.errors import OptionError
 from robot_ik.geometry import Array
 from robot_ik.kernels import collision, jit
 from robot_ik.model import random_q
@@ -42,21 +41,6 @@ _RESTARTS_EACH = 10
 _SINGULAR = 1e-6
 # Methods whose solution may be replaced by another branch.
 _WITH_BRANCHES = ("auto", "analytic")
-
-
-def require_same_robot(robot: Robot, collisions: CollisionAvoidance) -> None:
-    """Raise ``OptionError`` for a condition on another robot, or for another value."""
-    if not isinstance(collisions, CollisionAvoidance):
-        raise OptionError(
-            "collisions", f"{collisions!r}", "CollisionAvoidance(scene)", hint="None for no condition"
-        )
-    other = collisions.scene.robot
-    if other.model is not robot.model or other.joints != robot.joints:
-        raise OptionError(
-            "collisions",
-            f"its scene is of robot {other!r}, not of {robot!r}",
-            hint="make the scene with the same robot: Scene(robot, …)",
-        )
 
 
 class PreparedAvoiding:

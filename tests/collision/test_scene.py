@@ -104,7 +104,9 @@ def test_a_margin_is_kept():
 def test_a_moved_obstacle_is_where_it_was_moved():
     robot = rik.load_robot("puma560")
     tool = robot.forward(robot.home).position
-    scene = rik.Scene(robot, [rik.Sphere("ball", radius=0.02, pose=rik.Pose(tool + np.array((0, 0, 5.0))))])
+    scene = rik.Scene(
+        robot, [rik.Sphere("ball", radius=0.02, pose=rik.Pose(tool + np.array((0, 0, 5.0))))]
+    )
     assert scene.free(robot.home)
     model = scene.model
     scene.move("ball", rik.Pose(tool))
