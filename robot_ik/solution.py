@@ -38,8 +38,6 @@ class Status(enum.IntEnum):
         """One sentence for people."""
         if self is Status.CONVERGED:
             return "every goal that is needed is within tolerance"
-        if self in _AT_THE_GOAL:
-            return f"{_CAUSE[self]}; the posture that is kept meets the goal and touches"
         return f"{_CAUSE[self]}; the nearest point found is kept"
 
 
@@ -58,10 +56,10 @@ _CAUSE = {
     Status.UNREACHABLE: "proven out of reach",
     Status.BLOCKED_BY_LIMITS: "joint limits hold it back",
     Status.NUMERICAL: "numbers left the finite range",
-    Status.BLOCKED_BY_COLLISION: "every posture that was found at the goal collides",
+    Status.BLOCKED_BY_COLLISION: "collisions are in the way of every solution that was found",
     Status.NO_FREE_BRANCH: "proven: every branch of the closed form collides",
 }
-_AT_THE_GOAL = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
+_COLLIDING = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
 
 
 @dataclass(frozen=True)
@@ -171,7 +169,7 @@ class Solution:
         if self.converged:
             return self
         off = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
-        if self.status in _AT_THE_GOAL and self.clearance.pair is not None:
+        if self.status in _COLLIDING and self.clearance.pair is not None:
             first, second = self.clearance.pair
             off += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
         raise NotConvergedError(

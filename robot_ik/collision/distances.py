@@ -308,6 +308,7 @@ def check_memory(tree: Tree, tables: ShapeTables, pairs: PairTables) -> Block:
         "k": len(pairs.block.arrays["links"]),
         "p": len(pairs.geoms),
         "r": MOST_NEAR_PAIRS,
+        "nq": tree.nq,
         "nv": tree.nv,
     }
     check = collision.CHECK.allocate(sizes)

@@ -14,9 +14,9 @@ the bounds do not agree, within rounding of contact, the verdict is UNDECIDED an
 
 from robot_ik.kernels import so3
 from robot_ik.kernels.block import Layout
-from robot_ik.kernels.gjk import SIMPLEX, distance_bounds
+from robot_ik.kernels.gjk import SIMPLEX, distance_bounds, least_overlap, witness
 from robot_ik.kernels.jit import inlined, kernel, outlined
-from robot_ik.kernels.kinematics import compose, forward
+from robot_ik.kernels.kinematics import compose, forward, slope_of, velocity_of, width_of
 from robot_ik.kernels.shapes import (
     BOX,
     PLANE,
@@ -47,7 +47,7 @@ PAIRS = Layout(
     below="int_table",  # (k, 2) of each link: its first node below the common ancestor, or -1
 )
 
-# With n nodes, g geoms, l links, k pairs of links, p pairs of geoms, r near pairs, nv.
+# With nq, nv, n nodes, g geoms, l links, k pairs of links, p pairs of geoms, r near pairs.
 CHECK = Layout(
     "Check",
     now="int",  # number of this check
@@ -56,6 +56,8 @@ CHECK = Layout(
     pair_end="int",
     last_hit="int",  # pair of geoms that touched last + 1; 0 for none
     near_count="int",
+    least="float",  # least distance of the near pairs
+    q="floats nq",
     world="table n 12",
     scratch="table 2 12",
     ends="table l 6",  # ends of each link's capsule
@@ -85,6 +87,8 @@ def begin_check(run, q):
     """Place all links at ``q`` (nq,), and begin a scan."""
     check = run.check
     shapes = run.shapes
+    for i in range(q.shape[0]):
+        check.q[i] = q[i]
     forward(run.tree, run.tree.every, q, check.world, check.scratch)
     for link in range(shapes.node.shape[0]):
         node = shapes.node[link]
@@ -339,7 +343,116 @@ def least_distance(run, q, reach):
             nearest = pair
 
 
+# Near pairs with their gradients
+
+
+@outlined
+def list_near(run, q, reach):
+    """Write all pairs nearer than ``reach`` at ``q``: near_pair, near_distance, near_rows, least.
+
+    If there are too many, the nearest are kept.
+    """
+    check = run.check
+    begin_check(run, q)
+    check.near_count = 0
+    check.least = reach
+    capacity = check.near_pair.shape[0]
+    while True:
+        pair = next_pair(run, reach)
+        if pair < 0:
+            return
+        lower, upper, overlap = pair_bounds(run, pair, reach, -1.0)
+        if lower > reach:
+            continue
+        distance = write_witness(run, pair, upper, overlap)
+        check.least = min(check.least, distance)
+        slot = check.near_count
+        if slot == capacity:
+            slot = 0
+            for i in range(1, capacity):
+                if check.near_distance[i] > check.near_distance[slot]:
+                    slot = i
+            if check.near_distance[slot] <= distance:
+                continue
+        else:
+            check.near_count += 1
+        check.near_pair[slot] = pair
+        check.near_distance[slot] = distance
+        write_gradient(run, pair, slot)
+
+
+@outlined
+def write_witness(run, pair, upper, overlap):
+    """Write the nearest points and the normal of the pair measured last; return its distance."""
+    shapes = run.shapes
+    check = run.check
+    simplex = check.simplex
+    poses = check.poses
+    a = run.pairs.geoms[pair, 0]
+    b = run.pairs.geoms[pair, 1]
+    if shapes.kind[b] == PLANE:
+        return upper
+    rotation_a = so3.read_rotation(poses, a)
+    origin = so3.read_vector(poses, a, 0)
+    distance = upper
+    if overlap:
+        offset = so3.subtract(so3.read_vector(poses, b, 0), origin)
+        rotation = relative_rotation(rotation_a, so3.read_rotation(poses, b))
+        offset = so3.apply_inverse(rotation_a, offset)
+        separation, normal = least_overlap(shapes, check.hint, simplex, a, b, rotation, offset)
+        distance = separation - shapes.rounding[a] - shapes.rounding[b]
+        on_a = so3.read_vector(simplex.points, 0, 0)
+        on_b = so3.read_vector(simplex.points, 1, 0)
+    else:
+        v = so3.read_vector_at(simplex.axis, 0)
+        on_a = witness(simplex)
+        on_b = so3.subtract(on_a, v)
+        normal = so3.scale(1.0 / max(so3.norm(v), 1e-300), v)
+    on_a = so3.subtract(on_a, so3.scale(shapes.rounding[a], normal))
+    on_b = so3.add(on_b, so3.scale(shapes.rounding[b], normal))
+    so3.write_vector(check.normal, 0, so3.apply(rotation_a, normal))
+    so3.write_vector(check.point_a, 0, so3.add(origin, so3.apply(rotation_a, on_a)))
+    so3.write_vector(check.point_b, 0, so3.add(origin, so3.apply(rotation_a, on_b)))
+    return distance
+
+
+@outlined
+def write_gradient(run, pair, slot):
+    """Write the change of a pair's distance per unit of each degree of freedom.
+
+    A coupled joint has no column: its motion is added to the column of its leader.
+    """
+    tree = run.tree
+    check = run.check
+    row = check.near_rows
+    for v in range(row.shape[1]):
+        row[slot, v] = 0.0
+    normal = so3.read_vector_at(check.normal, 0)
+    for side in range(2):
+        sign = 1.0 - 2.0 * side
+        point = so3.read_vector_at(check.point_a if side == 0 else check.point_b, 0)
+        node = run.shapes.node[run.shapes.link[run.pairs.geoms[pair, side]]]
+        while node >= 0:
+            first = tree.vadr[node]
+            for v in range(first, first + width_of(tree.kind[node])):
+                velocity, _ = velocity_of(tree, check.world, v, point)
+                row[slot, v] += sign * so3.dot(normal, velocity)
+            node = tree.parent[node]
+    for c in range(tree.coupled.shape[0]):
+        follower = tree.vadr[tree.coupled[c, 0]]
+        if tree.coupled[c, 1] >= 0:
+            leader = tree.vadr[tree.coupled[c, 1]]
+            row[slot, leader] += slope_of(tree, c, check.q) * row[slot, follower]
+        row[slot, follower] = 0.0
+
+
 # Entry points
+
+
+@kernel
+def near_pairs(address, q, reach):
+    """Run ``list_near``."""
+    list_near(open_run(address), q, reach)
 
 
 @kernel

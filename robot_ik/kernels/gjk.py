@@ -26,6 +26,14 @@ _SMALLEST_PROGRESS = 1e-14
 # Squared height of a tetrahedron over its face, as a share of the face, below which it is flat.
 _FLAT = 1e-24
 
+# An axis shorter than this is the product of parallel ones.
+_SHORT_AXIS = 1e-6
+# Directions of overlap that are tried after the first ones.
+_MOST_TURNS = 8
+# m, and share of the depth: the gap to which overlapping cores are moved apart.
+_BEYOND = 1e-4
+_BEYOND_SHARE = 0.1
+
 # Memory of one distance.
 SIMPLEX = Layout(
     "Simplex",
@@ -275,3 +283,84 @@ def is_outside(simplex, i, j, k, opposite):
 def witness(simplex):
     """Return the point of A next to B, in the frame of A; minus v it is the point of B."""
     return combine(simplex, simplex.on_first)
+
+
+# Overlap
+
+
+@outlined
+def least_overlap(shapes, hint, simplex, a, b, rotation, offset):
+    """Return (distance, direction) of two overlapping cores: the distance is negative.
+
+    The distance is the largest separation along any direction, a unit vector from ``b`` to ``a`` in
+    the frame of ``a``. The first directions are the axes of both geoms, their products, and the line
+    of centres, which is exact for boxes. For other shapes ``b`` is then moved out along the best
+    direction, and the direction between the nearest points tried in its place, until it is no
+    better. The depth is an upper bound, and near the truth. Writes the nearest points to
+    simplex.points: row 0 of ``a``, row 1 of ``b``.
+    """
+    best = -math.inf
+    chosen = 1.0, 0.0, 0.0
+    columns = so3.transpose(rotation)
+    for candidate in range(16):
+        if candidate < 3:
+            axis = unit_vector(candidate)
+        elif candidate < 6:
+            axis = pick(columns, candidate - 3)
+        elif candidate < 15:
+            axis = so3.cross(unit_vector((candidate - 6) // 3), pick(columns, (candidate - 6) % 3))
+        else:
+            axis = offset
+        length = so3.norm(axis)
+        if length < _SHORT_AXIS:
+            continue
+        axis = so3.scale(1.0 / length, axis)
+        for side in range(2):
+            direction = so3.scale(1.0 - 2.0 * side, axis)
+            separation = separation_along(shapes, hint, a, b, rotation, offset, direction)
+            if separation > best:
+                best = separation
+                chosen = direction
+    on_a = 0.0, 0.0, 0.0
+    on_b = 0.0, 0.0, 0.0
+    for _ in range(_MOST_TURNS):
+        shift = so3.scale(best * (1.0 + _BEYOND_SHARE) - _BEYOND, chosen)
+        so3.write_vector(simplex.axis, 0, chosen)
+        moved = so3.add(offset, shift)
+        distance_bounds(shapes, hint, simplex, a, b, rotation, moved, math.inf, -1.0)
+        v = so3.read_vector_at(simplex.axis, 0)
+        on_a = witness(simplex)
+        on_b = so3.subtract(so3.subtract(on_a, v), shift)
+        length = so3.norm(v)
+        if length < _SHORT_AXIS * _BEYOND:
+            break
+        direction = so3.scale(1.0 / length, v)
+        separation = separation_along(shapes, hint, a, b, rotation, offset, direction)
+        if separation <= best + _SHORT_AXIS * _BEYOND:
+            break
+        best = separation
+        chosen = direction
+    so3.write_row(simplex.points, 0, on_a)
+    so3.write_row(simplex.points, 1, on_b)
+    return best, chosen
+
+
+@outlined
+def separation_along(shapes, hint, a, b, rotation, offset, direction):
+    """Return how far ``a`` is beyond ``b`` along ``direction``; negative if they overlap there."""
+    on_a = support(shapes, hint, a, so3.scale(-1.0, direction))
+    on_b = support(shapes, hint, b, so3.apply_inverse(rotation, direction))
+    on_b = so3.add(so3.apply(rotation, on_b), offset)
+    return so3.dot(direction, so3.subtract(on_a, on_b))
+
+
+@inlined
+def unit_vector(i):
+    """Return the unit vector along coordinate ``i``."""
+    return 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
+
+
+@inlined
+def pick(columns, i):
+    """Return one of three vectors."""
+    return columns[0] if i == 0 else (columns[1] if i == 1 else columns[2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,7 +114,7 @@ def changes_between(robot: Robot, rows: Array) -> Array:
         return np.zeros((1, robot.nv))
     if robot.nq == robot.nv:
         return np.ascontiguousarray(np.diff(rows, axis=0))
-    return np.array([robot.difference(a, b) for a, b in zip(rows[:-1], rows[1:], strict=True)])
+    return np.array([robot.difference(a, b) for a, b in itertools.pairwise(rows)])
 
 
 def _time_of(rows: Array, seconds: Array, corners: Array, segment: int, share: float) -> float:
