@@ -5,6 +5,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 STAMP4 := .venv-opencv4/.installed
+STAMP_MUJOCO3 := .venv-mujoco3/.installed
 DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
@@ -21,6 +22,9 @@ endif
 ifneq ($(shell cat $(STAMP4) 2>/dev/null),$(CURDIR))
 STALE4 := FORCE
 endif
+ifneq ($(shell cat $(STAMP_MUJOCO3) 2>/dev/null),$(CURDIR))
+STALE_MUJOCO3 := FORCE
+endif
 ifneq ($(strip $(PYTHON)),)
 export PYTHON
 ifneq ($(shell '$(PYTHON)' -V 2>&1 || :),$(shell $(PY) -V 2>&1 || :))
@@ -28,19 +32,20 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test explore soak fuzz strangers check lint types imports format docs wheel test-opencv4 constraints clean FORCE
+.PHONY: help reach test explore soak fuzz strangers check lint types imports format docs wheel test-opencv4 test-mujoco3 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
 	@echo 'make test          the tests (ARGS="-k puma" chooses some)'
 	@echo 'make explore       the same tests with new random examples of every law'
-	@echo 'make check         ruff, mypy on the built wheel, import contracts'
-	@echo 'make format        let ruff put the layout and the imports in order'
+	@echo 'make check         style, mypy on the built wheel, import contracts'
+	@echo 'make format        let ruff fix the layout and the imports'
 	@echo 'make docs          the pages and the API as a site, in build/site'
 	@echo 'make soak          the long tests'
 	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
 	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
+	@echo 'make test-mujoco3  model, kernel, solver, hardware and figure tests with MuJoCo 3, in another one'
 	@echo 'make wheel         build wheel and sdist into dist/ and try both in an empty environment'
 	@echo 'make constraints   look for new versions of everything: rewrites constraints.txt'
 	@echo 'make clean         remove what was built, and the environments'
@@ -76,8 +81,7 @@ strangers: $(STAMP)
 check: lint types imports
 
 lint: $(STAMP)
-	@$(PY) -m ruff check .
-	@$(PY) -m ruff format --check .
+	@$(PY) .ci/check_style.py
 
 types: $(STAMP)
 	@.ci/check_types $(VENV)
@@ -87,8 +91,7 @@ imports: $(STAMP)
 	@cd $(VENV)/typed && ../bin/python -c 'from importlinter.cli import lint_imports_command as lint; lint()' --no-logo --config ../../pyproject.toml
 
 format: $(STAMP)
-	@$(PY) -m ruff check --fix .
-	@$(PY) -m ruff format .
+	@$(PY) .ci/check_style.py --format
 
 # -E reads every page anew, -W makes a warning an error.
 docs: $(DOCS_STAMP)
@@ -103,6 +106,13 @@ wheel: $(STAMP)
 test-opencv4: $(STAMP4)
 	@ROBOT_IK_REQUIRE="$${ROBOT_IK_REQUIRE:+$$ROBOT_IK_REQUIRE,}opencv4" .venv-opencv4/bin/python -m pytest tests/camera $(ARGS)
 
+# The parts that call MuJoCo. Files that only measure the compiler or the clock are left to `make test`.
+MUJOCO3_TESTS := tests/models tests/kernels/test_kinematics.py tests/kernels/test_residuals.py tests/kernels/test_second_order.py \
+	tests/solvers/test_laws.py tests/solvers/analytic tests/hardware/test_simulated.py tests/hardware/test_bus_contract.py \
+	tests/hardware/test_arms_people_own.py tests/hardware/virtual/test_world.py tests/figure
+test-mujoco3: $(STAMP_MUJOCO3)
+	@.venv-mujoco3/bin/python -m pytest -n $(WORKERS) --dist loadfile $(MUJOCO3_TESTS) $(ARGS)
+
 # --universal: one file for every system and Python; nothing of this machine (index, folder, local version) gets in.
 constraints: $(STAMP)
 	@$(PY) -m venv $(VENV)/uv
@@ -115,7 +125,7 @@ constraints: $(STAMP)
 	@git --no-pager diff --stat constraints.txt
 
 clean:
-	rm -rf $(VENV) .venv-opencv4 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .venv-opencv4 .venv-mujoco3 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
 	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,record,gamepad,plots,descriptions,dev]'
@@ -132,4 +142,11 @@ $(STAMP4): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE4)
 	@mkdir -p build
 	@sed 's/^\(opencv-contrib-python-headless\)==.*/\1<5/' constraints.txt > build/constraints-opencv4.txt
 	@$(MAKE_VENV) .venv-opencv4 build/constraints-opencv4.txt '.[video,dev]'
+	@printf '%s\n' '$(CURDIR)' > $@
+
+# The same versions but for MuJoCo, which is one package before 4. Its version is the last of series 3.
+$(STAMP_MUJOCO3): pyproject.toml constraints.txt $(MAKE_VENV) $(STALE_MUJOCO3)
+	@mkdir -p build
+	@sed -e 's/^mujoco==.*/mujoco==3.17.0/' -e '/^mujoco-core==/d' -e '/^mujoco-studio==/d' constraints.txt > build/constraints-mujoco3.txt
+	@$(MAKE_VENV) .venv-mujoco3 build/constraints-mujoco3.txt '.[video,dev]'
 	@printf '%s\n' '$(CURDIR)' > $@

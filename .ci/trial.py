@@ -11,15 +11,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+DISTRIBUTION = "robot-ik-testbed"
+
 
 def main(version: str, data: list[str]) -> None:
     """Imports it, asks the command for its version, looks for every data file, loads every robot."""
     import robot_ik
 
     assert Path(robot_ik.__file__).is_relative_to(sys.prefix), f"imported from {robot_ik.__file__}"
-    assert importlib.metadata.version("robot_ik") == version
-    licences = [f for f in importlib.metadata.files("robot_ik") or [] if f.name == "LICENSE"]
-    assert licences, "no licence file"
+    assert importlib.metadata.version(DISTRIBUTION) == version == robot_ik.__version__
+    names = {file.name for file in importlib.metadata.files(DISTRIBUTION) or []}
+    assert names >= {"LICENSE", "NOTICE"}, "no licence file or no notice"
     for name in ("hardware", "models", "tests"):
         assert importlib.util.find_spec(name) is None, f"`import {name}` works, but is nobody's name"
 

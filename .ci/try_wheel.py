@@ -4,10 +4,10 @@ Usage: python .ci/try_wheel.py DIST
 """
 
 import json
+import re
 import subprocess
 import sys
 import tempfile
-import tomllib
 import venv
 from pathlib import Path
 
@@ -18,11 +18,12 @@ def main(dist: Path) -> None:
     """Tries the only wheel and the only sdist in ``dist``; ends the program where one is wrong."""
     (wheel,) = dist.glob("*.whl")
     (sdist,) = dist.glob("*.tar.gz")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    source = (ROOT / "robot_ik" / "__init__.py").read_text(encoding="utf-8")
+    (version,) = re.findall(r'^__version__ = "(.*)"$', source, re.MULTILINE)
     models = ROOT / "models"
     files = [p.relative_to(models) for p in sorted(models.rglob("[!.]*")) if p.is_file()]
     data = [str(p) for p in files if "__pycache__" not in p.parts]
-    expected = json.dumps({"version": project["version"], "data": data})
+    expected = json.dumps({"version": version, "data": data})
     with tempfile.TemporaryDirectory() as folder:
         # Resolved, as /tmp is a link on macOS and the trial compares paths.
         place = Path(folder).resolve()

@@ -24,7 +24,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphin
 
 root_doc = "docs/index"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
-include_patterns = ["docs/**", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "models/*/README.md"]
+include_patterns = ["docs/**", "*.md", "models/*/README.md", "models/THIRD_PARTY.md"]
 # Sphinx walks the whole source folder; these it need not enter.
 exclude_patterns = [
     "**/.*", "build", "dist", "runs", "robot_ik", "hardware", "tests", "examples", "docs/make", "docs/images",
@@ -47,6 +47,8 @@ html_copy_source = False
 
 #: Pages whose children are the files of a folder.
 CHILDREN = {"docs/reference/solvers": "solvers/*", "docs/reference/robots": "../../models/*/README"}
+#: Pages that are not in the menu.
+OUTSIDE = ("README", "SECURITY", "CODE_OF_CONDUCT", "models/THIRD_PARTY")
 
 
 def add_toctrees(app: Sphinx, name: str, source: list[str]) -> None:
@@ -59,7 +61,7 @@ def add_toctrees(app: Sphinx, name: str, source: list[str]) -> None:
         source[0] += "".join(after)
     elif name in CHILDREN:
         source[0] += toctree([CHILDREN[name]], ":glob:")
-    elif name == "README":
+    elif name in OUTSIDE:
         source[0] = "---\norphan: true\n---\n" + source[0]
 
 

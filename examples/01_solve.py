@@ -1,6 +1,6 @@
 """Solves inverse kinematics for the PUMA 560 and prints the result.
 
-Prints the joint angles for a goal within reach, the miss that MuJoCo's own forward pass measures, and the
+Prints the joint angles for a goal within reach, the error that MuJoCo's own forward pass measures, and the
 effort of each method.  Then the same for a goal two metres too far: no exception, but a status, a proof and
 the nearest point that was found.
 """
@@ -11,10 +11,10 @@ import robot_ik as rik
 
 
 def show(name: str, solution: rik.Solution) -> None:
-    miss = solution.error  # measured by MuJoCo, not by the solver
+    error = solution.error  # measured by MuJoCo, not by the solver
     print(
-        f"{name:13} {solution.status.name:12} {1e3 * miss.position:9.4f} mm "
-        f"{np.degrees(miss.angle):8.4f} deg  {solution.iterations:4} iterations, {solution.restarts} restarts"
+        f"{name:13} {solution.status.name:12} {1e3 * error.position:9.4f} mm "
+        f"{np.degrees(error.angle):8.4f} deg  {solution.iterations:4} iterations, {solution.restarts} restarts"
     )
 
 

@@ -51,8 +51,8 @@ def main(offset_deg: float = 0.0) -> None:
         sys.exit("the gripper's markers are not in view")
     pose_cube_gripper = robot.forward(q, scene.cube_frame).inverse() @ robot.forward(q)
     gripper = eye @ seen.pose_camera_body @ pose_cube_gripper
-    miss = gripper.distance(goal.target)[0]
-    print(f"camera says: {1e3 * miss:.2f} mm from the goal: {'REACHED' if miss < 0.005 else 'NOT REACHED'}")
+    error = gripper.distance(goal.target)[0]
+    print(f"camera says: {1e3 * error:.2f} mm from the goal: {'REACHED' if error < 0.005 else 'NOT REACHED'}")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python examples/04_whole_body.py                    a ball before its feet
     python examples/04_whole_body.py 1.3 -0.3 1.2        a ball too far away
 
-A later goal costs an earlier one nothing.  Prints the miss of every goal by its priority, measured by MuJoCo:
+A later goal costs an earlier one nothing.  Prints the error of every goal by its priority, measured by MuJoCo:
 the feet stay and the balance holds even where the hand cannot come, and the posture only fills what is left.
 """
 
@@ -37,9 +37,9 @@ def main(*ball: float) -> None:
     found = rik.solve(figure, list(wanted.values()))
     print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
     print("priority  goal                      off by                 met")
-    for (name, goal), miss in zip(wanted.items(), found.errors, strict=True):
-        met = miss.position <= 1e-4 and miss.angle <= 1e-3
-        off = f"{1e3 * miss.position:9.3f} mm {np.degrees(miss.angle):8.3f} deg"
+    for (name, goal), error in zip(wanted.items(), found.errors, strict=True):
+        met = error.position <= 1e-4 and error.angle <= 1e-3
+        off = f"{1e3 * error.position:9.3f} mm {np.degrees(error.angle):8.3f} deg"
         print(f"{goal.priority:8}  {name:24}{off}  {'yes' if met else 'no'}")
 
 

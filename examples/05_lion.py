@@ -1,10 +1,10 @@
-"""Simba the lion takes a ball: three paws stay, the fourth reaches, he looks at it, the rest is at ease.
+"""The lion takes a ball: three paws stay, the fourth reaches, the head turns to the ball.
 
-    python examples/05_lion.py                    the ball in front of his right paw
-    python examples/05_lion.py 0.9 -0.35 0.5      higher and to his right
+    python examples/05_lion.py                    the ball in front of its right paw
+    python examples/05_lion.py 0.9 -0.35 0.5      higher and to its right
 
 Sixty-six degrees of freedom: a floating base, balls along spine, neck and tail, hinges in the legs.  Prints
-the miss of every goal by its priority, measured by MuJoCo: of the last ones, how far each part had to bend.
+the error of every goal by its priority, measured by MuJoCo: of the last ones, how far each part had to bend.
 """
 
 import sys
@@ -44,9 +44,9 @@ def main(*ball: float) -> None:
     found = rik.solve(lion, list(wanted.values()))
     print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
     print("priority  goal                      off by                 met")
-    for (name, goal), miss in zip(wanted.items(), found.errors, strict=True):
-        met = miss.position <= 1e-4 and miss.angle <= 1e-3
-        off = f"{1e3 * miss.position:9.3f} mm {np.degrees(miss.angle):8.3f} deg"
+    for (name, goal), error in zip(wanted.items(), found.errors, strict=True):
+        met = error.position <= 1e-4 and error.angle <= 1e-3
+        off = f"{1e3 * error.position:9.3f} mm {np.degrees(error.angle):8.3f} deg"
         print(f"{goal.priority:8}  {name:24}{off}  {'yes' if met else 'no'}")
 
 

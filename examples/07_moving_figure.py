@@ -31,9 +31,9 @@ def main(*ball: float) -> None:
         if frame.decision.arm is None:
             continue
         hand = session.figure.robot.measure(frame.q, session.figure.hands[frame.decision.arm])
-        miss = np.linalg.norm(hand.position - frame.ball)
+        error = np.linalg.norm(hand.position - frame.ball)
         line = (
-            f"after {frames / RATE:.1f} s the {frame.decision.arm} hand is {1e3 * miss:.2f} mm from the ball"
+            f"after {frames / RATE:.1f} s the {frame.decision.arm} hand is {1e3 * error:.2f} mm from the ball"
         )
         print(f"         {line}")
 

@@ -53,7 +53,8 @@ class Bus:
 def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import SimBus
 
-    assert servos is not None
+    if servos is None:
+        raise RuntimeError("a simulated bus needs servos")
     return SimBus(servos)
 
 
@@ -61,7 +62,8 @@ def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import ServedBus
 
     pty_port()  # now, not when it is opened
-    assert servos is not None
+    if servos is None:
+        raise RuntimeError("a simulated bus needs servos")
     return ServedBus(servos, config.baud)
 
 

@@ -2,15 +2,21 @@
 
 ``DISCONNECTED`` → connect → ``CONNECTED`` → enable → ``ENABLED`` ↔ ``HOLD``; ``MOVING`` on the way to a
 pose; ``FAULT`` is latched until ``reset_fault``, ``reconnect`` or ``close``.  One thread drives an arm; the
-heartbeat is the only other one, and shares a lock with it.  What acts when no command comes: ``watchdogs``.
+heartbeat is the only other one, and shares a lock with it.  Every method that talks to the servos holds that
+lock.  ``request_stop`` and ``close`` may be called from any thread.  What acts when no command comes:
+``watchdogs``.
 """
 
 from __future__ import annotations
 
 import enum
 import logging
+import math
+import reprlib
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Self, TypeVar
 
 from numpy.typing import ArrayLike
@@ -22,7 +28,9 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
+from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.startup import (
+    check_currents,
     check_revolutions_kept,
     find_again,
     reset_servos,
@@ -41,14 +49,20 @@ __all__ = ["Arm", "ArmState"]
 
 log = logging.getLogger(__name__)
 
-LOCK_PATIENCE = 0.5
-"""s for which leaving waits for a cycle of another thread; then the arm is left all the same."""
+LOCK_PATIENCE = 1.0
+"""s for which leaving waits for another thread to end its motion; then the arm is left all the same."""
 
 _AT_REST = 1e-3  # rad/s (m/s): slower than this a joint stands still
 _POLL_PERIOD = 0.02  # s between two polls for a request to stop
 _GO_ON = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
 
 T = TypeVar("T")
+
+
+def _check_timeout(timeout: float | None) -> None:
+    """Raises ``UnsafeCommandError`` for a time that would never be over by mistake."""
+    if timeout is not None and timeout != math.inf and finite(timeout) is None:
+        raise UnsafeCommandError(f"a timeout of {reprlib.repr(timeout)}", "a number of seconds")
 
 
 class ArmState(enum.Enum):
@@ -119,6 +133,7 @@ class Arm(Closing):
         self._cycle = Cycle(config, bus)
         self._park_at = park_at
         self._rest: tuple[float, ...] = ()
+        self._currents: dict[str, float] = {}  # joint -> mA asked for since connect
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
         self._lock = threading.RLock()
@@ -126,9 +141,12 @@ class Arm(Closing):
         self._streaming = False  # commands come one after the other, none of them meant to last
         self._commanded = 0.0  # when the last one came
         self._stop_file = StopFile(config.name)
-        self._stop_policy: str | None = None  # somebody asked to stop: how the arm is left, whatever on_exit
-        self._stop_acknowledged = True
+        self._stop_requests: deque[str] = deque()  # policies of requests that were not carried out yet
+        self._stop_policy: str | None = None  # of the request carried out last: close leaves the arm so
+        self._unraised_stop: StopRequestedError | None = None  # carried out by the heartbeat, not raised yet
         self._polled_at = 0.0
+        self._close_lock = threading.RLock()
+        self._closing_thread: int | None = None  # its ident; from the begin of close until connect
 
     @property
     def reports(self) -> MotionReport:
@@ -151,64 +169,99 @@ class Arm(Closing):
             BusCorruptError, BusDisconnectedError, ServoRefusedError: Nothing was switched on; the bus is
             closed again.
         """
-        after = self._after("connect")
-        self._shares_bus = self.bus.is_open
-        try:
-            self.bus.open()
-            feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
-        except BaseException:
-            self._close_bus()
-            raise
-        self.fault = self.exit_report = self._stop_policy = None
-        self._stop_acknowledged = True
-        self._cycle = Cycle(self.config, self.bus, feedback)
-        self.state = after
+        with self._lock:
+            with self._close_lock:  # a close that another thread has begun ends first
+                self._closing_thread = None
+            after = self._after("connect")
+            self._shares_bus = self.bus.is_open
+            try:
+                self.bus.open()
+                feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
+                self._currents.clear()
+                self._require_not_closed()
+            except BaseException:
+                self._close_bus()
+                raise
+            self.fault = self.exit_report = self._stop_policy = self._unraised_stop = None
+            self._cycle = Cycle(self.config, self.bus, feedback)
+            self.state = after
 
     @uninterrupted
     def enable(self) -> None:
         """Torque on where the arm stands; from here on signals and exceptions end in ``close``'s policy.
 
-        A signal that comes meanwhile is raised at the end, and torque is off again.
+        A signal that comes meanwhile is raised at the end, and torque is off again.  A request to stop is
+        carried out before torque comes on, or as soon as it is on.
 
         Raises:
             ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again where
                 ``exit_report`` says so.  Joints that held before, after a fault, hold where ``on_exit`` is
                 ``hold``.
+            StopRequestedError: The arm was left as the request asked.  Latched.
             ConfigError: The arm file's zeros are placeholders and the servos real; nothing was switched on.
             KeyboardInterrupt, SystemExit: The signal.
         """
-        after = self._after("enable")
-        if self.virtual_bus is None:
-            require_calibrated(self.config)
-        if not self.config.stale_ms:
-            log.warning("stale_ms = 0: in a pause of commands nothing holds the arm, a loaded joint sinks")
-        self._guard.install()
-        first, self._energised = not self._energised, True
+        with self._lock:
+            after = self._after("enable")
+            if self.virtual_bus is None:
+                require_calibrated(self.config)
+            if not self.config.stale_ms:
+                log.warning(
+                    "stale_ms = 0: in a pause of commands nothing holds the arm, a loaded joint sinks"
+                )
+            self._obey_stop(poll_now=True)
+            self._guard.install()
+            first = not self._energised
+            try:
+                self._give_torque(first)
+                self.state = after
+                self._obey_stop(poll_now=True)
+                self._require_not_closed()
+            except StopRequestedError:
+                raise  # the arm was left as the request asked
+            except BaseException:
+                self._undo_enable(first)
+                raise
+            if self._guard.received:
+                self._undo_enable(first)
+
+    def _give_torque(self, first: bool) -> None:
+        """Torque on where the arm stands.  From here on other processes can ask the arm to stop.
+
+        ``first``: no servo has torque because of this arm yet.
+        """
+        if not isinstance(self.clock, VirtualClock):
+            self._stop_file.open(self.bus.port)
+            self._heartbeat.start()
+        here = read_standing(self.bus, self.config)
+        self._cycle.samples.begin(here, self.clock.now())
+        self._cycle.stand(here)  # before torque: where it fails, nobody is sent to goals from before
+        self._obey_stop(poll_now=True)
+        self._require_not_closed()
+        self._energised = True
         try:
-            here = read_standing(self.bus, self.config)
-            self._cycle.samples.begin(here, self.clock.now())
-            self._cycle.stand(here)  # before torque: where it fails, nobody is sent to goals from before
             torque_on(self.bus, self.config, here)
-            if first:  # later it is somewhere it never stood without torque
-                self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
-            self._commanded, self._streaming = self.clock.now(), False
-            if not isinstance(self.clock, VirtualClock):
-                self._stop_file.open(self.bus.port)
-                self._heartbeat.start()
-            self.state = after
-        except BaseException:
-            self._undo_enable(first)
-            raise
-        if self._guard.received:
-            self._undo_enable(first)
+        finally:
+            self._energised = True  # also where another thread has left the arm meanwhile
+        if first:  # After a later enable the arm stands where it never stood without torque.
+            self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
+        self._commanded, self._streaming = self.clock.now(), False
 
     def _undo_enable(self, first: bool) -> None:
-        """Leaves the arm as it was before ``enable``, and remembers where that was not confirmed."""
-        self._heartbeat.dismiss()
-        self._leave("torque_off" if first or self.on_exit != "hold" else "hold")
-        self.state = ArmState.CONNECTED
-        if self.exit_report is not None and self.exit_report.ok and first:
+        """Leaves the arm as it was before ``enable``, and remembers where that was not confirmed.
+
+        Where joints held before, a request to stop comes first: it may ask to hold them.
+        """
+        if not first and not self._closed_elsewhere() and self._stop_pending(poll_now=True):
+            self._unraised_stop = self._carry_out_stop()
+            return
+        confirmed = True
+        if self._energised:
+            confirmed = self._leave("torque_off" if first or self.on_exit != "hold" else "hold").ok
+        self.state = ArmState.DISCONNECTED if self._closed_elsewhere() else ArmState.CONNECTED
+        if first and confirmed:
             self._energised = False
+            self._heartbeat.dismiss()
             self._stop_file.close()
             self._guard.remove()
 
@@ -252,6 +305,7 @@ class Arm(Closing):
             MotorFaultError, BusTimeoutError, BusDisconnectedError: As in ``send``.
         """
         with self._lock:
+            self._require_not_closed()
             samples = self._cycle.samples
             if self.state is ArmState.DISCONNECTED:
                 raise ArmStateError("cannot read: the arm is disconnected", hint="call connect() first")
@@ -293,7 +347,8 @@ class Arm(Closing):
         """
         with self._lock:
             self._streaming = False
-            off = self._go(q, timeout, stop=lambda: False)
+            off = self._go(q, timeout, stop=self._closed_elsewhere)
+            self._require_not_closed()
             if off.any():
                 self._latching(self._cycle.hold)  # it presses no longer on what is in its way
         if off.any():
@@ -325,7 +380,12 @@ class Arm(Closing):
             if current is not None:
                 self._set_currents(dict.fromkeys(fingers.goals, current))
             self._streaming = False
-            self._go(fingers.goals, timeout, lambda: fingers.at_rest(self.clock.now(), self._cycle))
+            self._go(
+                fingers.goals,
+                timeout,
+                lambda: self._closed_elsewhere() or fingers.at_rest(self.clock.now(), self._cycle),
+            )
+            self._require_not_closed()
             self.state = after
             return fingers.report(self.bus, self._cycle)
 
@@ -344,6 +404,8 @@ class Arm(Closing):
             self._set_currents(currents)
 
     def _set_currents(self, currents: Mapping[str, float]) -> None:
+        check_currents(self.config, currents)
+        self._currents |= currents
         if self.state is ArmState.CONNECTED:
             set_currents(self.bus, self.config, currents)
             return
@@ -358,9 +420,10 @@ class Arm(Closing):
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
     ) -> Array:
         """(joints of q and of the gripper,) rad still to go."""
+        _check_timeout(timeout)
         self.state = self._after("move")
         try:
-            off = self._latching(lambda: self._cycle.go(q, timeout, lambda: stop() or self._stop_asked()))
+            off = self._latching(lambda: self._cycle.go(q, timeout, lambda: stop() or self._stop_pending()))
             self._obey_stop()
             return off
         finally:
@@ -369,10 +432,13 @@ class Arm(Closing):
 
     def _after(self, event: str) -> ArmState:
         """The state after ``event``; raises where it may not come now."""
+        self._require_not_closed()
         allowed = EVENTS[event]
         if self.state in allowed:
             return allowed[self.state]
         if self.state is ArmState.FAULT and self.fault is not None:
+            if self.fault is self._unraised_stop:
+                self._unraised_stop = None
             raise self.fault.with_traceback(None)
         need = ", ".join(state.value for state in allowed)
         steps = "connect(), enable(), then send(); after a fault reset_fault() or close()"
@@ -408,17 +474,22 @@ class Arm(Closing):
 
         Raises:
             ArmStateError: There is no fault, or the port is gone (``reconnect``).
+            StopRequestedError: A request to stop that no call has raised yet.  It is carried out, the fault
+                stays, and the next ``reset_fault`` goes on.
             HardwareError: Still not as it should be, e.g. a servo has lost its revolutions.  The fault stays.
         """
         with self._lock:
             after = self._after("reset a fault")
+            self._raise_stop()
             if not self.bus.is_open:
                 raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
             rows = reset_servos(self.bus, self.config)
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None), after)
+            real = self.virtual_bus is None
+            feedback = verify(self.bus, self.config, real=real, currents=self._currents)
+            self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -429,12 +500,16 @@ class Arm(Closing):
 
         Raises:
             ArmStateError: Nothing was connected, or the arm is in use.
+            StopRequestedError: As of ``reset_fault``.
             BusNotOpenError, BusDisconnectedError: The port did not come back.
             HardwareError: These are not the servos as they were left.  The fault stays.
         """
         with self._lock:
             after = self._after("reconnect")
-            feedback = find_again(self.bus, self.config, timeout, real=self.virtual_bus is None)
+            self._raise_stop()
+            _check_timeout(timeout)
+            real = self.virtual_bus is None
+            feedback = find_again(self.bus, self.config, timeout, real=real, currents=self._currents)
             self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
@@ -454,10 +529,11 @@ class Arm(Closing):
         if not self._lock.acquire(blocking=False):
             return
         try:
-            if self._heartbeat.stopping() or not self._energised:
+            if self._heartbeat.stopping():
                 return
-            self._obey_stop()
-            if self.state in _IN_USE and self.config.stale_ms:
+            if self._stop_pending():
+                self._unraised_stop = self._carry_out_stop()
+            elif self.state in _IN_USE and self.config.stale_ms:
                 self._attend(self.clock.now() - self._commanded)
         except Exception as error:
             log.error("found while no command came: %s", error)  # the next command raises it
@@ -484,8 +560,12 @@ class Arm(Closing):
 
     def _give_up(self, idle: float) -> None:
         """The program is as good as gone: the arm file says what to do then."""
-        parked = self.config.on_stale == "park" and self._park(stop=self._heartbeat.stopping)
-        report = self._leave("torque_off", parked=parked)
+        unparked = None
+        if self.config.on_stale == "park":
+            unparked = self._park(stop=self._heartbeat.stopping)
+            if self._closed_elsewhere():
+                return  # close leaves it, as on_exit says
+        report = self._leave("torque_off", unparked)
         self.fault = HardwareError(
             f"no command came for {idle:.1f} s: {report.text}",
             hint=f"{_GO_ON}; on_stale and stale_ms are in the arm file",
@@ -498,36 +578,55 @@ class Arm(Closing):
     def request_stop(self, policy: str = "hold") -> None:
         """Asks the arm to stop, from any thread: the next cycle or beat holds it and latches a fault.
 
-        Afterwards ``close`` leaves it so, whatever ``on_exit`` says; ``reset_fault`` and ``enable`` go on.
+        A request is kept until it is carried out, also one that comes before ``connect``, in ``FAULT`` or
+        during ``enable``.  Afterwards ``close`` leaves the arm so, whatever ``on_exit`` says.  Once a call
+        has raised ``StopRequestedError``, ``reset_fault`` and ``enable`` go on.
 
         Args:
             policy: ``hold`` or ``torque_off``.
         """
-        self._stop_policy = "torque_off" if policy == "torque_off" else "hold"
-        self._stop_acknowledged = False
+        self._stop_requests.append("torque_off" if policy == "torque_off" else "hold")
 
-    def _stop_asked(self) -> bool:
-        """Whether somebody asks, in this process or in another one."""
+    def _stop_pending(self, *, poll_now: bool = False) -> bool:
+        """Whether a request of this process or of another one waits to be carried out.
+
+        ``poll_now``: other processes' requests are looked for however short ago that was done.
+        """
         now = self.clock.now()
-        if self._stop_acknowledged and now - self._polled_at >= _POLL_PERIOD:
+        if not self._stop_requests and (poll_now or now - self._polled_at >= _POLL_PERIOD):
             self._polled_at = now
             if (policy := self._stop_file.requested()) is not None:
                 self.request_stop(policy)
-        return not self._stop_acknowledged
+        return bool(self._stop_requests)
 
-    def _obey_stop(self) -> None:
-        """Carries out what was asked, and raises it."""
-        if not self._stop_asked():
-            return
-        assert self._stop_policy is not None
-        report = self._leave(self._stop_policy)
-        self._stop_acknowledged = True
+    def _obey_stop(self, *, poll_now: bool = False) -> None:
+        """Carries out a request to stop, if there is one, and raises it."""
+        if self._stop_pending(poll_now=poll_now):
+            raise self._carry_out_stop()
+
+    def _raise_stop(self) -> None:
+        """As ``_obey_stop``; also raises one that the heartbeat carried out, which no call has raised."""
+        self._obey_stop(poll_now=True)
+        if self._unraised_stop is not None:
+            stopped, self._unraised_stop = self._unraised_stop, None
+            raise stopped.with_traceback(None)
+
+    def _carry_out_stop(self) -> StopRequestedError:
+        """Leaves the arm as the last request asks, and latches it as a fault."""
+        policy = self._take_stop()
+        report = self._leave(policy) if self._energised else self._leave_untouched()
         self._stop_file.acknowledge(ok=report.ok, text=report.text)
         stopped = StopRequestedError(f"stopped on request: {report.text}", hint=_GO_ON)
         if self.state is not ArmState.FAULT:  # an earlier one says more
             self.state, self.fault = ArmState.FAULT, stopped
         log.info("%s", stopped)
-        raise stopped
+        return stopped
+
+    def _take_stop(self) -> str:
+        """The policy of the last request; there is one.  Requests that come meanwhile stay."""
+        while self._stop_requests:
+            self._stop_policy = self._stop_requests.popleft()
+        return self._stop_policy or "hold"
 
     # ------------------------------------------------------------------------------------ the end
 
@@ -541,41 +640,69 @@ class Arm(Closing):
         """Leaves the arm as ``on_exit`` says, then the bus; ``exit_report`` says how.  Call it at any time.
 
         A signal that arrives meanwhile waits until the arm is left; the second one since ``enable`` ends a
-        parking.
+        parking.  A motion that another thread has begun ends first, with ``ArmStateError`` there.
 
         Raises:
             KeyboardInterrupt, SystemExit: The signal that waited.
         """
-        self._heartbeat.dismiss()
-        locked = self._lock.acquire(timeout=LOCK_PATIENCE)
-        try:
-            self._leave_for_good()
-        finally:
-            # Each whatever becomes of the others; the handlers last, for then signals are no longer kept.
-            for step in (self._heartbeat.stop, self._close_bus, self._stop_file.close):
-                try:
-                    step()
-                except Exception as error:
-                    log.error("closing the arm: %s", error)
-            self.state, self._energised = ArmState.DISCONNECTED, False
-            if locked:
-                self._lock.release()
-            self._guard.remove()
+        with self._close_lock:  # a second thread waits until the first has left the arm
+            self._closing_thread = threading.get_ident()
+            self._heartbeat.dismiss()
+            locked = self._lock.acquire(timeout=LOCK_PATIENCE)
+            try:
+                self._leave_for_good(alone=locked)
+            finally:
+                # Each whatever becomes of the others; the handlers last, for then signals are no longer kept.
+                for step in (self._heartbeat.stop, self._close_bus, self._stop_file.close):
+                    try:
+                        step()
+                    except Exception as error:
+                        log.error("closing the arm: %s", error)
+                self.state, self._energised = ArmState.DISCONNECTED, False
+                if locked:
+                    self._lock.release()
+                self._guard.remove()
+
+    def _closed_elsewhere(self) -> bool:
+        """Whether another thread leaves the arm, or has left it since ``connect``."""
+        thread = self._closing_thread
+        return thread is not None and thread != threading.get_ident()
+
+    def _require_not_closed(self) -> None:
+        """Raises where another thread leaves the arm: this one must move it no further."""
+        if self._closed_elsewhere():
+            raise ArmStateError("another thread has closed the arm", hint="connect() and enable() to go on")
 
     @uninterrupted
-    def _leave_for_good(self) -> None:
+    def _leave_for_good(self, *, alone: bool) -> None:
+        """``alone``: this thread has the lock, no other one talks to the servos."""
         if not self._energised:
-            if self.state is not ArmState.DISCONNECTED and self.exit_report is None:
-                self.exit_report = ExitReport("untouched")
+            if self.state is not ArmState.DISCONNECTED:
+                self._leave_untouched()
             return
-        parked = self.on_exit == "park" and self._park(stop=lambda: self._guard.received > 1)
-        report = self._leave(self._stop_policy or self.on_exit, parked=parked)
-        if not self._stop_acknowledged:  # it came too late for a cycle
-            self._stop_acknowledged = True
+        unparked = None
+        if self.on_exit == "park":
+            unparked = "another thread keeps the arm busy"
+            if alone:
+                unparked = self._park(stop=lambda: self._guard.received > 1)
+        if self._stop_pending(poll_now=True):  # it came too late for a cycle
+            report = self._leave(self._take_stop(), unparked)
             self._stop_file.acknowledge(ok=report.ok, text=report.text)
+        else:
+            self._leave(self._stop_policy or self.on_exit, unparked)
 
-    def _leave(self, policy: str, *, parked: bool = False) -> ExitReport:
-        """Every way out goes through here; torque goes off where even that fails."""
+    def _leave_untouched(self) -> ExitReport:
+        """No servo has torque because of this arm: each is left as it is, and an earlier report stays."""
+        report = ExitReport("untouched")
+        if self.exit_report is None:
+            self.exit_report = report
+        return report
+
+    def _leave(self, policy: str, unparked: str | None = None) -> ExitReport:
+        """Every way out goes through here; torque goes off where even that fails.
+
+        ``unparked``: what ``_park`` gave; None: the arm was not to be parked.
+        """
         goals: dict[int, int] = {}
         try:
             if policy == "hold" and self._cycle.goals:
@@ -583,27 +710,41 @@ class Arm(Closing):
         except Exception as error:
             log.error("the goals to hold are not known: %s", error)
         begin = self.clock.now()
-        report = self.exit_report = leave(self.bus, self.config, policy, goals, parked=parked)
+        report = leave(self.bus, self.config, policy, goals, parked=unparked == "")
+        report = self.exit_report = replace(report, unparked=unparked or "")
         if report.ok:
             log.info("%s confirmed by all servos in %.3f s", report.done, self.clock.now() - begin)
         else:
             log.error("%s %s", report.done, report.doubt)
         return report
 
-    def _park(self, stop: Callable[[], bool]) -> bool:
-        """Whether the arm is where it is to be left; False where it cannot go there."""
+    def _park(self, stop: Callable[[], bool]) -> str:
+        """Goes to where the arm is to be left; gives the reason where it does not arrive, else nothing."""
         there = self._rest if self._park_at is None else self._park_at
+        reason = ""
         try:
-            return self.state in _IN_USE and not self._go(there, None, stop).any()
+            if self._stop_pending(poll_now=True):
+                reason = "a stop was requested"
+            elif self.state not in _IN_USE:
+                reason = "the arm is in fault" if self.state is ArmState.FAULT else "the arm is not enabled"
+            elif self._go(there, None, stop).any():
+                reason = "it was interrupted" if stop() else "it did not arrive in time"
+        except StopRequestedError:
+            reason = "a stop was requested"
         except Exception as error:
-            log.error("not parked: %s", error)
-            return False
+            reason = str(error).partition("\n")[0]
+        if reason:
+            log.warning("not parked: %s", reason)
+        return reason
 
     def _last_resort(self) -> None:
         """At the end of the interpreter, where the arm was not closed."""
-        if self._energised:
-            log.error("the program ended without closing its arm")
-            try:
-                self.close()
-            except BaseException as error:
-                log.error("closing it failed: %s", error)
+        if not self._energised:
+            return
+        log.error("the program ended without closing its arm")
+        try:
+            self.close()
+        except (KeyboardInterrupt, SystemExit):
+            log.info("a signal came meanwhile: the arm was left, and the program ends anyway")
+        except BaseException as error:
+            log.error("closing it failed: %s", error)

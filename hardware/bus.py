@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoMismatchError
+from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoMismatchError, ServoRefusedError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import Register, model_name
 from robot_ik.ports import Clock
@@ -161,7 +161,8 @@ class ServoBus(Protocol):
     ) -> dict[int, BusStatus]:
         """A control cycle: goals and the request for measurements leave in one write.
 
-        Late replies are distinguished from good ones: at times some bytes behind each register are read.
+        Late replies are distinguished from good ones: for a while after a miss, some bytes behind a register
+        are read as well.  A servo that has not answered for several cycles is left out of some.
 
         Args:
             register: Written, the same of every servo.
@@ -228,6 +229,8 @@ def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source:
         return
     if len(found) < len(wanted):
         found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
+        if all(found.get(id) == number for id, (_, number) in wanted.items()):
+            return  # a ping was lost, and all have answered now
     hint = ""  # the error's own
     if damaged and found:
         hint = "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
@@ -255,10 +258,15 @@ def read_all(bus: ServoBus, config: ArmConfig, name: str, *, absent: int | None 
     values: dict[int, int] = {}
     for id, status in bus.sync_read(config.servo_ids, register).items():
         value = status.data
-        if value is None and status.error == NO_ACCESS and absent is not None:
+        if value is None and (absent is None or status.error != NO_ACCESS):
+            try:
+                value = bus.read(id, register).data
+            except ServoRefusedError as refused:
+                if refused.code != NO_ACCESS or absent is None:
+                    raise
+        if value is None:
             value = absent
         if value is None:
-            value = bus.read(id, register).data
-        assert value is not None  # read() answers or raises
+            raise BusCorruptError(f"servo id {id} answered {name} without data")
         values[id] = value
     return values

@@ -26,7 +26,11 @@ def permission_hint(path: str) -> str:
     """What gives this user the right to use the device file."""
     try:
         group = Path(path).group()
-    except (KeyError, OSError, NotImplementedError):  # a number without a name; Windows has no groups
+    except (
+        KeyError,
+        OSError,
+        NotImplementedError,
+    ):  # a number without a name; Windows has no groups
         group = ""
     if group in ("", "root", "wheel"):
         return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"

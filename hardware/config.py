@@ -43,6 +43,20 @@ from robot_ik.robot_file import catalogue
 
 MAX_SERVOS = IDS[-1]
 
+LONGEST_FILE = 1_000_000
+"""Characters of an arm file; 252 joints with every key take a quarter of it."""
+LONGEST_NAME = 100
+"""Characters of the name of a joint or a group."""
+
+SLOWEST = 1e-3
+"""deg/s (mm/s): a velocity cap below it is a mistake of units."""
+FASTEST = 1e5
+"""deg/s (mm/s); the Profile Velocity register ends at 45,000 deg/s of the servo."""
+GENTLEST = 1e-3
+"""deg/s^2 (mm/s^2): an acceleration cap below it is a mistake of units."""
+HARDEST = 1e6
+"""deg/s^2 (mm/s^2); the Profile Acceleration register ends at 700,000 deg/s^2 of the servo."""
+
 # ------------------------------------------------------------------------------------------
 # The keys of the file.
 
@@ -202,6 +216,9 @@ class ArmConfig:
     @classmethod
     def parse(cls, text: str, file: Path | str = "<text>") -> ArmConfig:
         """The same from the text of an arm file; ``file`` appears in errors."""
+        if len(text) > LONGEST_FILE:  # a parser takes a second and more for a million
+            problem = f"{len(text):,} characters are no arm file; allowed: up to {LONGEST_FILE:,}"
+            raise ConfigError(problem, file=file, hint=f"one bus has up to {MAX_SERVOS} servos")
         return _from_file(check_table(ArmFile, parse_toml(text, file), file), Path(file))
 
     @classmethod
@@ -446,6 +463,7 @@ def _check_arm(config: ArmConfig) -> None:
             at = f"joints[{k}]"
             if joint.model not in CONTROL_TABLES:
                 raise KeyProblem.unknown("servo model", joint.model, CONTROL_TABLES, "model")
+            _check_names(joint)
             table = joint.table
             if joint.mode not in table.modes:
                 modes = ", ".join(mode.name.lower() for mode in table.modes)
@@ -526,12 +544,25 @@ def _check_stops(joint: JointMap, table: ControlTable) -> None:
         raise KeyProblem(problem, "stop_at.temperature_c", f"< {hottest}, its Temperature Limit")
 
 
+def _check_names(joint: JointMap) -> None:
+    """Names are shown in terminals, so they have no control characters and fit on a line."""
+    for key in ("name", "group"):
+        name = getattr(joint, key)
+        if len(name) > LONGEST_NAME:
+            problem = f"{name[:20]!r}… has {len(name):,} characters"
+            raise KeyProblem(problem, key, f"up to {LONGEST_NAME}")
+        if not name.isprintable():
+            raise KeyProblem(f"{name!r} has characters that cannot be printed", key, "printable characters")
+
+
 def _check_caps(joint: JointMap) -> None:
-    """Caps are finite, and the servo's own profile does not cut them."""
-    for key in ("velocity", "acceleration"):
+    """Caps are what a servo can do, and its own profile does not cut them."""
+    ends = {"velocity": (SLOWEST, FASTEST), "acceleration": (GENTLEST, HARDEST)}
+    for key, (least, most) in ends.items():
         cap, own = getattr(joint, key), getattr(joint, f"profile_{key}")
-        if not 0.0 < cap < math.inf:
-            raise KeyProblem(f"{cap} is no cap", f"{key}_{joint.unit}", "a number > 0")
+        if not least <= cap / joint.per_unit <= most:
+            asked = f"{cap / joint.per_unit:g} is no cap"
+            raise KeyProblem(asked, f"{key}_{joint.unit}", f"{least:g} to {most:g}")
         if own is not None and not cap <= own < math.inf:
             raise KeyProblem(
                 f"the servo of {joint.name!r} could not follow: its profile is slower than the joint's cap",

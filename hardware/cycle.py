@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -25,8 +26,9 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
 )
 from robot_ik.hardware.feedback import Feedback
+from robot_ik.hardware.following import Following
 from robot_ik.hardware.joint_map import TWIST, JointMap
-from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
+from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter, finite
 from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
@@ -34,10 +36,11 @@ from robot_ik.ports import Array
 log = logging.getLogger(__name__)
 
 PAUSE = 0.25
-"""s on the arm's own clock between two commands after which it is taken to stand: it starts from rest."""
+"""s on the arm's own clock between two commands after which it starts from rest, however slowly they came."""
 
 LONGEST_TICK = 2.0
-"""Control periods that one command may move the arm by, however long ago the last one was."""
+"""Control periods that one command may move the arm by, however long ago the last one was.  After more of
+them, or more of the program's own where it sends more slowly, the shafts stand: the arm starts from rest."""
 
 SHORTEST_TICK = 0.01
 """Control periods below which a command moves nothing: over shorter times velocities are rounding."""
@@ -57,7 +60,7 @@ GRACE = 2.0
 
 SILENCE = 0.13
 """s without a sample after which a servo is asked by itself, three times.  It shows in the next cycle (0.14 s
-after the last reply, at 100 Hz); without a reply it is given up 0.14 s later at 1 Mbit/s."""
+after the last reply, at 100 Hz); without a reply it is given up 0.11 s later at 1 Mbit/s."""
 
 SILENT_CYCLES = 3
 """Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""
@@ -240,11 +243,13 @@ class Cycle:
         )  # fmt: skip
         self._goal = shared_register(config, "goal_position")
         self.feedback = feedback or Feedback(config)
+        self._following = Following(config, longest_tick=LONGEST_TICK * self.period, pause=PAUSE)
         # A shadow hears what is written to its first servo.
         self._written = [servo for servo in config.servos if servo.shadow_of is None]
         # A pause of half the bus watchdog: from there on it may have tripped.
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
         self._last_now: float | None = None
+        self._rhythm = self.period  # s between the last two commands
         self._moved_until = -math.inf  # time on our own clock that the commands so far have used
         self._last_traffic = -math.inf
         self._unheard: set[int] = set()  # ids whose bus watchdogs may have tripped unseen
@@ -265,20 +270,24 @@ class Cycle:
 
         Raises:
             UnsafeCommandError: Nothing was sent.
-            MotorFaultError, BusTimeoutError, BusDisconnectedError: See ``measure``.
+            MotorFaultError, BusTimeoutError, BusDisconnectedError: See ``measure``; a joint does not follow.
         """
         self._drive(self._limiter.command(q, self.limits.command), now)
+        self._following.check(self.goals, self.samples.ticks, self._clock.now())
 
     def _drive(self, command: tuple[float, ...], now: float) -> None:
         """``drive`` for a command of all joints."""
-        if not math.isfinite(now):
-            raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
+        time = finite(now)
+        if time is None:
+            raise UnsafeCommandError(
+                f"a command for the time {reprlib.repr(now)}", "a finite time in seconds"
+            )
         # The time before the packet, and before the clock was last read: this process may be stalled
         # anywhere between, and the next reading must show that.
         start = self._clock.now()
         self.stay_alive()
         self.held = False
-        dt = self._tick(now)
+        dt = self._tick(time)
         if dt > 0.0:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
             angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)
@@ -432,10 +441,11 @@ class Cycle:
         last, self._last_now = self._last_now, now
         here = self._clock.now()
         if last is None:
-            self._moved_until = here
+            self._moved_until, self._rhythm = here, self.period
             return self.period
         asked, spent = now - last, here - self._moved_until
-        if spent > PAUSE:
+        usual, self._rhythm = max(self._rhythm, self.period), spent
+        if spent > min(LONGEST_TICK * usual + JITTER * self.period, PAUSE):
             self.limits = LimiterState.at_rest(self.limits.q)
             asked = self.period
         elif not 0.0 < asked <= PAUSE:

@@ -247,7 +247,8 @@ def set_up(
         return None
     servo = _only_one(found)
     table = servo.table
-    assert table is not None  # of the only one it is known
+    if table is None:
+        raise HardwareError("the control table of this model is not known")
     if model and servo.model != model:
         raise ConfigError(
             f"this servo is a {servo.model}", file="command line", key="--joint", allowed=f"a {model}"

@@ -66,8 +66,9 @@ from robot_ik.ports import Clock, RealClock
 # in one packet (fast read); where that fails, they are asked the plain way, after ``MAX_FAST_FAILURES`` in a
 # row for good.  A servo that does not answer is asked again while there is time, and hides no other.
 #
-# A reply does not say which request it answers.  So in a control cycle, after a reply was missed, the next
-# request asks for a byte more than the last: a reply that comes late has another length, and is known.
+# A reply says from which servo it is, and not which request it answers.  ``_Unanswered`` keeps what was asked
+# in vain: while a reply to it may still come, that servo is not asked for as many bytes again.  A control
+# cycle asks for some bytes more, so that a late reply is known by its length.  Other calls wait.
 
 
 log = logging.getLogger(__name__)
@@ -78,14 +79,18 @@ CYCLE_TIME = 0.100
 MAX_FAST_FAILURES = 5
 """Fast reads in a row that fail before they are given up until the port is opened again."""
 
-PHASES = 4
-"""Lengths in turn: a reply is known to be late unless it comes just so many requests after its own."""
+LATEST_REPLY = 0.16
+"""s after a request was given up in which a reply to it may still come: 150 ms, and some for the bytes.  A
+busy computer and a USB adapter together hold a reply back for some tens of ms."""
+
+LENGTHS = 8
+"""Lengths that a control cycle chooses from.  At 100 Hz and one lost packet in ten a servo has two requests
+unanswered in ``LATEST_REPLY``, and eight once in a thousand cycles: then it is left out of one."""
 
 
 class _ReadPlan(NamedTuple):
-    """A request to many servos: its name, its bytes, and what comes back."""
+    """A request to many servos: its bytes, and what comes back."""
 
-    query: str
     request: bytes
     bytes_back: int
     fast: bool
@@ -94,17 +99,57 @@ class _ReadPlan(NamedTuple):
 
 
 class _Wanted(NamedTuple):
-    """What a request is for: servo id -> register, the same as asked (perhaps longer), what is there."""
+    """What a request is for: servo id -> register, the same as asked (perhaps longer), what is there.
+
+    ``doubtful``: ids of which an error number may answer a request of an earlier call.
+    """
 
     registers: Mapping[int, Register]
     asked: Mapping[int, Register]
     found: dict[int, BusStatus]
+    doubtful: frozenset[int]
 
 
 @lru_cache(maxsize=1024)
 def _widened(register: Register, by: int) -> Register:
     return replace(register, size=register.size + by)
 
+
+class _Unanswered(dict[tuple[int, int], float]):
+    """Requests to which a reply may still come: (servo id, bytes of data) of it -> until when, s.
+
+    Usually there are none.
+    """
+
+    @property
+    def ids(self) -> frozenset[int]:
+        return frozenset(id for id, _ in self)
+
+    def add(self, keys: Iterable[tuple[int, int]], now: float) -> None:
+        """A reply to these was given up, or the reply that came may be that to an earlier request."""
+        self.update(dict.fromkeys(keys, now + LATEST_REPLY))
+
+    def forget(self, now: float) -> None:
+        """Forgets those to which no reply comes any more."""
+        for key in [key for key, until in self.items() if until <= now]:
+            del self[key]
+
+    def end(self, keys: Iterable[tuple[int, int]]) -> float:
+        """Until when a reply to one of these may come, s; 0 where none may."""
+        return max((self.get(key, 0.0) for key in keys), default=0.0)
+
+    def other_length(self, id: int, register: Register) -> Register | None:
+        """The register, or more bytes from its address on, so that no late reply is as long.
+
+        None: there are late replies of every length.
+        """
+        for extra in range(LENGTHS):
+            if (id, register.size + extra) not in self:
+                return _widened(register, extra) if extra else register
+        return None
+
+
+_NO_IDS: frozenset[int] = frozenset()
 
 PING, _REBOOT = 0x01, 0x08
 PING_DATA = 3
@@ -123,6 +168,12 @@ def listening_time(baud: int) -> float:
 
 class DynamixelBus:
     """Protocol 2.0 servos on one port.  Thread-safe; implements ``ServoBus``.
+
+    What is guaranteed: a reply to a request of an earlier call is never taken for an answer, if it comes
+    within ``LATEST_REPLY`` after that request was given up, in whatever order replies come.  One that comes
+    later is not recognised.  A reply to an earlier attempt of the same call is an answer: the servo read the
+    register after the call began.  Requests of a program that had the port before are covered by
+    ``RESPONSE_TIME`` of silence after it was opened.
 
     The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
     (Ctrl-C, a pulled cable) ends it; every later write, torque off among them, is then refused.  Here the
@@ -152,10 +203,11 @@ class DynamixelBus:
         self.clock = clock or RealClock()
         self._retries = retries
         self._now = self.clock.now
+        self._sleep_until = self.clock.sleep_until
         self._lock = threading.RLock()
         self._handler: SleepingPortHandler | None = None
-        self._dirty = False  # replies to an earlier request may still be under way …
-        self._asked = ""  # … to this one
+        self._silence = 0.0  # s for which the line must be silent before the next request
+        self._unanswered = _Unanswered()
         self._last_good: dict[int, float] = {}  # servo id -> when it last answered
         self._fast_ids: frozenset[int] = frozenset()
         self._plans: dict[tuple[object, ...], _ReadPlan] = {}
@@ -182,15 +234,13 @@ class DynamixelBus:
                 handler.closePort()
                 raise describe_failure(self.port, error) from error
             self._handler = handler
-            self._dirty, self._asked = True, ""
+            self._silence = RESPONSE_TIME
             self._forget()
 
     def _forget(self) -> None:
         """What was learned about the servos: the port is opened anew."""
         self._silent: frozenset[int] = frozenset()
-        self._missed: dict[int, int] = {}  # servo id -> bytes it was last asked for in vain
         self._fast_misses = 0
-        self._phase = 0
         self._times = RoundTripEstimator()
 
     def close(self) -> None:
@@ -203,13 +253,12 @@ class DynamixelBus:
                     log.warning("closing %s: %s", self.port, error)
 
     @contextmanager
-    def _transaction(self, query: str | None) -> Iterator[SleepingPortHandler]:
+    def _transaction(self, keys: Iterable[tuple[int, int]] | None) -> Iterator[SleepingPortHandler]:
         """The open port, for one request and its replies.
 
         Args:
-            query: Name of the request; None where there is no reply.  A packet does not say which
-                request it answers.  So after a reply was missed, another request waits until that reply
-                cannot come any more; the same request need not: a late reply to it is as good as any.
+            keys: (servo id, bytes of data) of the replies that must not be mistaken: waits until no late
+                reply is like them.  None where there is no reply.
 
         Raises:
             BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
@@ -221,11 +270,12 @@ class DynamixelBus:
             clean = False
             try:
                 handler.is_using = False
-                if query is not None:
-                    if self._dirty:
-                        handler.drain(QUIET if query == self._asked else RESPONSE_TIME)
-                        self._dirty = False
-                    self._asked = query
+                if keys is not None:
+                    if self._unanswered:
+                        self._wait(handler, self._unanswered.end(keys))
+                    if self._silence:
+                        handler.drain(self._silence)
+                        self._silence = 0.0
                 yield handler
                 clean = True
             except PORT_ERRORS as error:
@@ -236,7 +286,19 @@ class DynamixelBus:
                 ) from error
             finally:
                 handler.is_using = False
-                self._dirty = self._dirty or not clean
+                if not clean:
+                    self._be_quiet()
+
+    def _be_quiet(self) -> None:
+        """Bytes may still be under way: the next request must not meet them."""
+        self._silence = max(self._silence, QUIET)
+
+    def _wait(self, port: SleepingPortHandler, until: float) -> None:
+        """Throws away what comes in until that time, s; nothing where it has passed."""
+        if until > self._now():
+            self._sleep_until(until)
+            port.clear()
+        self._unanswered.forget(self._now())
 
     # ---------------------------------------------------------------------------- single servos
 
@@ -262,7 +324,7 @@ class DynamixelBus:
             BusDisconnectedError, BusNotOpenError.
         """
         parser, found, useful, received = StatusParser(), {}, 0, 0
-        with self._transaction("ping") as port:
+        with self._transaction(()) as port:  # a late reply to a ping says what this one would
             port.clear()
             port.writePort(build(id, PING, b""))
             end = self._now() + listen
@@ -276,7 +338,9 @@ class DynamixelBus:
                     if len(packet.data) == PING_DATA:
                         found[packet.id] = (packet.data[0] | packet.data[1] << 8, packet.data[2])
             if id not in found:
-                self._dirty = True
+                self._be_quiet()
+                late = set(IDS if id == BROADCAST_ID else (id,)).difference(found)
+                self._unanswered.add(((id, PING_DATA) for id in late), self._now())
         self.counters.corrupt += parser.damaged
         return found, received - useful
 
@@ -341,50 +405,62 @@ class DynamixelBus:
     ) -> dict[int, BusStatus]:
         """``exchange``; the first request always gets its full time.
 
-        ``before``: leaves with it, in one write.  ``guarded``: late replies are recognised by their length;
-        ``PHASES`` - 1 bytes behind each register must be readable as well.
+        ``before``: leaves with it, in one write.  ``guarded``: never waits for late replies, but asks for
+        another length; ``LENGTHS`` - 1 bytes behind each register must be readable as well.
         """
         found: dict[int, BusStatus] = {}
         # A servo waits for the replies of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
-        plan = self._plan(registers, plain=bool(self._silent))
-        with self._transaction(plan.query) as port:
+        keys = () if guarded else ((id, register.size) for id, register in registers.items())
+        with self._transaction(keys) as port:
+            doubtful = self._unanswered.ids if self._unanswered else _NO_IDS
             end = self._now() + (CYCLE_TIME if within is None else within)
             self.counters.cycles += 1
             self.counters.asked += len(registers)
+            asked: Mapping[int, Register] = registers
+            if self._silent or doubtful:
+                asked = self._asked(registers, missing, guarded=guarded)
+            plan = self._plan(asked, plain=asked is not registers)
             try:
                 for attempt in range(1 + self._retries):
                     self.counters.retries += attempt > 0
-                    extra = self._phase if guarded else 0
-                    asked = registers
-                    if extra or attempt or self._silent:
-                        asked = {
-                            id: _widened(registers[id], extra) if extra else registers[id] for id in missing
-                        }
-                        plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
-                    self._once(port, plan, before, _Wanted(registers, asked, found))
+                    if attempt:
+                        asked = {id: asked[id] for id in missing if id in asked}
+                        plan = self._plan(asked, plain=True)
+                    self._once(port, plan, before, _Wanted(registers, asked, found, doubtful))
                     before = b""
-                    if len(found) == len(registers):
+                    if len(found) == len(registers) and not attempt:
                         missing = []
                         break
+                    # Asked twice: the first reply may have come, and the second be late.
+                    late = [(id, r.size) for id, r in asked.items() if attempt or id not in found]
+                    self._unanswered.add(late, self._now())
                     missing = [id for id in missing if id not in found]
-                    self._missed.update((id, asked[id].size) for id in missing)
-                    if guarded:
-                        self._phase = (self._phase + 1) % PHASES
                     if self._silent.issuperset(missing):
                         break
                     if self._now() + self._timeout(plan, port) > end:
                         break
             except BaseException:  # the port went, or a signal came: who has not answered never will
                 self.counters.timeouts += len(registers) - len(found)
+                self._unanswered.add([(id, register.size) for id, register in asked.items()], self._now())
                 raise
             if missing:
-                self._dirty = True
+                self._be_quiet()
         self.counters.timeouts += len(missing)
         if missing or self._silent:
             self._silent = self._silent.difference(registers).union(missing)
             found.update((id, BusStatus(id, None)) for id in missing)
         return {id: found[id] for id in registers}  # they may have answered in another order
+
+    def _asked(
+        self, registers: Mapping[int, Register], ids: Iterable[int], *, guarded: bool
+    ) -> dict[int, Register]:
+        """What these servos are asked for; ``guarded``: for a length of which no late reply is."""
+        if not (guarded and self._unanswered):
+            return {id: registers[id] for id in ids}
+        self._unanswered.forget(self._now())
+        asked = {id: self._unanswered.other_length(id, registers[id]) for id in ids}
+        return {id: register for id, register in asked.items() if register is not None}
 
     def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _ReadPlan:
         fast = not plain and self._fast_misses < MAX_FAST_FAILURES and len(registers) > 1
@@ -398,9 +474,8 @@ class DynamixelBus:
             back = FAST_HEAD * fast + sum(size + each for _, size in sizes)
             if len(self._plans) > 1000:  # requests to changing sets of servos
                 self._plans.clear()
-            request = read_request(registers, fast=fast)
-            names = ", ".join({register.name: None for register in registers.values()})
-            plan = _ReadPlan(f"read of {names}", request, back, fast, sizes, rows)
+            request = read_request(registers, fast=fast) if registers else b""
+            plan = _ReadPlan(request, back, fast, sizes, rows)
             self._plans[key] = plan
         return plan
 
@@ -435,8 +510,8 @@ class DynamixelBus:
                 break
             parser.damaged = 0
         if waiting:
-            self._dirty = True
-        else:
+            self._be_quiet()
+        elif wanted.asked:
             self._times.add(self._now() - bytes_over)
         if plan.fast:
             self._fast_misses = self._fast_misses + 1 if waiting else 0
@@ -446,7 +521,7 @@ class DynamixelBus:
 
     def _take_whole(self, data: bytes, plan: _ReadPlan, wanted: _Wanted) -> bool:
         """Takes the replies of a fast read where nothing is wrong with any of them; else takes nothing."""
-        registers, asked, found = wanted
+        registers, asked, found, _ = wanted
         if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:
             return False
         for (id, register), value in zip(registers.items(), values, strict=True):
@@ -457,18 +532,21 @@ class DynamixelBus:
 
     def _take(self, packets: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
         """Takes the replies that somebody waits for; how many of them cannot be what was asked."""
-        registers, asked, found = wanted
+        registers, asked, found, doubtful = wanted
         last_good, now = self._last_good, self._now()
         strange = 0
         for id, code, alert, data in packets:
             if id not in waiting:
                 continue
             register, value = registers[id], None
-            if not code:
+            if code:
+                if id in doubtful:
+                    self.counters.late += 1
+                    continue
+            else:
                 least, size = register.size, asked[id].size
                 if len(data) != size:
-                    late = least <= len(data) < least + PHASES and size > least
-                    late = late or len(data) == self._missed.get(id)  # of a block of another length
+                    late = (id, len(data)) in self._unanswered
                     self.counters.late += late
                     self.counters.corrupt += not late
                     strange += not late
@@ -493,17 +571,29 @@ class DynamixelBus:
     ) -> StatusPacket:
         """Sends until servo ``id`` answers with ``size`` bytes of data or an error number."""
         corrupt = self.counters.corrupt
-        with self._transaction(f"{what} of {id}") as port:
+        key = (id, size)
+        with self._transaction((key,)) as port:
+            doubtful = id in self._unanswered.ids
             for attempt in range(1 + self._retries):
+                late = self.counters.late
                 if attempt:
                     self.counters.retries += 1
                     port.drain(QUIET)
-                send(port)
-                port.setPacketTimeout(SHORTEST_STATUS + size)
-                packet = self._receive_status(port, id, size)
+                packet = None
+                try:
+                    send(port)
+                    port.setPacketTimeout(SHORTEST_STATUS + size)
+                    packet = self._receive_status(port, id, size, doubtful=doubtful)
+                finally:
+                    # Asked twice: the first reply may have come, and the second be late.
+                    if packet is None or attempt:
+                        self._unanswered.add((key,), self._now())
                 if packet is not None and packet.code != GARBLED:
                     break
-                self._dirty = True
+                self._be_quiet()
+                if doubtful and self.counters.late > late:  # an error number among them may be the answer
+                    self._wait(port, self._unanswered.end(key for key in self._unanswered if key[0] == id))
+                    doubtful = False
         joint = self.names.get(id, "")
         if packet is not None:
             self._last_good[id] = self._now()
@@ -522,8 +612,13 @@ class DynamixelBus:
         age = None if since is None else self._now() - since
         raise BusTimeoutError(id=id, register=what, port=self.port, joint=joint, last_good=age)
 
-    def _receive_status(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
-        """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""
+    def _receive_status(
+        self, port: SleepingPortHandler, id: int, size: int, *, doubtful: bool
+    ) -> StatusPacket | None:
+        """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets.
+
+        ``doubtful``: an error number may answer a request of an earlier call, and is passed over.
+        """
         while True:
             packet, result = self._packet.rxPacket(port, False)
             whole = result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS
@@ -535,9 +630,11 @@ class DynamixelBus:
             code, alert = packet[8] & ~ALERT_BIT, bool(packet[8] & ALERT_BIT)
             self.counters.alerts += alert
             if packet[4] == id:
-                if code or end - 9 == size:
+                if not doubtful if code else end - 9 == size:
                     return StatusPacket(id, code, alert, bytes(packet[9:end]))
-                self.counters.corrupt += 1
-                return None
+                if not code and (id, end - 9) not in self._unanswered:
+                    self.counters.corrupt += 1
+                    return None
+                self.counters.late += 1
             if port.isPacketTimeout():
                 return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
+from robot_ik.hardware.limiter import finite
 
 REST = 0.15
 """s in which a finger that has not moved by ``STILL_TICKS`` stands: at its goal, or at something."""
@@ -60,6 +62,8 @@ class Fingers:
         for name, to in q.items():
             joint = config.joint(name)
             lower, upper = joint.limits
+            if finite(to) is None:
+                raise UnsafeCommandError(f"{name!r} at {reprlib.repr(to)}", f"a number, {joint.unit}")
             if not lower <= to <= upper:
                 asked, low, high = distinct_texts(*(value / joint.per_unit for value in (to, lower, upper)))
                 unit = joint.unit

@@ -18,9 +18,11 @@ Generation in Robotic Systems" (2010), type II.
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -148,10 +150,9 @@ class SafetyLimiter:
         size = self.commanded if size is None else size
         if isinstance(q, Mapping):
             q, size = self._from_names(q, fill), self.size
-        try:
-            array = np.asarray(q, dtype=float)
-        except (TypeError, ValueError):
-            raise UnsafeCommandError(f"a command of {q!r}", f"{size} angles in radians") from None
+        array = _numbers(q)
+        if array is None:
+            raise UnsafeCommandError(f"a command of {reprlib.repr(q)}", f"{size} angles in radians")
         if array.shape != (size,):
             raise UnsafeCommandError(
                 f"a command of shape {array.shape}",
@@ -209,6 +210,30 @@ class SafetyLimiter:
                 )
             values[self.joints.index(name)] = value
         return values
+
+
+def finite(value: object) -> float | None:
+    """A number as a float; None where it is no number, or NaN, or too large for one."""
+    if not isinstance(value, Real):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _numbers(q: object) -> Array | None:
+    """Real numbers as an array of floats; None where numpy would guess, and for values that are masked."""
+    if np.ma.is_masked(q):
+        return None
+    try:
+        array = np.asarray(q)
+        if array.dtype.kind == "O" and all(isinstance(value, Real) for value in array.flat):
+            array = array.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return array.astype(float, copy=False) if array.dtype.kind in "fiu" else None
 
 
 def _longest_stoppable(distance: float, brake: float) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -37,7 +37,8 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
-from robot_ik.hardware.torque import set_profiles
+from robot_ik.hardware.limiter import finite
+from robot_ik.hardware.torque import check_strength, set_profiles
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.ports import Clock
 
@@ -58,10 +59,13 @@ _POLL = 0.05  # s between two looks
 _NO_REPLY = (BusTimeoutError, BusCorruptError)
 
 
-def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
+def verify(
+    bus: ServoBus, config: ArmConfig, *, real: bool, currents: Mapping[str, float] | None = None
+) -> Feedback:
     """These are the arm file's servos, healthy and set up; what a control cycle reads from them.
 
     ``real``: not made from the arm file; they are compared with the calibration beside it as well.
+    ``currents``: see ``set_up_servos``.
 
     Raises:
         ServoMismatchError: Missing or another model.
@@ -84,7 +88,9 @@ def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
         _clear_watchdog(bus, config, joint)
     if real and (found := own_calibration(config)) is not None:
         check_calibration(bus, config, found)
-    set_up_servos(bus, config)
+    set_up_servos(bus, config, currents or {})
+    check_strength(bus, config)
+    _warn_of_shutdown(bus, config)
     feedback = Feedback(config)
     feedback.prepare(bus, read_all(bus, config, "firmware_version"))
     return feedback
@@ -104,10 +110,18 @@ def _clear_watchdog(bus: ServoBus, config: ArmConfig, joint: JointMap) -> None:
             ) from None
 
 
-def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
+def _warn_of_shutdown(bus: ServoBus, config: ArmConfig) -> None:
+    """A servo whose Shutdown is 0 goes on under overload and heat until it is damaged."""
+    masks = read_all(bus, config, "shutdown")
+    if names := [servo.name for servo in config.servos if not masks[servo.id]]:
+        log.warning("%s: Shutdown is 0, so no overload and no heat switches torque off", ", ".join(names))
+
+
+def set_up_servos(bus: ServoBus, config: ArmConfig, currents: Mapping[str, float]) -> None:
     """Mode, return delay, drive mode, current limit, gains and profile as program and arm file need them.
 
     What lies in RAM (currents, gains, profile) is lost when a servo restarts: this is called again then.
+    ``currents``: joint name -> mA that the program asked for; other joints get what the arm file says.
 
     Raises:
         ArmStateError: An EEPROM setting must change and torque is on (left so by another program).
@@ -135,7 +149,9 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         units = {s.id: s.table.current_unit for s in limited.servos}
         counts = {s.id: int((s.current_limit or 0.0) / units[s.id]) for s in limited.servos}
         _set_eeprom(bus, limited, "current_limit", counts, torque)
-    set_currents(bus, config, {})
+    for servo in config.servos:
+        if servo.mode == OperatingMode.CURRENT_BASED_POSITION:
+            _set_current(bus, servo, currents.get(servo.name))
     for servo in config.servos:
         for name, value in servo.gains.registers.items():
             _write_register(bus, servo, name, value)
@@ -265,14 +281,23 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
 
 
 def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) -> None:
-    """Goal Current of joints; it is kept in RAM, so every start sets it.
-
-    ``wanted``: joint name -> mA, at most ``current_ma`` of the arm file and the servo's Current Limit.
-    Empty: all joints of that mode, what the arm file says.
+    """Goal Current of joints: joint name -> mA, at most ``current_ma`` of the arm file and Current Limit.
 
     Raises:
-        UnknownJointError, UnsafeCommandError: Not a joint of this mode, or no current; nothing was sent.
+        UnknownJointError, UnsafeCommandError: As ``check_currents``; nothing was sent.
         HardwareError: A servo reads back otherwise.  Errors of the bus.
+    """
+    check_currents(config, wanted)
+    for servo in config.servos:
+        if servo.name in wanted:
+            _set_current(bus, servo, wanted[servo.name])
+
+
+def check_currents(config: ArmConfig, wanted: Mapping[str, float]) -> None:
+    """``wanted``: joint name -> mA.
+
+    Raises:
+        UnknownJointError, UnsafeCommandError: Not a joint in current-based position mode, or no current.
     """
     for name, current in wanted.items():
         joint = config.joint(name)
@@ -280,17 +305,19 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
             raise UnsafeCommandError(
                 f"a current for {name!r} in mode {joint.mode.name.lower()}", "current_based_position"
             )
-        if not (math.isfinite(current) and current >= joint.table.current_unit):
+        number = finite(current)
+        if number is None or number < joint.table.current_unit:
             raise UnsafeCommandError(
-                f"{current} mA for {name!r}", f"{joint.table.current_unit:g} mA and more"
+                f"{reprlib.repr(current)} mA for {name!r}", f"{joint.table.current_unit:g} mA and more"
             )
-    for servo in config.servos:
-        if servo.mode != OperatingMode.CURRENT_BASED_POSITION or (wanted and servo.name not in wanted):
-            continue
-        limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
-        given = [mA for mA in (servo.current, wanted.get(servo.name)) if mA is not None]
-        counts = min([limit, *(int(mA / servo.table.current_unit) for mA in given)])
-        _write_register(bus, servo, "goal_current", counts)
+
+
+def _set_current(bus: ServoBus, servo: JointMap, wanted: float | None) -> None:
+    """Goal Current of one servo, which lies in RAM; ``wanted``: mA, None: as much as the arm file allows."""
+    limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
+    given = [mA for mA in (servo.current, wanted) if mA is not None]
+    counts = min([limit, *(int(mA / servo.table.current_unit) for mA in given)])
+    _write_register(bus, servo, "goal_current", counts)
 
 
 # ------------------------------------------------------------------------------------------
@@ -387,7 +414,9 @@ def _until(
         clock.sleep_until(clock.now() + _POLL)
 
 
-def find_again(bus: ServoBus, config: ArmConfig, timeout: float, *, real: bool) -> Feedback:
+def find_again(
+    bus: ServoBus, config: ArmConfig, timeout: float, *, real: bool, currents: Mapping[str, float]
+) -> Feedback:
     """Opens the port as soon as it is there again and stays, and verifies what is behind it.
 
     Raises:
@@ -397,7 +426,7 @@ def find_again(bus: ServoBus, config: ArmConfig, timeout: float, *, real: bool) 
 
     def there() -> Feedback:
         bus.open()
-        return verify(bus, config, real=real)
+        return verify(bus, config, real=real, currents=currents)
 
     return _until(bus.clock, timeout, (BusNotOpenError, BusDisconnectedError), there)
 

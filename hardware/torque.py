@@ -19,7 +19,7 @@ from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
     hardware_error_names,
 )
-from robot_ik.hardware.joint_map import TWIST, JointMap
+from robot_ik.hardware.joint_map import GRIPPER, TWIST, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 
 log = logging.getLogger(__name__)
@@ -36,6 +36,11 @@ SPEED_HEADROOM = 1.5
 RAMP_SHARE = 0.25
 """Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
 
+LEAST_STRENGTH = 0.25
+"""Share of its voltage without which a servo is refused: so much torque the weight of an arm alone takes."""
+LEAST_GRIP = 0.02
+"""The same of a gripper, which may be meant to press softly and holds up nothing."""
+
 _LARGEST_PROFILE = 32767  # of both profile registers
 _PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
 _ATTEMPTS = 3  # a sync write has no reply: it is read back, and repeated if it was lost
@@ -50,21 +55,26 @@ def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
     """Servo id -> present position, ticks, where every servo may get torque.
 
     Raises:
-        HardwareError: A servo restarted since it was set up, or lost revolutions; nothing was switched on.
+        HardwareError: A servo restarted since it was set up, lost revolutions, or is too weak to hold the
+            arm; nothing was switched on.
     """
     present = read_all(bus, config, "present_position")
-    _check_set_up(bus, config)
+    _check_set_up(bus, config, "nothing was switched on")
+    check_strength(bus, config)
     _check_revolutions(config, present)
     _check_twins(config, present)
     return present
 
 
 def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> None:
-    """Goals where the arm stands (servo id -> ticks), read back; torque on, read back; then the Bus Watchdog.
+    """Goals where the arm stands (servo id -> ticks), the Bus Watchdog, then torque; each read back.
+
+    A Bus Watchdog counts only while its servo has torque (ROBOTIS-GIT/emanual
+    _includes/en/dxl/x/bus_watchdog.md).  Armed before, it stops a servo also if this program dies just then.
 
     Raises:
-        HardwareError: A goal was not taken, or a servo counts anew.  Torque may be on then: the caller
-            switches it off.
+        HardwareError: A goal was not taken, or a servo counts anew or restarted meanwhile.  Torque may be on
+            then: the caller switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
     """
     missing = _sync_set(bus, config, "goal_position", goals)
@@ -73,12 +83,12 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
             f"{_names(missing)} did not take the present position as goal; nothing was switched on",
             hint="is the shaft outside the servo's own position limits? turn it back inside by hand",
         )
+    arm_watchdog(bus, config)
     missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
     if missing:
         errors = read_all(bus, config, "hardware_error_status")
         names = hardware_error_names(errors[missing[0].id])
         raise MotorFaultError(missing[0].name, names or ("torque_refused",))
-    arm_watchdog(bus, config)
     present = read_all(bus, config, "present_position")
     for joint in config.servos:
         after = present[joint.id]
@@ -87,6 +97,8 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
                 f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
                 hint="a servo may count its revolutions anew when torque comes on: check zero_ticks",
             )
+    # A servo that restarted between the last look and its torque is on now, at any speed.
+    _check_set_up(bus, config, "its torque goes off again")
 
 
 def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
@@ -151,16 +163,50 @@ def _names(servos: list[JointMap]) -> str:
     return ", ".join(dict.fromkeys(servo.name for servo in servos))
 
 
-def _check_set_up(bus: ServoBus, config: ArmConfig) -> None:
-    """A servo that restarted since ``set_profiles`` has lost its profile, its gains and its goal current."""
+def _check_set_up(bus: ServoBus, config: ArmConfig, then: str) -> None:
+    """A servo that restarted since ``set_profiles`` has lost its profile, its gains and its goal current.
+
+    ``then``: what becomes of the torque, for the error.
+    """
     velocity = read_all(bus, config, "profile_velocity")
     for servo in config.servos:
         if not velocity[servo.id]:
             raise HardwareError(
                 f"joint {servo.name!r} (servo id {servo.id}) has restarted since it was set up: no limit of "
-                "speed or current is left in it; nothing was switched on",
+                f"speed or current is left in it; {then}",
                 hint="check its supply; then connect again, in a program reconnect(), then enable()",
             )
+
+
+def check_strength(bus: ServoBus, config: ArmConfig) -> None:
+    """A servo whose controller has no gain, or hardly any voltage, has torque on and lets the joint fall.
+
+    Another program may have left its Goal PWM (RAM) or PWM Limit (EEPROM) so.  Nothing is changed here: a
+    small value may be meant.
+
+    Raises:
+        HardwareError: A servo cannot hold the arm.
+    """
+    names = ("position_p_gain", "goal_pwm", "pwm_limit")
+    gains, goals, limits = (read_all(bus, config, name) for name in names)
+    for servo in config.servos:
+        where = f"joint {servo.name!r} (servo id {servo.id})"
+        if not gains[servo.id]:
+            raise HardwareError(
+                f"{where} has Position P Gain 0 and would not follow its goals; nothing was switched on",
+                hint="set position_p in its [joints.gains] table; a power cycle undoes what a program wrote",
+            )
+        goal, limit = abs(goals[servo.id]), limits[servo.id]
+        share = min(goal, limit) / servo.table["pwm_limit"].maximum
+        text = f"{where} may use {100 * share:.0f} % of its voltage (Goal PWM {goal}, PWM Limit {limit})"
+        if share < (LEAST_GRIP if servo.group == GRIPPER else LEAST_STRENGTH):
+            raise HardwareError(
+                f"{text} and could not hold the arm; nothing was switched on",
+                hint="a power cycle resets its Goal PWM; PWM Limit is an EEPROM setting: "
+                "robot-ik servo restore, or DYNAMIXEL Wizard 2",
+            )
+        if share < 1.0:
+            log.warning("%s: it is weaker than its model", text)
 
 
 def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:
@@ -212,6 +258,7 @@ class ExitReport:
             limp, or have another goal.
         limp: Those of ``unverified`` that were to hold and say that they have no torque.
         parked: The way to the park pose was finished before.
+        unparked: Why it was not, where the arm was to be parked; else empty.
     """
 
     done: str
@@ -219,6 +266,7 @@ class ExitReport:
     unverified: tuple[str, ...] = ()
     parked: bool = False
     limp: tuple[str, ...] = ()
+    unparked: str = ""
 
     @property
     def ok(self) -> bool:
@@ -238,8 +286,12 @@ class ExitReport:
     def text(self) -> str:
         """One sentence for people."""
         what = {"torque_off": "torque is off", "hold": "it holds with torque ON", "untouched": "not touched"}
-        parked = " (parked first)" if self.parked else ""
-        return what[self.done] + parked + ("; " + self.doubt if self.unverified else "")
+        way = " (parked first)" if self.parked else f" (not parked: {self.unparked})" if self.unparked else ""
+        if self.ok:
+            return what[self.done] + way
+        if not self.verified:
+            return self.doubt + way
+        return f"{what[self.done]} at {', '.join(self.verified)}{way}; {self.doubt}"
 
 
 def leave(

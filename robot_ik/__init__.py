@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from robot_ik.batch import solve_batch
     from robot_ik.branches import solve_all
+    from robot_ik.budget import Budget
     from robot_ik.chain import DHRow, from_dh, make_chain
     from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.collision.obstacles import Box, Capsule, Cylinder, Mesh, Plane, Sphere
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.pose_prior import PosePrior
-    from robot_ik.problem import Budget, Problem
+    from robot_ik.problem import Problem
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Deviation, Solution, Status
@@ -67,7 +68,8 @@ _HOME = {
     "robot_ik.motion.line": ("line_move",),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
-    "robot_ik.problem": ("Budget", "Problem"),
+    "robot_ik.budget": ("Budget",),
+    "robot_ik.problem": ("Problem",),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Deviation", "Solution", "Status"),

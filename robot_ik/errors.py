@@ -21,12 +21,20 @@ LONGEST_NAME = 60
 MOST_NAMES = 30
 """Names that a message lists at most."""
 
+DISTRIBUTION = "robot-ik-testbed"
+"""Name on the package index. ``robot-ik`` there is another project that installs ``robot_ik`` too."""
+
+
+def install_command(extra: str = "") -> str:
+    """Return the shell command that installs this package, with an optional extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"' if extra else f"pip install {DISTRIBUTION}"
+
 
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Return the known names that ``name`` may be a typing error of, best first.
 
     A typing error is one wrong, missing, additional or exchanged letter for each three letters of
-    the name, in names of at least three letters. Case does not count. Another number is not a
+    the name, in names of at least three letters. Case and leading dashes do not count. Another number is not a
     typing error: ``joint9`` does not mean ``joint1``. A word or the beginning of a known name is
     close to it too: ``elbow`` to ``elbow_joint``.
 
@@ -35,12 +43,12 @@ def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
         known: The names that exist.
         count: The largest number of names to return.
     """
-    given = str(name).lower()
+    given = str(name).lower().lstrip("-")
     if not 0 < len(given) <= LONGEST_NAME:
         return []
     ranked = []
     for item in known:
-        rank = _typing_errors(given, item.lower())
+        rank = _typing_errors(given, item.lower().lstrip("-"))
         if rank is not None:
             ranked.append((rank, item))
     ranked.sort(key=lambda pair: pair[0])
@@ -241,7 +249,7 @@ class MissingExtraError(RobotIkError, ImportError):
         self.purpose = purpose
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
-            hint=f'install it with: pip install "robot_ik[{extra}]"',
+            hint=f"install it with: {install_command(extra)}",
         )
 
 
@@ -358,9 +366,7 @@ class ServoMismatchError(HardwareError):
             model = expected.get(id, "-")
             rows.append(f"  {id:>3}  {model:<{width}}  {found.get(id, 'missing')}")
         text = f"the servos on {port} are not those of {source}; nothing was switched on"
-        usual = (
-            "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
-        )
+        usual = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
         super().__init__("\n".join((text, *rows)), hint=hint or usual)
 
 

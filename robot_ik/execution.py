@@ -477,7 +477,8 @@ class _FollowState:
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:
         """Return the problem with these goals: the last one, if they differ in their targets only."""
-        from robot_ik.problem import Budget, Problem  # here, because it loads the compiler
+        from robot_ik.budget import Budget
+        from robot_ik.problem import Problem  # here, because it loads the compiler
 
         kinds = [goal.kind for goal in goals]
         if self._problem is not None and kinds == self._kinds:

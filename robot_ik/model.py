@@ -115,7 +115,7 @@ class ModelFrame:
 
 def read_model(
     source: Path | str | mujoco.MjSpec | mujoco.MjModel, path: Path
-) -> tuple[mujoco.MjModel, dict[str, float]]:
+) -> tuple[mujoco.MjModel, dict[str, float], tuple[str, ...]]:
     """Read an MJCF or URDF file, such a text, or a spec.
 
     Joints without a name get the name ``joint_<id>``. A URDF keeps the frames of its fixed joints
@@ -126,14 +126,15 @@ def read_model(
         path: The file, for messages.
 
     Returns:
-        MuJoCo's model, and the speed limits of the joints of a URDF, rad/s or m/s.
+        MuJoCo's model, the speed limits of the joints of a URDF (rad/s or m/s), and the names of
+        the mesh files that the URDF refers to and that are missing.
 
     Raises:
         ModelError: MuJoCo cannot read the source, a joint has an empty range, or a number is not
             finite or beyond ``LARGEST_NUMBER``.
     """
     if isinstance(source, mujoco.MjModel):
-        return source, {}
+        return source, {}, ()
     spec, urdf = read_spec(source, path)
     with _mujoco_errors(path):
         _name_joints(spec)
@@ -141,7 +142,9 @@ def read_model(
     _check_numbers(model, path)
     _check_ranges(model, path)
     _warn_of_radians(model, spec, path)
-    return model, {} if urdf is None else urdf.velocity_limits
+    if urdf is None:
+        return model, {}, ()
+    return model, urdf.velocity_limits, urdf.missing_meshes
 
 
 def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjSpec, Urdf | None]:

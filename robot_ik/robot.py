@@ -69,6 +69,8 @@ class Robot:
         couplings: Joints of the model that follow another joint.
         source: What the model was read from: a file, or the text of an MJCF or URDF. None for a
             robot that was loaded from an ``MjModel``.
+        missing_meshes: Mesh files of a URDF that are missing, or are neither STL nor OBJ, by their
+            names in the URDF.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Robot:
     file: RobotFile
     couplings: tuple[Coupling, ...]
     source: Path | str | None
+    missing_meshes: tuple[str, ...]
     _frames: dict[str, mjcf.ModelFrame] = field(repr=False)
     _bodies: tuple[mjcf.Attachment, ...] = field(repr=False)
 
@@ -416,7 +419,7 @@ def load_robot(
         UnknownJointError: The model has no such joint. The message has close names.
         UnknownFrameError: The model has no such frame. The message has close names.
     """
-    path, file, model, velocity_limits = _read_model(name)
+    path, file, model, velocity_limits, missing_meshes = _read_model(name)
     if velocity_limits:  # of a URDF; robot.toml has priority
         merged = velocity_limits | file.velocity_limits
         file = file.model_copy(update={"velocity_limits": merged})
@@ -447,6 +450,7 @@ def load_robot(
         file=file,
         couplings=tuple(couplings),
         source=_source_of(name, path),
+        missing_meshes=missing_meshes,
         _frames=frames,
         _bodies=bodies,
     )
@@ -455,17 +459,17 @@ def load_robot(
 
 def _read_model(
     name: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
-) -> tuple[Path, RobotFile, mujoco.MjModel, dict[str, float]]:
-    """Return path, content of robot.toml, model, and the speed limits of a URDF."""
+) -> tuple[Path, RobotFile, mujoco.MjModel, dict[str, float], tuple[str, ...]]:
+    """Return path, content of robot.toml, model, and speed limits and missing meshes of a URDF."""
     is_text = isinstance(name, str) and name.lstrip().startswith("<")
     if not (is_text or isinstance(name, mujoco.MjSpec | mujoco.MjModel)):
         path, file = find_robot(name)
         return path, file, *mjcf.read_model(path, path)
-    model, velocity_limits = mjcf.read_model(name, Path("<memory>/model"))
+    model, velocity_limits, missing_meshes = mjcf.read_model(name, Path("<memory>/model"))
     model_name = model.names[: model.names.index(b"\0")].decode() or "model"
     file = RobotFile(name=model_name)
     # This folder cannot exist, so no file is ever found beside the model.
-    return Path(f"<memory>/{model_name}"), file, model, velocity_limits
+    return Path(f"<memory>/{model_name}"), file, model, velocity_limits, missing_meshes
 
 
 def _source_of(

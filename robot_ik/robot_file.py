@@ -123,7 +123,8 @@ class RobotFile(_Keys):
 def catalogue() -> dict[str, Path]:
     """Return the folders of the bundled robots by name."""
     package = importlib.util.find_spec("robot_ik.models")  # in a checkout it is another folder
-    assert package is not None and package.origin is not None
+    if package is None or package.origin is None:
+        raise RuntimeError("the package robot_ik.models is not installed")
     root = Path(package.origin).parent
     folders = [path for path in sorted(root.iterdir()) if (path / "robot.toml").is_file()]
     return {folder.name: folder for folder in folders}

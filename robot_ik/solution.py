@@ -11,7 +11,7 @@ import numpy as np
 
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Array
-from robot_ik.goals import Goal
+from robot_ik.goals import Goal, at_matrix
 from robot_ik.kernels import search
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Solution:
         iterations, restarts: Steps of all tries; random restarts used.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
-        given, targets: The goals as they were given to the problem, and the matrices (g, 4, 4) that they were moved
+        given, targets: The goals as given to the problem, and the matrices (g, 4, 4) they were moved
             to since; ``goals`` puts the two together.
         avoidance: The condition on collisions, if there was one.
     """
@@ -123,8 +123,6 @@ class Solution:
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
         """The goals with the targets they had in this solve."""
-        from robot_ik.problem import at_matrix
-
         rows = [goal.rows(self.robot) for goal in self.given]
         return tuple(at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True))
 
@@ -136,9 +134,7 @@ class Solution:
     @property
     def error(self) -> Deviation:
         """Largest error of the goals that are not soft, measured by MuJoCo on first access."""
-        needed = [
-            error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft
-        ]
+        needed = [error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft]
         return Deviation(
             position=max((error.position for error in needed), default=0.0),
             angle=max((error.angle for error in needed), default=0.0),

@@ -54,11 +54,16 @@ def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
 
 
 class Urdf:
-    """A URDF: its element ``robot``, and the folder to which its file names are relative."""
+    """A URDF: its element ``robot``, and the folder to which its file names are relative.
+
+    Attributes:
+        missing_meshes: Mesh files that ``text`` has left out, by their names in the URDF.
+    """
 
     def __init__(self, root: ElementTree.Element, folder: Path) -> None:
         self._root = root
         self._folder = folder
+        self.missing_meshes: tuple[str, ...] = ()
 
     @classmethod
     def of_text(cls, text: str, folder: Path = Path()) -> Urdf | None:
@@ -183,6 +188,7 @@ class Urdf:
                     link.remove(shape)
                 else:
                     mesh.set("filename", str(path))
+        self.missing_meshes = tuple(dict.fromkeys(missing))
         if missing:
             names = ", ".join(missing[:MESHES_SHOWN])
             logger.warning(

@@ -28,8 +28,6 @@ class GoalRecorder:
     A goal lies within the arm file's range; where the shaft stands outside, between it and the range.
     """
 
-    SLACK = 2  # ticks; a shaft may have moved since it was asked
-
     def __init__(self) -> None:
         self.goals = 0
         self.forbidden: list[str] = []
@@ -64,7 +62,7 @@ class GoalRecorder:
             return
         at = servo.table["present_position"]
         for present in (at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id):
-            if not min(first, present) - self.SLACK <= goal <= max(last, present) + self.SLACK:
+            if not min(first, present) <= goal <= max(last, present):
                 self.forbidden.append(f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}")
 
     @staticmethod

@@ -31,7 +31,7 @@ open_run = RUN.open
 
 @kernel
 def measure_rows(address: Any) -> None:
-    """Write residual, miss, cost and Jacobian at q."""
+    """Write residual, error, cost and Jacobian at q."""
     run = open_run(address)
     goals = run.goals
     search = run.search
@@ -45,11 +45,11 @@ def measure_rows(address: Any) -> None:
 
 @dataclass(frozen=True)
 class Rows:
-    """Cost ½ |r|², residual (m,), miss (g, 2), Jacobian (m, u), and the dofs (u,) of its columns."""
+    """Cost ½ |r|², residual (m,), error (g, 2), Jacobian (m, u), and the dofs (u,) of its columns."""
 
     cost: float
     residual: Array
-    miss: Array
+    error: Array
     jacobian: Array
     dofs: NDArray[np.int64]
 
@@ -68,7 +68,7 @@ def rows_at(problem: Problem, q: ArrayLike) -> Rows:
     return Rows(
         problem.search["cost"],
         arrays["residual"].copy(),
-        arrays["miss"].copy(),
+        arrays["error"].copy(),
         run.arrays["jacobian"],
         problem.compiled.block.arrays["dofs"],
     )

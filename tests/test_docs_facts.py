@@ -29,6 +29,8 @@ ROOT, PAGES, blocks, prose, named, script = (
     pages.named,
     pages.script,
 )
+#: Files in which an install line could stand.
+TEXTS = {".py", ".md", ".toml", ".rst", ".yml", ".txt"}
 
 
 # ------------------------------------------------------------------------- tables from the program
@@ -75,22 +77,127 @@ def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.
 
 
 def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
+    """Every key, and every key of a table in it unless the page refers to another table."""
     assert cli.main(["reach", "--bus", "sim", "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     page = prose(ROOT / "docs" / "start" / "reach.md")
-    rows = re.findall(r"^\| `([\w.]+)`", page[page.index("## summary.json") :], re.MULTILINE)
-    reported = {row.split(".")[0] for row in rows}
-    assert reported == set(summary)
-    for row in rows:
-        if "." in row:
-            first, second = row.split(".")
-            assert second in summary[first], row
+    cells = re.findall(r"^\| (`[^|]*`) \|", page[page.index("## summary.json") :], re.MULTILINE)
+    reported: dict[str, set[str]] = {}
+    for cell in cells:
+        first = ""
+        for key in re.findall(r"`([\w.]+)`", cell):
+            first = key.partition(".")[0] or first
+            reported.setdefault(first, set()).update(key.split(".")[1:])
+    assert set(reported) == set(summary)
+    for key, inner in reported.items():
+        if isinstance(summary[key], dict) and key not in ("robot", "by_camera"):
+            assert inner == set(summary[key]), key
+    assert set(summary["by_camera"]) == set(summary["read_back"])
+
+
+def test_the_pages_state_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
+    assert (
+        cli.main(["reach", "--bus", "sim", "--rehearse.zero-offset", "joint2=2", "--out", str(tmp_path)]) == 1
+    )
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    measured = 1e3 * summary["by_camera"]["position_m"]
+    for page in ("README.md", "docs/start/reach.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        (line,) = [row for row in text.splitlines() if "zero-offset joint2=2" in row]
+        assert float(re.findall(r"(\d+) mm", line)[-1]) == pytest.approx(measured, abs=1.0), line
+
+
+def test_the_extras_on_the_page_are_those_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    page = (ROOT / "docs" / "start" / "install.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    assert set(listed) == set(project["optional-dependencies"]) - {"dev", "docs"}
+
+
+def test_every_page_names_the_same_versions_of_python() -> None:
+    make_venv = (ROOT / ".ci" / "make_venv").read_text()
+    oldest, newest = (int(minor) for minor in re.findall(r"(?:oldest|newest)='\(3, (\d+)\)'", make_venv))
+    for page in ("README.md", "CONTRIBUTING.md", "docs/start/install.md"):
+        stated = re.findall(r"Python 3\.(\d+) to 3\.(\d+)", (ROOT / page).read_text(encoding="utf-8"))
+        assert stated and set(stated) == {(str(oldest), str(newest))}, page
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    classified = re.findall(r"Python :: 3\.(\d+)", "\n".join(project["classifiers"]))
+    assert classified == [str(minor) for minor in range(oldest, newest + 1)]
+    assert project["requires-python"] == f">=3.{oldest}"
+
+
+def test_a_system_that_was_not_tried_is_not_a_classifier() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    untried = "macOS is\nmeant to work and has not been tried" in readme
+    assert untried != any("MacOS" in row for row in project["classifiers"])
+
+
+def test_no_install_line_names_the_distribution_of_another_project() -> None:
+    """``robot-ik`` on the package index also installs a package ``robot_ik``."""
+    folders = ("robot_ik", "hardware", "models", "docs", "examples", "tests", ".ci", ".github")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*") if file.suffix in TEXTS]
+    files += [file for file in ROOT.iterdir() if file.suffix in TEXTS]
+    foreign = re.compile(r"pip install (?:-\S+ )*[\"']?robot[_-]ik(?!-testbed|\w)|robot[_-]ik\[\w+\]")
+    found = {named(file): foreign.findall(file.read_text(encoding="utf-8")) for file in files}
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
+def test_the_arms_with_an_arm_file_are_counted_and_named() -> None:
+    arms = {file.parent.name for file in (ROOT / "models").glob("*/arm.toml")}
+    start = (ROOT / "docs" / "start" / "servo.md").read_text(encoding="utf-8")
+    numbers = ("four", "five", "six", "seven", "eight", "nine", "ten")
+    assert f"{numbers[len(arms) - 4].capitalize()} bundled robots have one" in start
+    page = (ROOT / "docs" / "reference" / "arms.md").read_text(encoding="utf-8")
+    assert [name for name in arms if name not in page] == []
+
+
+def test_the_comparison_states_the_hinges_of_the_humanoid() -> None:
+    import robot_ik as rik
+
+    robot = rik.load_robot("humanoid")
+    page = (ROOT / "docs" / "reference" / "comparison.md").read_text(encoding="utf-8")
+    assert f" {robot.nv - 6} hinges and a floating base" in page  # no balls, one free joint
+
+
+def test_the_time_of_a_frame_is_that_of_the_table() -> None:
+    page = (ROOT / "docs" / "theory" / "figure.md").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"A frame takes about (\d+) µs", page)
+    (measured,) = re.findall(r"^\| a frame of a walk;[^|]*\| (\d+) µs", page, re.MULTILINE)
+    assert stated == measured
+
+
+def test_every_goal_on_the_page_can_be_imported() -> None:
+    import robot_ik as rik
+
+    page = (ROOT / "docs" / "reference" / "goals.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"^\| `(\w+Goal)\(", page, re.MULTILINE))
+    assert names >= {"PoseGoal", "PosePriorGoal"}
+    for name in names - set(rik.__all__):
+        (module,) = re.findall(rf"`from (robot_ik\.\w+) import {name}`", page)
+        assert hasattr(importlib.import_module(module), name)
+
+
+def test_the_citation_has_the_version_and_the_address() -> None:
+    import robot_ik as rik
+
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert f"\nversion: {rik.__version__}\n" in citation
+    assert f"\nrepository-code: {project['urls']['Homepage']}\n" in citation
 
 
 def test_contributors_are_told_every_target_of_make() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     reported = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
     assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == reported
+
+
+def test_contributors_are_told_the_steps_of_ci() -> None:
+    (steps,) = re.findall(r"^for step in (.*); do$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
+    contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (row,) = re.findall(r"^\| `bash \.ci/run` \|(.*)\|$", contributing, re.MULTILINE)
+    assert re.findall(r"`([\w-]+)`", row) == [*steps.split(), "test"]
 
 
 # ------------------------------------------------------------------------------------- the site

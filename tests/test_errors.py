@@ -57,6 +57,8 @@ def test_close_names_ignore_case():
         ("elbow", ["shoulder_pan_joint", "elbow_joint"], ["elbow_joint"]),
         ("puma", ["panda", "puma560"], ["puma560"]),
         ("joint_1", ["joint2", "joint1"], ["joint1"]),
+        ("SLOVE", ["solve", "robots"], ["solve"]),
+        ("--gaol", ["--goal", "--json"], ["--goal"]),
         (7, ["seven"], []),
         (None, ["none"], ["none"]),
     ],
@@ -75,6 +77,12 @@ def test_a_typing_error_has_close_names(given, known, close):
         ("method", ["methylene", "weather"]),
         ("x" * 200, ["x" * 201]),
         ("", ["a", "b"]),
+        ("record", ["reach", "doctor"]),
+        ("replay", ["reach"]),
+        ("calibrate", ["camera"]),
+        ("--solver", ["--overwrite"]),
+        ("--record", ["--seconds"]),
+        ("nojoint", ["root"]),
     ],
 )
 def test_another_word_has_no_close_names(given, known):
@@ -102,7 +110,8 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
     assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
         "these can: lm, dls"
     )
-    assert 'pip install "robot_ik[web]"' in str(errors.MissingExtraError("viser", "web", "the browser view"))
+    missing = errors.MissingExtraError("viser", "web", "the browser view")
+    assert 'pip install "robot-ik-testbed[web]"' in str(missing)
     timeout = errors.BusTimeoutError(
         id=3, register="present_position", port="/dev/x", joint="elbow", last_good=0.5
     )

@@ -177,5 +177,5 @@ def test_moving_figure(run: Run) -> None:
     out = run("07_moving_figure.py")
     actions = re.findall(r"^(reach|bend|jump|walk|nothing) ", out, re.MULTILINE)
     assert actions == ["reach", "bend", "walk", "reach"]
-    misses = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]
-    assert len(misses) == 3 and max(misses) <= 5.0
+    errors = [float(mm) for mm in re.findall(r"hand is ([\d.]+) mm from the ball", out)]
+    assert len(errors) == 3 and max(errors) <= 5.0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.errors import (
     InvalidGoalError,
     ModelError,
@@ -18,12 +19,16 @@ from robot_ik.errors import (
     UnsupportedGoalError,
 )
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, able_solvers, make_solver
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver
 
-ITERATIVE = [name for name, kind in SOLVERS.items() if (issubclass(kind, IterativeSolver) or hasattr(kind, 'first_steps'))]
+ITERATIVE = [
+    name
+    for name, kind in SOLVERS.items()
+    if (issubclass(kind, IterativeSolver) or hasattr(kind, "first_steps"))
+]
 
 
 @pytest.fixture(scope="module")

@@ -178,7 +178,7 @@ def test_a_missing_file_is_not_taken_for_an_unknown_name(nameless: Path) -> None
 
 def test_without_the_package_the_install_line_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "robot_ik\[descriptions\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "robot-ik-testbed\[descriptions\]"'):
         rik.load_robot("robot_descriptions:panda_mj_description")
 
 
@@ -207,7 +207,9 @@ def test_a_description_in_the_cache_is_a_robot(cache: Path, nameless: Path) -> N
 
 
 def test_a_description_that_git_cannot_get_says_how_to(cache: Path) -> None:
-    with pytest.raises(ModelError, match=r"could not download it(.|\n)*pull so_arm101_mj_description") as caught:
+    with pytest.raises(
+        ModelError, match=r"could not download it(.|\n)*pull so_arm101_mj_description"
+    ) as caught:
         rik.load_robot("robot_descriptions:so_arm101_mj_description")
     assert str(cache) in str(caught.value) and len(str(caught.value)) < 600
 

@@ -10,10 +10,18 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.errors import GoalError, InvalidGoalError, OptionError, UnknownFrameError
 from robot_ik.geometry import Pose
-from robot_ik.goals import CenterOfMassGoal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.goals import (
+    CenterOfMassGoal,
+    OrientationGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+    Tolerance,
+)
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 

@@ -52,7 +52,10 @@ def test_a_file_is_a_robot(arm_file):
     assert robot.tool == "tcp" and robot.frames == ("tcp", "link", "rod", "hand")
     assert robot.lower.tolist() == [-1, -0.1, *[-np.inf] * 3] and robot.upper[:2].tolist() == [2, 0.4]
     assert robot.home.tolist() == [0.5, 0.3, 1, 0, 0, 0]  # the keyframe "home" comes before the first
-    assert robot.velocity_limits.shape == robot.acceleration_limits.shape == (5,) and (robot.velocity_limits > 0).all()
+    assert (
+        robot.velocity_limits.shape == robot.acceleration_limits.shape == (5,)
+        and (robot.velocity_limits > 0).all()
+    )
     assert robot.arm_file is None
     assert load_robot(str(arm_file)).joints == robot.joints
 
@@ -194,7 +197,15 @@ def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
     robot = load_robot(arm_file)
     narrow = robot.with_limits(-0.5, 0.5)
     for one in (robot, narrow, copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
-        for name in ("home", "lower", "upper", "velocity_limits", "acceleration_limits", "stiffness", "frozen_qpos"):
+        for name in (
+            "home",
+            "lower",
+            "upper",
+            "velocity_limits",
+            "acceleration_limits",
+            "stiffness",
+            "frozen_qpos",
+        ):
             array = getattr(one, name)
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 0.5

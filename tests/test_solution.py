@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.errors import NotConvergedError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 
@@ -33,7 +33,7 @@ def test_every_status_has_its_meaning():
     assert repr(Status.STALLED.name) == "'STALLED'"
 
 
-def test_the_miss_is_of_what_was_asked_for_only(puma):
+def test_the_error_is_of_what_was_asked_for_only(puma):
     far = Budget(iterations=0)
     q = puma.home + 0.2
     pose = puma.forward(q)
@@ -44,8 +44,8 @@ def test_the_miss_is_of_what_was_asked_for_only(puma):
         (PoseGoal.at(None, pose), (metres, radians)),
         (PoseGoal(None, pose.position, pose.wxyz, angle_weight=0.0), (metres, 0.0)),
     ]:
-        miss = solve(puma, goal, budget=far).error
-        assert (miss.position, miss.angle) == pytest.approx(expected, abs=1e-12)
+        error = solve(puma, goal, budget=far).error
+        assert (error.position, error.angle) == pytest.approx(expected, abs=1e-12)
     both = solve(
         puma, [PoseGoal.at(None, puma.forward(puma.home)), PositionGoal(None, pose.position)], budget=far
     )

@@ -82,7 +82,7 @@ def test_poses_called_singular_are_singular() -> None:
 
 
 def test_a_picture_is_drawn_and_drawn_the_same_again(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need the extra: pip install robot_ik[plots]")
+    pytest.importorskip("matplotlib", reason="pictures need the extra: pip install 'robot-ik-testbed[plots]'")
     plots = script("plots")
     for name in ("a", "b"):
         plots.draw("dls", tmp_path / f"{name}.png", count=3)

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 import robot_ik as rik
-from robot_ik.problem import Budget, Problem
+from robot_ik.budget import Budget
+from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
 
 GOALS = 40

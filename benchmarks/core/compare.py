@@ -84,6 +84,7 @@ def compare_compile(old: str, new: str) -> None:
 
 
 def main() -> None:
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("old", help="Python of the old version")
     parser.add_argument("new", help="Python of the new version")

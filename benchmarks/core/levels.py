@@ -137,9 +137,9 @@ def count_solves(name: str, cases: Cases) -> None:
         name,
         len(solutions),
         sum(
-            miss.position <= 1e-4 and miss.angle <= 1e-3
+            error.position <= 1e-4 and error.angle <= 1e-3
             for solution in solutions
-            for miss in solution.errors
+            for error in solution.errors
         ),
         sum(solution.iterations for solution in solutions),
         sum(solution.restarts for solution in solutions),
@@ -167,7 +167,7 @@ def count_frames() -> None:
         frames = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
         times.append((time.perf_counter() - began) / 40)
         steps += int(frames.steps.sum())
-        met += int((frames.miss < 1e-6).sum())
+        met += int((frames.error < 1e-6).sum())
     report("figure, frames", 800, met, steps, 0, float(np.median(times)))
 
 

@@ -145,6 +145,7 @@ def first_compile(robot: Any, method: str) -> dict[str, float]:
 
 
 def main() -> None:
+    """Run the command line."""
     what, name, method, *rest = sys.argv[1:]
     robot = rik.load_robot(name)
     if what == "counts":

@@ -43,19 +43,17 @@ def cases(robot: rik.Robot, count: int) -> dict[str, Callable[[int], object]]:
     near, far = poses_of(robot, count)
     matrices, beyond = [pose.matrix for pose in near], [pose.matrix for pose in far]
     goals = [rik.PoseGoal.at(None, pose) for pose in near]
-    solver, problem = rik.make_solver("auto"), rik.Problem(robot, goals[0])
+    problem = rik.Problem(robot, goals[0])
 
     def prepared(k: int) -> None:
-        problem.retarget(matrices[k])
-        solver.solve(problem)
+        problem.solve(target=matrices[k])
 
     def out_of_reach(k: int) -> None:
-        problem.retarget(beyond[k])
-        if solver.solve(problem).status is not rik.Status.UNREACHABLE:
+        if problem.solve(target=beyond[k]).status is not rik.Status.UNREACHABLE:
             raise AssertionError(f"pose {k} beyond the reach of {robot.name} is not called UNREACHABLE")
 
     return {
-        "prepared: `retarget`, `solve`": prepared,
+        "prepared: `problem.solve(q, target=…)`": prepared,
         "`rik.solve`, goal made before": lambda k: rik.solve(robot, goals[k]),
         "making a `PoseGoal`": lambda k: rik.PoseGoal("gripper", (0.1, 0.2, 0.3), (0, 1, 0, 0)),
         "`solve_batch` of 1 pose": lambda k: rik.solve_batch(robot, matrices[k : k + 1]),

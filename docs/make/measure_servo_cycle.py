@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.progress import track
 
 from robot_ik.hardware.control_table import CONTROL_TABLES, Register
-from robot_ik.hardware.dynamixel import PHASES, DynamixelBus
+from robot_ik.hardware.dynamixel import LENGTHS, DynamixelBus
 from robot_ik.hardware.packets import read_request, write_request
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
@@ -104,7 +104,7 @@ def canned() -> dict[bytes, bytes]:
     replies = {}
     value = (2048).to_bytes(4, "little")
     for register, known in ((PRESENT, value), (BLOCK, b"\x01" + value)):
-        for extra in range(PHASES):  # after a miss the bus asks for a byte more
+        for extra in range(LENGTHS):  # after a miss the bus asks for a byte more
             register = replace(register, size=len(known) + extra)
             asked = dict.fromkeys(IDS, register)
             data = known + bytes(extra)

@@ -1,6 +1,6 @@
 """Measures the methods and writes the tables of the pages: `python docs/make/measurements.py`.
 
-A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, misses and joint changes are
+A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, errors and joint changes are
 counted, nothing is timed: one machine gives the same numbers each time.  Other machines may differ in the
 last digit, so the tests look only for a row of every method.
 """
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import robot_ik as rik
-from robot_ik.solvers import SOLVERS
+from robot_ik.solvers import SOLVERS, able_solvers
 
 Array = NDArray[np.float64]
 
@@ -74,9 +74,10 @@ def stretched(robot: rik.Robot) -> float:
 
 
 def methods() -> Iterator[str]:
-    """Names of the methods that serve poses of the PUMA, without the one that is another's double."""
-    problem = rik.Problem(rik.load_robot("puma560"), rik.PoseGoal(None, (0, 0, 0)))
-    yield from (n for n in SOLVERS if n != "combined" and rik.make_solver(n).applies(problem))
+    """Names of the methods that serve poses of the PUMA, without ``combined``."""
+    robot = rik.load_robot("puma560")
+    able = able_solvers(rik.Problem(robot, robot.forward(robot.home)))
+    yield from (name for name in able if name != "combined")
 
 
 def convergence_table(tables: ModuleType) -> str:
@@ -110,12 +111,11 @@ def targets_table(tables: ModuleType) -> str:
     rows = []
     for name in methods():
         problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), solver=name)
-        solver, cells = rik.make_solver(name), []
+        cells = []
         for cases in sets.values():
             found = []
             for q, start in cases:
-                problem.retarget(robot.forward(q))
-                found.append(problem.solve(start))
+                found.append(problem.solve(start, target=robot.forward(q)))
             steps = [s.iterations for s in found if s.converged]
             share = f"{100 * len(steps) / len(found):.0f} %"
             cells.append(f"{share}, {_steps(steps)}" if steps else share)
@@ -124,16 +124,16 @@ def targets_table(tables: ModuleType) -> str:
 
 
 def path_table(tables: ModuleType) -> str:
-    """Largest joint change in one tick, and largest miss, along a path past a singular wrist."""
+    """Largest joint change in one tick, and largest error, along a path past a singular wrist."""
     robot = rik.load_robot("puma560")
     rows = []
     for name in methods():
         cells: list[str] = []
         for off in PATHS.values():
-            change, miss = follow(robot, name, off)
-            cells += [f"{np.degrees(change):.1f}°", f"{np.degrees(miss):.2f}°"]
+            change, error = follow(robot, name, off)
+            cells += [f"{np.degrees(change):.1f}°", f"{np.degrees(error):.2f}°"]
         rows.append((_linked(name), *cells))
-    head = [f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest miss")]
+    head = [f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest error")]
     return str(tables.markdown(("method", *head), rows))
 
 
@@ -141,21 +141,22 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
     """Follows the path tick by tick without restarts.
 
     Returns:
-        Largest joint change in a tick and largest miss, rad.
+        Largest joint change in a tick and largest error, rad.
     """
     poses = path(robot, off)
     q = robot.home.copy()
     q[_WRIST] = _SWING
     q = rik.solve(robot, rik.PoseGoal.at(None, poses[0]), solver="lm", start=q).require().q
-    problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), budget=rik.Budget(iterations=100, restarts=0), solver=name)
-    solver, changes, misses = rik.make_solver(name), [], []
+    budget = rik.Budget(iterations=100, restarts=0)
+    problem = rik.Problem(robot, poses[0], solver=name, budget=budget)
+    changes = []
+    errors = []
     for pose in poses[1:]:
-        problem.retarget(pose)
-        solution = problem.solve(q)
+        solution = problem.solve(q, target=pose)
         changes.append(float(np.abs(solution.q - q).max()))
-        misses.append(solution.error.angle)
+        errors.append(solution.error.angle)
         q = solution.q
-    return max(changes), max(misses)
+    return max(changes), max(errors)
 
 
 def path(robot: rik.Robot, off: float) -> list[rik.Pose]:

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.goals import PosePriorGoal
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.figure.actions import take
 from robot_ik.figure.figure import RATE as FIGURE_RATE
@@ -33,12 +32,12 @@ from robot_ik.figure.gait import WALK, prints_of, walk, walk_prints
 from robot_ik.figure.jump import jump
 from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored
 from robot_ik.figure.poses import BEND, REACH, find_pose
+from robot_ik.goals import PosePriorGoal
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
-from robot_ik.solvers import make_solver
 
 Array = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1]
@@ -173,10 +172,10 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
 
 
 def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tuple[Array, float, float]:
-    """What is solved for a pose of which feet and right hand alone are known; miss in m, seconds."""
+    """What is solved for a pose of which feet and right hand alone are known; error in m, seconds."""
     goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
     goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
-    problem, solver = Problem(robot, [*goals, *extra], solver="lm"), make_solver("lm")
+    problem = Problem(robot, [*goals, *extra], solver="lm")
     start = np.array(robot.home)
     start[:7] = truth[:7]
     problem.solve(start)
@@ -203,7 +202,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     ]
     rows = {}
     for label, extra in ways.items():
-        q, miss, seconds = zip(*(solve_poses(robot, truth, extra) for truth in poses), strict=True)
+        q, error, seconds = zip(*(solve_poses(robot, truth, extra) for truth in poses), strict=True)
         x, wanted = prior.features(robot, np.array(q)), prior.features(robot, np.array(poses))
         nearest = [float(np.sqrt(np.mean((known - row) ** 2, axis=1)).min()) for row in x]
         off = (x - wanted)[:, unseen] * prior.spread[unseen]
@@ -213,7 +212,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
             "nearest pose": round(float(np.median(nearest)), 2),
             "rms of elbows and spine, degrees": round(float(np.degrees(np.sqrt(np.mean(off**2)))), 1),
             "inside the 99 % contour": round(float(np.mean(energy <= prior.contour)), 2),
-            "largest miss of the hand, mm": round(1e3 * max(miss), 3),
+            "largest error of the hand, mm": round(1e3 * max(error), 3),
             "ms for a pose from home": round(1e3 * float(np.median(seconds)), 2),
         }
     truth_energy = prior.energy(robot, np.array(poses))
@@ -230,7 +229,7 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
     ]
     problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra], solver="lm")
     stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(position)]
-    solver, q = make_solver("lm"), np.array(robot.home)
+    q = np.array(robot.home)
     for one, two in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
             problem.retarget(one + share * (two - one), len(goals))

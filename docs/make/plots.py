@@ -81,16 +81,16 @@ def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
     robot, rng = task.robot(), np.random.default_rng(7)
     pose = robot.forward(robot.home)
     goal = rik.PoseGoal.at(None, pose) if task.pose else rik.PositionGoal(None, pose.position)
-    problem = rik.Problem(robot, goal, tolerance=TOLERANCE, budget=BUDGET, trace=True, solver=name)
-    solver = rik.make_solver(name)
-    if not solver.applies(problem):
+    try:
+        problem = rik.Problem(robot, goal, solver=name, tolerance=TOLERANCE, budget=BUDGET, trace=True)
+    except rik.RobotIkError:
         return None
     residuals, steps = [], []
     for _ in range(count):
         target = robot.forward(robot.sample(rng))
         problem.retarget(target if task.pose else target.position)
         metres, radians = pose.distance(target)
-        weight = problem.weights[0]
+        weight = problem.compiled.block.arrays["weight"][0]
         first = np.hypot(weight[0] * metres, weight[1] * radians)
         solution = problem.solve(robot.home)
         rows = np.array([row.cost for row in solution.trace])

@@ -57,7 +57,7 @@ SHOTS = (
     Shot(
         "figure", Start("humanoid"), tab="Figure",
         commands=(SetFigure("active"), MoveGoal((0.5, -0.2, 1.3))),
-        until=lambda view: view.figure and view.instances[0].miss < 0.01,
+        until=lambda view: view.figure and view.instances[0].error < 0.01,
     ),
     Shot(
         "camera", Start("tabletop_puma"), tab="Camera", camera=True, text="marker seen",

@@ -180,7 +180,7 @@ class VirtualBus:
                 listeners = [s for s in self.servos if not s.deaf and (baud is None or s.baud == baud)]
                 for servo in listeners:
                     servo.hear()
-                replies += self.wire.carry(self._execute_all(packet, listeners))
+                replies += self.wire.carry(self._execute_all(packet, listeners), self.clock.now())
             return b"".join(replies), self._delay + (self.latency if replies else 0.0)
 
     def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:

@@ -92,6 +92,10 @@ def collide(packets: Sequence[bytes], rng: random.Random) -> bytes:
 # Packets that are lost, spoiled, doubled or late: by chance, one row a kind.
 
 
+LATEST = 0.15
+"""s by which a late packet comes late at most."""
+
+
 class Spoil(NamedTuple):
     """One way in which a status packet can be spoilt; ``apply``: the bytes that arrive instead of it now."""
 
@@ -104,9 +108,10 @@ class VirtualWire:
 
     Attributes:
         chances: Row of ``SPOILS`` -> its probability per status packet.
+        now: Time of the replies, s.
         rng: Random generator of all faults; equal seeds and equal traffic give equal faults.
         foreign: Ids that no servo has: none of those ``taken``.
-        held: Packets that come before the replies to the next request.
+        held: Packets that come before the replies to the next request, and when they were sent, s.
         behind: A packet that comes after the next one.
     """
 
@@ -118,14 +123,20 @@ class VirtualWire:
     def reseed(self, seed: int) -> None:
         """A new random generator, and nothing on its way."""
         self.rng = random.Random(seed)
-        self.held: list[bytes] = []
+        self.held: list[tuple[bytes, float]] = []
+        self.now = 0.0
         self.behind = b""
 
-    def carry(self, packets: list[bytes]) -> list[bytes]:
-        """What of the replies to one request arrives at the host, in the order in which it does."""
+    def carry(self, packets: list[bytes], now: float) -> list[bytes]:
+        """What of the replies to one request arrives at the host, in the order in which it does.
+
+        ``now``: time of the request, s.  Packets that were sent more than ``LATEST`` before are not among
+        them: they came while no request was answered.
+        """
         if not self.held and not any(self.chances.values()):
             return packets
-        arriving, self.held = self.held, []
+        arriving = [packet for packet, since in self.held if now - since <= LATEST]
+        self.held, self.now = [], now
         for packet in packets:
             waiting, self.behind = self.behind, b""
             arriving += [self._spoil(packet), waiting]
@@ -140,7 +151,7 @@ class VirtualWire:
 
 
 def _late(wire: VirtualWire, packet: bytes) -> bytes:
-    wire.held.append(packet)
+    wire.held.append((packet, wire.now))
     return b""
 
 
@@ -172,7 +183,7 @@ def _swap(wire: VirtualWire, packet: bytes) -> bytes:
 
 SPOILS: Mapping[str, Spoil] = MappingProxyType(
     {
-        "late": Spoil("a status packet comes before those to the next request", _late),
+        "late": Spoil("a status packet comes up to 0.15 s late, before those to the next request", _late),
         "drop": Spoil("a status packet is lost", lambda wire, packet: b""),
         "short": Spoil("a status packet has fewer data than asked, checksum right", _shorten),
         "error": Spoil("a status packet has an error number and no data", _refuse),

@@ -324,13 +324,13 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Motio
             end = abilities.pose(decision.action, ball, decision.arm).q
             motion = take(figure, figure.home, ball, decision.arm, decision.action, end=end)
         hand = figure.hands[decision.arm]
-        miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
+        error = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
         measure = measure_motion(figure, motion.q, motion.contact, motion.speeds)
-        found[decision.action].append((measure, min(miss) if decision.action == "jump" else miss[-1]))
+        found[decision.action].append((measure, min(error) if decision.action == "jump" else error[-1]))
     for name, rows in found.items():
         ms = [m for m, _ in rows]
         yield name, Quantity("balls", len(ms), least=count)
-        yield name, Quantity("hand from the ball, worst", 1e3 * max(miss for _, miss in rows), "mm", most=5.0)
+        yield name, Quantity("hand from the ball, worst", 1e3 * max(error for _, error in rows), "mm", most=5.0)
         least = 90.0 if name == "jump" else 100.0
         inside = 100 * float(np.mean([m.inside for m in ms]))
         yield name, Quantity("zero-moment point inside", inside, "%", least=least)
@@ -376,15 +376,15 @@ def _peer_rows(figure: Figure) -> Iterator[MotionRow]:
     goals = FrameGoals.of(figure, walk(figure, figure.home, prints).frames.q, figure.gaze)
     q, ours = by_figure(figure, goals)
     what = "the same goals, feet and centre of mass within"
-    worst = 1e3 * goals.worst_miss(figure, q)
-    yield "peer", Quantity(f"{what}, this solver", worst, "mm", most=1e3 * PEER_MISS)
+    worst = 1e3 * goals.worst_error(figure, q)
+    yield "peer", Quantity(f"{what}, this solver", worst, "mm", most=1e3 * PEER_ERROR)
     yield "peer", Quantity("a frame of a walk, this solver", 1e6 * ours, "us", most=200)
     if any(importlib.util.find_spec(name) is None for name in ("mink", PEER_SOLVER)):  # no part needs them
         absent = "mink is not installed: pip install mink daqp"
         yield "peer", Quantity("times as fast as mink", np.nan, least=5.0, missing=absent)
         return
     q, theirs, steps = by_mink(figure, goals)
-    yield "peer", Quantity(f"{what}, mink", 1e3 * goals.worst_miss(figure, q), "mm")
+    yield "peer", Quantity(f"{what}, mink", 1e3 * goals.worst_error(figure, q), "mm")
     yield "peer", Quantity(f"a frame, mink ({PEER_SOLVER}), steps", steps)
     yield "peer", Quantity("a frame of a walk, mink", 1e6 * theirs, "us")
     yield "peer", Quantity("times as fast as mink", theirs / ours, least=5.0)
@@ -415,14 +415,14 @@ def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iter
 
 
 # ------------------------------------------------------------------------------------------
-# Frames of a walk with equal goals by the figure's solver and by mink: misses first, then time.
+# Frames of a walk with equal goals by the figure's solver and by mink: errors first, then time.
 #
 # Both get, frame by frame, the poses of the feet, the centre of mass over the floor, the pelvis (rotation and
 # height), the rotation of the chest, gaze and a posture, read off a solved walk, and begin where their frame
-# before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``PEER_MISS``.
+# before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``PEER_ERROR``.
 
 
-PEER_MISS = 1e-4
+PEER_ERROR = 1e-4
 """Of feet and centre of mass, m and rad."""
 PEER_SOLVER, PEER_STEPS = "daqp", 20
 """mink's QP solver, and most of its steps a frame."""
@@ -452,8 +452,8 @@ class FrameGoals:
         pelvis, chest = figure.poses(q, figure.pelvis), figure.poses(q, figure.trunk)[1]
         return cls(q, feet, _centers(figure, q), pelvis, chest, eyes + _AHEAD * matrix[:, :, 0])
 
-    def worst_miss(self, figure: Figure, q: Array) -> float:
-        """Largest miss of feet and centre of mass in frames (n, nq), by MuJoCo, m or rad."""
+    def worst_error(self, figure: Figure, q: Array) -> float:
+        """Largest error of feet and centre of mass in frames (n, nq), by MuJoCo, m or rad."""
         worst = float(np.abs(_centers(figure, q) - self.center)[:, :2].max())
         for frame, (position, matrix) in self.feet.items():
             there, rotation = figure.poses(q, frame)
@@ -502,7 +502,7 @@ def by_mink(figure: Figure, goals: FrameGoals) -> tuple[Array, float, float]:
             velocity = mink.solve_ik(configuration, tasks, 1.0, PEER_SOLVER, damping=1e-6, limits=limits)
             configuration.integrate_inplace(velocity, 1.0)
             steps += 1
-            if max(float(np.abs(task.compute_error(configuration)).max()) for task in tasks[:3]) < PEER_MISS:
+            if max(float(np.abs(task.compute_error(configuration)).max()) for task in tasks[:3]) < PEER_ERROR:
                 break
         q[k] = configuration.q
     return q, (time.thread_time() - began) / len(q), steps / len(q)

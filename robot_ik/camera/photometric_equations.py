@@ -25,7 +25,7 @@ import numpy as np
 from numba import types
 
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.kernels.linalg import eliminate
 
 # Unknowns: eight of the homography, ln blur (px), edge shift, three each of dark and contrast; then halo, and
@@ -93,7 +93,7 @@ _DENSITY = np.exp(-0.5 * _AT**2) / math.sqrt(2.0 * math.pi)
 _CUMULATIVE = np.array([0.5 * math.erfc(-z * math.sqrt(0.5)) for z in _AT])
 
 
-@pure
+@inlined
 def normal_at(z):
     """The normal distribution and its density at z, -8 to 8."""
     i = int(z * _SAMPLES_A_SIGMA + _REACH * _SAMPLES_A_SIGMA + 0.5)
@@ -105,7 +105,7 @@ def normal_at(z):
     )
 
 
-@pure
+@inlined
 def cell_shares(position, width, count, shares, row):
     """Differences over the cells that count: of the normal distribution, density, position times density.
 
@@ -144,7 +144,7 @@ def normal_quantile(p):
     return math.copysign(top / ((0.12021132975 * r + 0.73700164250) * r + 1.0), q)
 
 
-@pure
+@inlined
 def print_intensity(u, v, wide, high, r, k, black, least, space, seen):
     """Fills ``seen`` (6,): G_k(S) at (u, v), its derivatives by u, v, ln blur and k; how steep S is, a sigma.
 

@@ -100,7 +100,8 @@ class BoardWatcher:
             off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - pixels
             error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         else:
-            assert tracker is not None, "a board of markers has a tracker"
+            if tracker is None:
+                raise RuntimeError("a board of markers needs a tracker")
             body = tracker.observe_body(frame, self._board.layout)
             if body is None:
                 return None

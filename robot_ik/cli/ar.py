@@ -23,6 +23,7 @@ from robot_ik.cli.arguments import (
     several,
     single,
 )
+from robot_ik.errors import install_command
 from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def _default_out() -> str:
 
     if films_can_be_written():
         return "ar.mp4"
-    console.say('pictures go to the folder ar; for a film: pip install "robot_ik[video]"', "yellow")
+    console.say(f"pictures go to the folder ar; for a film: {install_command('video')}", "yellow")
     return "ar"
 
 

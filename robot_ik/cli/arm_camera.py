@@ -173,7 +173,8 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
     results = () if options.dry_run else (options.out, None if request is None else kept)
     with claimed(*results, overwrite=options.overwrite):
         if request is None:
-            assert options.samples is not None
+            if options.samples is None:
+                raise RuntimeError("neither a request nor samples are given")
             lens = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
             known = SampleSet.load(options.samples)
             report = handeye.handeye_from_samples(known, lens)
@@ -479,7 +480,8 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
 
 def _offset_table(report: VerifyReport) -> Any:
     fit = report.fit
-    assert fit is not None
+    if fit is None:
+        raise RuntimeError("the report has no fit")
     truth = report.samples.true_offsets
     columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
     rows = []

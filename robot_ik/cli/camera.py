@@ -159,7 +159,8 @@ def _detect(
     failed = [row for row in rows if row.error is not None]
     if failed and len(failed) == len(rows):  # nothing could be looked at: the first error stands for all
         error = failed[0].error
-        assert error is not None
+        if error is None:
+            raise RuntimeError("a picture that failed has no error")
         if others := len(failed) - 1:
             besides = f"; {console.count_of(others, 'other file')} cannot be used either"
             error.args = (error.args[0] + besides, *error.args[1:])
@@ -185,7 +186,8 @@ def _detect(
 def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
     console.say(f"error: {len(failed)} of {count} pictures could not be looked at", "bold red")
     for row in failed[:_MOST_NAMED]:
-        assert row.error is not None
+        if row.error is None:
+            raise RuntimeError("a picture that failed has no error")
         said = str(row.error.args[0])
         console.say(f"  {said}" if row.file in said else f"  {row.file}: {said}")
     if len(failed) > _MOST_NAMED:

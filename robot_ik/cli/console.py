@@ -26,7 +26,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from robot_ik.errors import NOT_ACHIEVED_ERRORS, RobotIkError
+from robot_ik.errors import NOT_ACHIEVED_ERRORS, RobotIkError, install_command
 from robot_ik.files import json_text, plain
 
 # ------------------------------------------------------------------------------------------
@@ -338,7 +338,7 @@ def describe_error(error: BaseException) -> tuple[str, str]:
             message = message.removesuffix("\n" + error.hint) if error.hint else message
         return message, error.hint
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("robot_ik"):
-        hint = "install what robot_ik needs: pip install robot_ik"
+        hint = f"install what robot_ik needs: {install_command()}"
         return f"the Python package {error.name!r} is missing", hint
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
         return f"a part of the installation cannot be loaded: {error}", "look closer with: robot-ik doctor"

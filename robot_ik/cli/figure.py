@@ -121,7 +121,7 @@ def run(options: FigureOptions) -> int:
             progress = console.counted_on(bar, f"painting {options.record}")
             record(robot, report.frames, options.record, progress, overwrite=options.overwrite)
     _print(report, options)
-    went = bool(report.misses) or options.ball is None
+    went = bool(report.errors) or options.ball is None
     return console.DONE if went and report.arrived else console.NOT_ACHIEVED
 
 
@@ -236,15 +236,15 @@ def _print(report: FigureReport, options: FigureOptions) -> None:
     count = len(report.frames)
     if options.json:
         decisions = [{"t": t, **asdict(decision)} for t, decision in report.decisions]
-        misses = [{"action": action, "miss_m": miss} for action, miss in report.misses]
-        console.print_json({"schema": 1, "decisions": decisions, "misses": misses, "frames": count})
+        errors = [{"action": action, "error_m": error} for action, error in report.errors]
+        console.print_json({"schema": 1, "decisions": decisions, "errors": errors, "frames": count})
         return
     rows: list[tuple[str, ...]] = []
     for t, one in report.decisions:
         said = (one.action, one.arm or "", one.reason)
         if not rows or rows[-1][1:] != said:  # a ball that moves is decided upon again and again
             rows.append((f"{t:.2f}", *said))
-    touches = ", ".join(f"{action} {1000 * miss:.2f} mm" for action, miss in report.misses)
+    touches = ", ".join(f"{action} {1000 * error:.2f} mm" for action, error in report.errors)
     console.show(
         console.table("s", "decision", "hand", "why", rows=rows),
         f"{count} frames, {count / 60.0:.1f} s; hand from the ball: {touches or 'no touch'}",

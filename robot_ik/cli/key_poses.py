@@ -224,7 +224,7 @@ def run_import(options: PosesImportOptions) -> int:
         with console.busy(f"taking over {len(bvh.values)} frames"):
             found = retarget(bvh, robot, joints, rate=options.rate or None, up=options.up)
         found.motion.save_csv(out)
-    hands = 1e3 * np.quantile(found.hand_miss, (0.5, 0.99))
+    hands = 1e3 * np.quantile(found.hand_error, (0.5, 0.99))
     console.say(
         f"{out}: {len(found.motion)} frames; hands off {hands[0]:.1f} mm (median), {hands[1]:.1f} mm (99 %); "
         f"feet at rest {100 * found.rests.mean():.0f} % of the time"

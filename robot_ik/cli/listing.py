@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, require, single
+from robot_ik.errors import ModelError
 from robot_ik.hardware.checks import NOTE, OK, PROBLEM
 from robot_ik.jobs.environment import import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
@@ -103,7 +104,8 @@ def catalogue_facts() -> list[dict[str, Any]]:
         joints = list(file.groups.get("arm", ()))
         if not joints:  # all of the model are active
             world = ElementTree.parse(path).getroot().find("worldbody")
-            assert world is not None
+            if world is None:
+                raise ModelError("the model has no worldbody")
             joints = [j.get("name", "") for j in world.iter() if j.tag in ("joint", "freejoint")]
         arm = folder / "arm.toml"
         rows.append(
@@ -301,8 +303,8 @@ def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
                 "poses": portrait.captions,
                 "status": portrait.solution.status.name,
                 "solver": portrait.solution.solver,
-                "miss_m": portrait.solution.error.position,
-                "miss_rad": portrait.solution.error.angle,
+                "error_m": portrait.solution.error.position,
+                "error_rad": portrait.solution.error.angle,
                 "file": file,
             }
             for portrait, file in drawn

@@ -269,10 +269,10 @@ def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
     steps = console.count_of(solution.iterations, "iteration")
     restarts = f", {console.count_of(solution.restarts, 'restart')}" if solution.restarts else ""
     took = f", {report.microseconds:.0f} µs" if report.microseconds is not None else ""
-    miss = solution.error
+    error = solution.error
     return [
         ("solver", f"{solution.solver}: {solution.status.name.lower()}, {steps}{restarts}{took}"),
-        ("its miss", f"{1e3 * miss.position:.4f} mm, {math.degrees(miss.angle):.4f}°  (by MuJoCo)"),
+        ("its error", f"{1e3 * error.position:.4f} mm, {math.degrees(error.angle):.4f}°  (by MuJoCo)"),
     ]
 
 

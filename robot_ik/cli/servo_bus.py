@@ -148,7 +148,8 @@ def run_setup(options: ServoSetupOptions) -> int:
     config = load_arm(options.arm)
     joint = config.joint(options.joint) if options.joint else None
     id = joint.id if joint else options.id
-    assert id is not None
+    if id is None:
+        raise RuntimeError("neither --id nor --joint is given")
     bauds = checked_rates(options.from_baud) or LIKELY
     (baud,) = checked_rates([config.baud if options.baud is None else options.baud])
     model = joint.model if joint else ""

@@ -213,7 +213,8 @@ class StopOptions:
     """Stops arms that other programs drive: they hold where they are, with torque on.
 
     Needs neither the port nor the program's terminal. Exit code 0 only when every servo confirmed it;
-    1 when one did not, or when no arm runs. It is no substitute for a switch in the servos' supply.
+    1 when one did not, when no arm runs, or without an answer for 3 s. Then the request stays: the arm stops
+    when its program goes on. It is no substitute for a switch in the servos' supply.
     """
 
     bus: Annotated[str, single("PORT", "every arm of this user")] = ""

@@ -65,8 +65,9 @@ class SolveOptions:
 
 def run(options: SolveOptions) -> int:
     """Solves and prints; 0 converged, 1 not."""
+    from robot_ik.budget import Budget
     from robot_ik.goals import Tolerance
-    from robot_ik.problem import Budget, Problem
+    from robot_ik.problem import Problem
     from robot_ik.robot import load_robot
     from robot_ik.solvers import make_solver, solver_name
 
@@ -76,9 +77,7 @@ def run(options: SolveOptions) -> int:
     solver = make_solver(name, **solver_options(name, options.set))
     tolerance = Tolerance(position=options.position_tolerance, angle=options.angle_tolerance)
     budget = Budget(iterations=options.iterations, restarts=options.restarts)
-    problem = Problem(
-        robot, goal, solver=solver, tolerance=tolerance, budget=budget, seed=options.seed
-    )
+    problem = Problem(robot, goal, solver=solver, tolerance=tolerance, budget=budget, seed=options.seed)
     start = options.start or None
     with console.busy("solving"):
         problem.solve(start)
@@ -148,7 +147,7 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
         "meaning": solution.status.meaning,
         "joints": list(robot.joints),
         "q": solution.q,
-        "miss": {"position": solution.error.position, "angle": solution.error.angle},
+        "error": {"position": solution.error.position, "angle": solution.error.angle},
         "tolerance": {"position": problem.tolerance.position, "angle": problem.tolerance.angle},
         "iterations": solution.iterations,
         "restarts": solution.restarts,
@@ -158,11 +157,11 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
 
 
 def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
-    miss = facts["miss"]
+    error = facts["error"]
     effort = [console.count_of(facts[f"{what}s"], what) for what in ("iteration", "restart")]
     head = (
         ("status", f"{facts['status']}: {facts['meaning']}"),
-        ("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg"),
+        ("error", f"{1e3 * error['position']:.4f} mm, {math.degrees(error['angle']):.4f} deg"),
         ("effort", ", ".join(effort)),
         ("time", f"{1e6 * facts['seconds']:.0f} µs"),
     )

@@ -77,6 +77,8 @@ def run(options: TeleopOptions) -> int:
     follower_file = load_arm(options.follower)
     require_model(follower_file)
     leader_file = None if options.leader in (KEYS, GAMEPAD) else load_arm(options.leader)
+    if leader_file is not None:
+        require_model(leader_file)
     leader_port = "" if leader_file is None else port_name(options.leader_bus, "--leader-bus")
     follower_port = port_name(options.follower_bus, "--follower-bus")
     leader, follower = open_pair(leader_file, follower_file, leader_port, follower_port, options.on_exit)

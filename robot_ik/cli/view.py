@@ -28,7 +28,7 @@ from robot_ik.cli.arguments import (
     wrong,
 )
 from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
-from robot_ik.errors import MissingExtraError
+from robot_ik.errors import MissingExtraError, install_command
 from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
 
@@ -117,7 +117,8 @@ def choose_viewer(asked: str) -> str:
     if browser:
         return "browser"
     if probe_display(timeout=10.0).ok:
-        console.say('the window is opened; for the page in a browser: pip install "robot_ik[web]"', "yellow")
+        text = f"the window is opened; for the page in a browser: {install_command('web')}"
+        console.say(text, "yellow")
         return "window"
     console.say("neither browser page nor display: the recorder films 10 s instead", "yellow")
     return "recorder"
@@ -247,7 +248,7 @@ def _replay(path: Path) -> int:
     rows = []
     for k, one in enumerate(view.instances, 1):
         solved = f"{100.0 * one.statistics.solved:.0f} %"
-        rows.append((f"{view.robot} {k}", one.method, one.status, f"{1e3 * one.miss:.3f}", solved))
+        rows.append((f"{view.robot} {k}", one.method, one.status, f"{1e3 * one.error:.3f}", solved))
     console.show(console.table("robot", "method", "status", "off mm", "solved", rows=rows))
     found = "the same bits" if same else "other bits"
     verdict = found if log.digest else "the log has no digest to compare with"
@@ -285,7 +286,7 @@ class VideoOptions:
     seconds: Annotated[float | None, single("S", "as long as the log"), positive(1e6, " s")] = None
     """How long the film is, seconds; needed without a log."""
     csv: Annotated[Path | None, single("FILE", "none")] = None
-    """Numbers of every picture: angles, misses, times."""
+    """Numbers of every picture: angles, errors, times."""
     record: Annotated[Path | None, single("FILE.csv|FILE.mcap", "none")] = None
     """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
     size: Annotated[tuple[int, int], arg(metavar="W H"), Range(64, 8192, " pixels")] = (1280, 720)

@@ -46,8 +46,8 @@ MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
 _PER_UNIT = 1e4  # of a stored pose: angles and positions within 3.2 rad and m
-# A ball that is so much nearer, m, to a point of the map than this share of the miss there is out of reach:
-# local minima report a miss too large, far misses more so.
+# A ball that is so much nearer, m, to a point of the map than this share of the error there is out of reach:
+# local minima report an error too large, far errors more so.
 SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
 _STARTS, _FEW = 12, 3
@@ -62,15 +62,15 @@ _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Misses of the palm over the grid from ``ORIGIN``: 0 where an admissible pose reaches the ball."""
+    """Errors of the palm over the grid from ``ORIGIN``: 0 where an admissible pose reaches the ball."""
 
-    miss: NDArray[np.float32]  # (i, j, k) m; -1 where the hand comes there, but in no admissible pose
+    error: NDArray[np.float32]  # (i, j, k) m; -1 where the hand comes there, but in no admissible pose
     poses: Array  # (n, nq) of the points in reach, in the order of the grid
 
     @cached_property
     def points(self) -> Array:
         """(n, 3) points in reach."""
-        return np.asarray(ORIGIN + np.argwhere(self.miss == 0.0) * _GRID)
+        return np.asarray(ORIGIN + np.argwhere(self.error == 0.0) * _GRID)
 
     def nearby(self, ball: Array, count: int = _STARTS) -> Array:
         """(count, nq) poses that reach the nearest points, the nearest first."""
@@ -78,10 +78,10 @@ class Map:
         return np.asarray(self.poses[np.argsort(away, kind="stable")[:count]])
 
     @cached_property
-    def _missed(self) -> tuple[Array, Array]:
+    def _unreached(self) -> tuple[Array, Array]:
         """(m, 3) points out of reach, and (m,) by how much."""
-        out = np.isfinite(self.miss) & (self.miss > 0.0)
-        return ORIGIN + np.argwhere(out) * _GRID, self.miss[out].astype(float)
+        out = np.isfinite(self.error) & (self.error > 0.0)
+        return ORIGIN + np.argwhere(out) * _GRID, self.error[out].astype(float)
 
     def surely_out(self, ball: Array) -> bool:
         """No pose reaches the ball.
@@ -90,14 +90,14 @@ class Map:
         """
         if not len(self.points) or float(((self.points - ball) ** 2).sum(axis=1).min()) > _FAR_OFF**2:
             return True
-        points, miss = self._missed
+        points, error = self._unreached
         away = ball - points
-        return bool((SHARE * miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > SLACK)
+        return bool((SHARE * error - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > SLACK)
 
     @cached_property
     def _inner(self) -> NDArray[np.bool_]:
         """Grid points in reach whose neighbours at the same height are."""
-        inside = self.miss == 0.0
+        inside = self.error == 0.0
         for axis in (0, 1):
             inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
         return np.asarray(inside)
@@ -267,11 +267,11 @@ def load_abilities(figure: Figure, *, progress: Callable[[int, int], None] | Non
 
 def _reflected(figure: Figure, right: Map) -> Map:
     """The other arm's map: the grid is its own mirror image."""
-    row = np.full(right.miss.shape, -1)
-    row[right.miss == 0.0] = np.arange(len(right.poses))
+    row = np.full(right.error.shape, -1)
+    row[right.error == 0.0] = np.arange(len(right.poses))
     flipped = row[:, ::-1]
     poses = mirrored(figure.robot, right.poses[flipped[flipped >= 0]])
-    return Map(right.miss[:, ::-1].copy(), poses)
+    return Map(right.error[:, ::-1].copy(), poses)
 
 
 def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[str, str], Map] | None:
@@ -283,20 +283,20 @@ def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[st
         out = {}
         for kind, arm in keys:
             code = stored[f"{kind}-{arm}"]
-            miss = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
-            out[kind, arm] = Map(miss, stored[f"poses-{kind}-{arm}"] / _PER_UNIT)
+            error = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
+            out[kind, arm] = Map(error, stored[f"poses-{kind}-{arm}"] / _PER_UNIT)
     return out
 
 
 def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
-    """Misses as whole millimetres (too far to be tried: ``_FAR``), poses as tenths of a milliradian or mm."""
+    """Errors as whole millimetres (too far to be tried: ``_FAR``), poses as tenths of a milliradian or mm."""
     file.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
     for (kind, arm), found in maps.items():
-        code = np.full(found.miss.shape, _FAR, dtype=np.int16)
-        near = np.isfinite(found.miss)
-        # Rounded down: a miss that is reported too small only costs a solve.
-        code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
+        code = np.full(found.error.shape, _FAR, dtype=np.int16)
+        near = np.isfinite(found.error)
+        # Rounded down: an error that is reported too small only costs a solve.
+        code[near] = np.floor(1000.0 * found.error[near]).astype(np.int16)
         coarse = np.rint(found.poses * _PER_UNIT).astype(np.int16)
         arrays |= {f"{kind}-{arm}": code, f"poses-{kind}-{arm}": coarse}
     stored = io.BytesIO()
@@ -320,27 +320,27 @@ def _digest(figure: Figure) -> str:
 def _make_maps(
     figure: Figure, keys: list[tuple[str, str]], progress: Callable[[int, int], None] | None
 ) -> dict[tuple[str, str], Map]:
-    """Every map: from the hand at home outwards and a shell round what is in reach, then all misses again."""
+    """Every map: from the hand at home outwards and a shell round what is in reach, then all errors again."""
     at = {key: _points_near(figure, key[1]) for key in keys}
     whole, maps = sum(map(len, at.values())), {}
     for done, key in enumerate(keys):
-        miss = np.full(len(POINTS), np.inf, dtype=np.float32)
+        error = np.full(len(POINTS), np.inf, dtype=np.float32)
         poses = np.full((len(POINTS), figure.robot.nq), np.nan)
         graded = -1
-        while graded < (graded := int(np.isfinite(miss).sum())):
-            for i in at[key][~np.isfinite(miss[at[key]])]:
-                near, away = _nearest(i, miss == 0.0)
+        while graded < (graded := int(np.isfinite(error).sum())):
+            for i in at[key][~np.isfinite(error[at[key]])]:
+                near, away = _nearest(i, error == 0.0)
                 if away > _SHELL:
                     continue
-                miss[i], poses[i] = grade(figure, POINTS[i], key[1], key[0], poses[near[:_FEW]])
+                error[i], poses[i] = grade(figure, POINTS[i], key[1], key[0], poses[near[:_FEW]])
                 if progress is not None:
-                    progress(int(done * whole / len(keys) + np.isfinite(miss).sum()), whole)
-        _again(figure, key, miss, poses)
+                    progress(int(done * whole / len(keys) + np.isfinite(error).sum()), whole)
+        _again(figure, key, error, poses)
         # A palm that comes to a point comes as near to all others as they are from there.
-        for i in np.flatnonzero(np.isfinite(miss)):
-            nearer = max(float(miss[i]), 0.0) + np.linalg.norm(POINTS - POINTS[i], axis=1)
-            miss = np.where(np.isfinite(miss), np.minimum(miss, nearer), miss).astype(np.float32)
-        maps[key] = Map(miss.reshape(SHAPE), poses[miss == 0.0])
+        for i in np.flatnonzero(np.isfinite(error)):
+            nearer = max(float(error[i]), 0.0) + np.linalg.norm(POINTS - POINTS[i], axis=1)
+            error = np.where(np.isfinite(error), np.minimum(error, nearer), error).astype(np.float32)
+        maps[key] = Map(error.reshape(SHAPE), poses[error == 0.0])
     return maps
 
 
@@ -357,31 +357,32 @@ def _nearest(i: int, which: NDArray[np.bool_]) -> tuple[NDArray[np.int64], float
 def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> tuple[float, Array]:
     """What the map says of a point, and the pose (nq,) that comes nearest.
 
-    0 in reach, -1 only in a pose that is not admissible, else the palm's miss, m.
+    0 in reach, -1 only in a pose that is not admissible, else the palm's error, m.
     """
     pose = find_pose(figure, point, arm, kind, starts)
-    if pose.flaw and pose.miss < NEARLY:
+    if pose.flaw and pose.error < NEARLY:
         found = find_pose(figure, point, arm, kind)
-        pose = pose if found.flaw and found.miss > pose.miss else found
-    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0, pose.q
+        pose = pose if found.flaw and found.error > pose.error else found
+    return 0.0 if not pose.flaw else pose.error if pose.error > AT_BALL else -1.0, pose.q
 
 
-def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], poses: Array) -> None:
+def _again(figure: Figure, key: tuple[str, str], error: NDArray[np.float32], poses: Array) -> None:
     """Points that are missed, from the nearest that are not, as long as that brings more into reach."""
     kind, arm = key
-    fresh = np.flatnonzero(miss == 0.0)
+    fresh = np.flatnonzero(error == 0.0)
     while len(fresh):
         found, positions = [], POINTS[fresh]
-        for i in np.flatnonzero((miss != 0.0) & (miss < 2.0 * _GRID)).tolist():
+        for i in np.flatnonzero((error != 0.0) & (error < 2.0 * _GRID)).tolist():
             if np.abs(positions - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
                 continue
-            best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss == 0.0)[0]])
-            assert best is not None
+            best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, error == 0.0)[0]])
+            if best is None:
+                raise RuntimeError("no pose was found for a point in reach")
             if not best.flaw:
-                miss[i], poses[i] = 0.0, best.q
+                error[i], poses[i] = 0.0, best.q
                 found.append(i)
-            elif miss[i] > 0.0:
-                miss[i] = min(float(miss[i]), max(best.miss, AT_BALL))
+            elif error[i] > 0.0:
+                error[i] = min(float(error[i]), max(best.error, AT_BALL))
         fresh = np.array(found, dtype=int)
 
 

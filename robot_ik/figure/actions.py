@@ -49,7 +49,7 @@ class Motion:
     action: str  # ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``
     q: Array  # (n, nq)
     contact: NDArray[np.int64]  # (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``
-    miss: Array  # (n,) largest miss of what must hold, m or rad
+    error: Array  # (n,) largest error of what must hold, m or rad
     zmp: Array  # (n, 2) planned zero-moment point
     free: NDArray[np.bool_]  # (n,) whether the motion may be left after this frame
     speeds: str = "daily"  # set of joint speed limits that it holds
@@ -76,7 +76,7 @@ def _standing(figure: Figure, action: str, frames: Frames, center: Array, stance
     """Frames seen from the feet, which stay flat where the stance is."""
     n = len(frames.q)
     motion = Motion(
-        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)),
+        action, frames.q, np.full((n, 2), FLAT), frames.error, np.broadcast_to(center, (n, 2)),
         np.ones(n, dtype=bool),
     )  # fmt: skip
     return placed_motion(figure, motion, stance)
@@ -161,7 +161,8 @@ class _Way:
                 break
             duration *= 1.0 if steady else _SLOWER
             abduction += _AWAY if touching else 0.0
-        assert best is not None
+        if best is None:
+            raise RuntimeError("no duration was tried")
         return best
 
     def _try(self, duration: float, abduction: float) -> Slices[tuple[Frames, float, bool]]:
@@ -251,7 +252,7 @@ take = at_once(take_slices)
 def walk_motion(found: Walk) -> Motion:
     """A walk as a motion; it may be left when both feet stand flat."""
     done = np.arange(1, len(found.frames.q) + 1) * DT > found.strikes[-1] + 0.5
-    return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done)
+    return Motion("walk", found.frames.q, found.contact, found.frames.error, found.zmp, done)
 
 
 def join(figure: Figure, second: Array, first: Array, motion: Motion) -> Motion:
@@ -283,9 +284,9 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion) -> Motion:
     frames = rows.solve(
         wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds
     )
-    q, miss = motion.q.copy(), motion.miss.copy()
-    q[:n], miss[:n] = frames.q, frames.miss
-    return replace(motion, q=q, miss=miss)
+    q, error = motion.q.copy(), motion.error.copy()
+    q[:n], error[:n] = frames.q, frames.error
+    return replace(motion, q=q, error=error)
 
 
 def stop_walk(figure: Figure, found: Walk, frame: int) -> Slices[Walk]:
@@ -315,5 +316,5 @@ def stop_walk(figure: Figure, found: Walk, frame: int) -> Slices[Walk]:
 
 def rest_of(motion: Motion, frame: int) -> Motion:
     """The frames from ``frame`` on."""
-    rows = {name: getattr(motion, name)[frame:] for name in ("q", "contact", "miss", "zmp", "free")}
+    rows = {name: getattr(motion, name)[frame:] for name in ("q", "contact", "error", "zmp", "free")}
     return replace(motion, **rows)

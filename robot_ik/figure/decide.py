@@ -176,7 +176,8 @@ class Decider:
 
     def _still(self, local: Array, last: Decision) -> Decision | None:
         """The last action again for a ball that is hardly outside what it can do."""
-        assert last.arm is not None
+        if last.arm is None:
+            raise RuntimeError("the last action used no arm")
         nearer = self.abilities.shoulders[last.arm] - local
         drawn = local + nearer * (HYSTERESIS / max(float(np.linalg.norm(nearer)), HYSTERESIS))
         found = self._tried(last.action, drawn, last.arm)

@@ -174,7 +174,7 @@ class PreparedRows:
         self.body["close"] = close
         whole_body.solve_frames(
             self.body.address, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
-            found.q[a:b], here, before, found.miss[a:b], found.steps[a:b],
+            found.q[a:b], here, before, found.error[a:b], found.steps[a:b],
         )  # fmt: skip
 
 
@@ -183,5 +183,5 @@ class Frames:
     """What ``FrameRows.solve`` found."""
 
     q: Array  # (n, nq)
-    miss: Array  # (n,) largest miss of a hard row in each frame, m or rad
+    error: Array  # (n,) largest error of a hard row in each frame, m or rad
     steps: NDArray[np.int64]  # (n,) steps taken

@@ -492,7 +492,8 @@ def walk_slices(figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gai
         height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
         frames = yield from _solve(plan, q, height, shift)
         offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
-    assert frames is not None
+    if frames is None:
+        raise RuntimeError("no pass of the walk was solved")
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
     contact, strikes = plan.contact.T.copy(), tuple(plan.strikes)
     return Walk(q, gait, frames, contact, plan.zmp, tuple(prints), strikes, falls)

@@ -203,10 +203,10 @@ def _forward(plan: JumpPlan, times: Array, error: tuple[Array, Array] | None = N
     s = minimum_jerk((t - T[3] - 0.7 * _HEELS * absorb) / (0.6 * _HEELS * absorb))
     early = bump(T[3] + 0.7 * _HEELS * absorb, T[5])
     after = lambda a, m: toe * (1 - s) + m * s + a * early - off  # noqa: E731
-    miss = lambda a, m: np.array(run(after(a, m), x, down, n)) - [m, 0.0]  # noqa: E731
-    r0 = miss(0.0, 0.0)
-    sizes = np.linalg.solve(np.stack([miss(1.0, 0.0) - r0, miss(0.0, 1.0) - r0], axis=1), -r0)
-    miss(*sizes)
+    residual = lambda a, m: np.array(run(after(a, m), x, down, n)) - [m, 0.0]  # noqa: E731
+    r0 = residual(0.0, 0.0)
+    sizes = np.linalg.solve(np.stack([residual(1.0, 0.0) - r0, residual(0.0, 1.0) - r0], axis=1), -r0)
+    residual(*sizes)
     wanted = np.where(t < T[2], p + size * b, after(*sizes)) + off
     return np.interp(times, t, out), np.interp(times, t, wanted)
 
@@ -384,7 +384,8 @@ def jump_slices(
             found = motion
             break
         yield
-    assert found is not None
+    if found is None:
+        raise RuntimeError("no way to jump was tried")
     return placed_motion(figure, found, stance)
 
 
@@ -419,4 +420,4 @@ def _motion(plan: JumpPlan, start: Array) -> Slices[Motion]:
     zmp = np.column_stack([p, np.zeros(len(t))])
     both = np.column_stack([contact, contact])
     free = (t > plan.ends[5] + 0.1) | (t < 0.2)
-    return Motion("jump", frames.q, both, frames.miss, zmp, free, "jump")
+    return Motion("jump", frames.q, both, frames.error, zmp, free, "jump")

@@ -13,16 +13,24 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.budget import Budget
 from robot_ik.errors import ModelError, TrajectoryError
 from robot_ik.figure.balance import hull, hull_edges, inset
 from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import chain
-from robot_ik.goals import AimGoal, CenterOfMassGoal, Goal, HalfSpaceGoal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.goals import (
+    AimGoal,
+    CenterOfMassGoal,
+    Goal,
+    HalfSpaceGoal,
+    PoseGoal,
+    PositionGoal,
+    PostureGoal,
+)
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
-from robot_ik.problem import Budget
 from robot_ik.robot import Robot, load_robot
 
 # m: the centre of mass stays so far inside the triangle of the standing paws.

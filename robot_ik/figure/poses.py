@@ -82,7 +82,7 @@ class FigurePose:
     """How a figure would take a ball."""
 
     q: Array  # (nq,) at home in its own frame
-    miss: float  # distance of palm and ball, m
+    error: float  # distance of palm and ball, m
     flaw: str  # why it is not admissible, as text; empty where it is
 
 
@@ -103,7 +103,7 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
     """
     natural = _attempt(figure, ball, arm, kind)
     if starts is None:
-        done = not natural.flaw or natural.miss > _HOPELESS
+        done = not natural.flaw or natural.error > _HOPELESS
         return natural if done else _searched(figure, ball, arm, kind, natural)
     if not natural.flaw:
         if not touches_itself(figure, natural.q[None]):
@@ -112,7 +112,7 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
         if not wide.flaw and not touches_itself(figure, wide.q[None]):
             return wide
     best = best_pose(figure, ball, arm, kind, starts, untouched=True) or natural
-    return best if not best.flaw or (natural.flaw and best.miss < natural.miss) else natural
+    return best if not best.flaw or (natural.flaw and best.error < natural.error) else natural
 
 
 def best_pose(
@@ -132,13 +132,13 @@ def best_pose(
         if pose.flaw.endswith("floor"):
             pose = polish(pose.q, ball, quick=quick, above=True)
             spent += polish.tried
-        if best is None or (best.flaw and (not pose.flaw or pose.miss < best.miss)):
+        if best is None or (best.flaw and (not pose.flaw or pose.error < best.error)):
             best = pose
         if untouched and not pose.flaw:
             if touches_itself(figure, pose.q[None]):
                 continue
             return pose
-        unreachable = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
+        unreachable = pose.error > NEARLY or (pose.error > AT_BALL and k >= 3) or spent > _BUDGET
         if not pose.flaw or (quick and unreachable):
             break
     return best
@@ -157,7 +157,7 @@ def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: FigurePose
         flat = best.flaw.endswith("floor")
         for abduction in (0.0,) if flat else (0.7, 1.2):
             pose = _attempt(figure, ball, arm, kind, abduction=abduction, flat=flat)
-            yield polish(pose.q, ball) if pose.flaw and pose.miss < _HOPELESS else pose
+            yield polish(pose.q, ball) if pose.flaw and pose.error < _HOPELESS else pose
 
     def scattered() -> Iterator[FigurePose]:
         rng = np.random.default_rng(0)
@@ -165,12 +165,12 @@ def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: FigurePose
             yield polish(_scattered(figure, kind, rng), ball)
 
     for search, near in ((stretched, np.inf), (swivelled, AT_BALL), (scattered, NEARLY)):
-        if best.miss > near:
+        if best.error > near:
             continue
         for pose in search():
             if not pose.flaw:
                 return pose
-            best = min(best, pose, key=lambda one: one.miss)
+            best = min(best, pose, key=lambda one: one.error)
     return best
 
 
@@ -307,7 +307,7 @@ def _attempt(
     posture = start + (goal - start) * s[:, None]
     stiff = np.minimum(figure.stiffnesses(STIFF), 0.1) + figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
     frames = rows.solve(posture, stiff, start, limits=limits_of(figure, kind), speeds=None, steps=6)
-    return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
+    return _judged(figure, frames.q[-1], ball, arm, float(frames.error[-1]))
 
 
 @once_each
@@ -323,17 +323,17 @@ def support(figure: Figure) -> tuple[Array, Array]:
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> FigurePose:
-    """A pose with its miss and why it is not admissible, by MuJoCo; contacts are looked at last."""
+    """A pose with its error and why it is not admissible, by MuJoCo; contacts are looked at last."""
     normal, offset = support(figure)
-    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
+    error = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
     center, flaw = figure.center(q), ""
-    if miss > AT_BALL:
-        flaw = f"the hand stays {100 * miss:.0f} cm away"
+    if error > AT_BALL:
+        flaw = f"the hand stays {100 * error:.0f} cm away"
     elif hard > 1e-4:
         flaw = "the feet would move"
     elif (normal @ center[:2] - offset).min() < BALANCED:
         flaw = "balance would be lost"
-    return FigurePose(q, miss, flaw or _collision(figure))
+    return FigurePose(q, error, flaw or _collision(figure))
 
 
 def _collision(figure: Figure) -> str:

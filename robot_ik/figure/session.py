@@ -197,7 +197,8 @@ class FigureSession:
     def _leave(self) -> bool:
         """Whether the motion under way is to be left now for a ball that moved."""
         motion = self._motion
-        assert motion is not None
+        if motion is None:
+            raise RuntimeError("no motion is under way")
         if self._since < _OFTEN or not self._asked():
             return False
         if motion.action == "walk" and not motion.free[self._index - 1]:
@@ -221,7 +222,8 @@ class FigureSession:
     def _plan_on(self) -> None:
         """Some more of what is being planned; begins it when it is done."""
         planning = self._planning
-        assert planning is not None
+        if planning is None:
+            raise RuntimeError("nothing is being planned")
         if self._motion is None and self._asked(_ELSEWHERE):
             self._choose()
             return
@@ -281,7 +283,8 @@ class FigureSession:
         elif decision.action == "nothing":
             self._motion = None
         else:
-            assert ball is not None and decision.arm is not None
+            if ball is None or decision.arm is None:
+                raise RuntimeError("an action of an arm needs a ball and an arm")
             if decision.action in (REACH, BEND):
                 arm, kind = decision.arm, decision.action
                 end = self.decider.abilities.pose(kind, in_stance_frame(figure.stance(q), ball), arm).q

@@ -18,12 +18,15 @@ from importlib import metadata
 from pathlib import Path
 
 from robot_ik.camera.drawing import probe as drawing_probe
+from robot_ik.errors import DISTRIBUTION, install_command
 from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow, permission_hint
 from robot_ik.hardware.ports import serial_ports, serial_row
 from robot_ik.jobs.environment import GL_PACKAGES, OPENCV_WHEELS, graphics_error, version_of
 
 #: Seconds that the whole doctor may take: each child process gets what is left of them.
 WHOLE_LIMIT = 9.0
+#: A distribution of another project that installs a package of the same import name.
+FOREIGN_DISTRIBUTION = "robot-ik"
 #: Children at the same time: more only make each other late on a small machine.
 WORKERS = 4
 
@@ -62,13 +65,29 @@ def check_python(until: float) -> CheckFinding:
 
 def check_packages(until: float) -> CheckFinding:
     """Every package that robot_ik's own metadata requires is installed."""
-    required = [text for text in metadata.requires("robot_ik") or [] if "extra ==" not in text]
+    required = [text for text in metadata.requires(DISTRIBUTION) or [] if "extra ==" not in text]
     names = [re.split(r"[^A-Za-z0-9._-]", text)[0] for text in required]
     # Of OpenCV any of four wheels will do: see check_opencv.
     versions = {name: version_of(name) for name in names if not name.startswith("opencv")}
     if missing := [name for name, version in versions.items() if not version]:
-        return PROBLEM, f"missing: {', '.join(missing)}", "pip install robot_ik"
+        return PROBLEM, f"missing: {', '.join(missing)}", install_command()
     return OK, ", ".join(f"{name} {version}" for name, version in versions.items()), ""
+
+
+def check_distribution(until: float) -> CheckFinding:
+    """Another project is called ``robot-ik`` on the package index and installs a ``robot_ik`` of its own."""
+    version = version_of(DISTRIBUTION)
+    for foreign in metadata.distributions(name=FOREIGN_DISTRIBUTION):
+        # A build leaves metadata in its checkout. Only what is installed has a RECORD.
+        if foreign.read_text("RECORD") is None:
+            continue
+        name = f"{FOREIGN_DISTRIBUTION} {foreign.version}"
+        found = f"{name} is another project and overwrites the package robot_ik"
+        reinstall = f"pip install --force-reinstall --no-deps {DISTRIBUTION}"
+        return PROBLEM, found, f"pip uninstall -y {FOREIGN_DISTRIBUTION} && {reinstall}"
+    if not version:
+        return NOTE, f"{DISTRIBUTION} is not installed; this is a checkout", install_command()
+    return OK, f"{DISTRIBUTION} {version}", ""
 
 
 def check_mujoco(until: float) -> CheckFinding:
@@ -234,6 +253,7 @@ _BACKENDS = ("egl", "osmesa") if sys.platform.startswith("linux") else ()
 
 CHECKS: Mapping[str, Check] = {
     "python": check_python,
+    "distribution": check_distribution,
     "packages": check_packages,
     "mujoco": check_mujoco,
     "opencv": check_opencv,

@@ -6,7 +6,7 @@ import os
 from importlib import metadata
 from types import ModuleType
 
-from robot_ik.errors import RobotIkError
+from robot_ik.errors import DISTRIBUTION, RobotIkError
 
 _MESA = "libgl1 libgl1-mesa-dri"
 
@@ -46,7 +46,9 @@ def import_mujoco() -> ModuleType:
     """
     try:
         import mujoco
-    except Exception as reason:  # MuJoCo fails here with AttributeError, RuntimeError, ImportError, …
+    except (
+        Exception
+    ) as reason:  # MuJoCo fails here with AttributeError, RuntimeError, ImportError, …
         value = os.environ.get("MUJOCO_GL", "")
         if value and not isinstance(reason, ModuleNotFoundError):
             raise graphics_error(value, reason) from reason
@@ -71,7 +73,7 @@ def version_of(package: str) -> str:
 
 
 def installed_versions() -> dict[str, str]:
-    """Versions of robot_ik and of what it stands on, without importing any of it."""
+    """Return the versions of this distribution and its main dependencies, without importing them."""
     opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
-    names = ("robot_ik", "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
+    names = (DISTRIBUTION, "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
     return {name: version_of(name) for name in names}

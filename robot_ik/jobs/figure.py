@@ -79,17 +79,17 @@ class FigureRequest:
 class FigureReport:
     """What was done; ``decisions`` each with the time it was made.
 
-    ``misses``: distance of hand and ball after each reach and bend, and at the apex of each jump, m.
+    ``errors``: distance of hand and ball after each reach and bend, and at the apex of each jump, m.
     """
 
     frames: list[FigureFrame] = field(default_factory=list)
     decisions: list[tuple[float, Decision]] = field(default_factory=list)
-    misses: list[tuple[str, float]] = field(default_factory=list)
+    errors: list[tuple[str, float]] = field(default_factory=list)
 
     @property
     def arrived(self) -> bool:
         """Whether every hand that went to a ball came near enough to it."""
-        return all(miss <= NEAR_ENOUGH for _, miss in self.misses)
+        return all(error <= NEAR_ENOUGH for _, error in self.errors)
 
 
 def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
@@ -236,10 +236,10 @@ def watch(
         each(frame)
         arm = frame.decision.arm
         if frame.action in ("reach", "bend", "jump") and arm is not None:
-            miss = float(np.linalg.norm(robot.forward(frame.q, hands[arm]).position - frame.ball))
-            nearest = miss if frame.action != "jump" else min(nearest, miss)
+            error = float(np.linalg.norm(robot.forward(frame.q, hands[arm]).position - frame.ball))
+            nearest = error if frame.action != "jump" else min(nearest, error)
             if frame.phase >= 1.0:
-                report.misses.append((frame.action, nearest))
+                report.errors.append((frame.action, nearest))
                 nearest = np.inf
     return report
 

@@ -285,7 +285,8 @@ def play_motion(
     arm.clock.sleep_until(arm.clock.now() + 1.0 / arm.config.rate_hz)  # a recording has each time once
     with busy("playing", motion.duration):
         done = execute(motion, targets, source=arm, clock=arm.clock, settle=0.4)
-    assert done.final_error is not None and done.tracking_error is not None  # there was a source
+    if done.final_error is None or done.tracking_error is None:
+        raise RuntimeError("the motion was not measured")
     joints = arm.config.joints
     # Fingers that press may be held by something.
     free = [joint.mode != OperatingMode.CURRENT_BASED_POSITION for joint in joints]

@@ -98,7 +98,7 @@ class ReachReport:
         q_start: (nq,) where the arm with torque stood before it moved.
         microseconds: Of a solve with loaded kernels.
         q_end: (nq,) where the servos say that the arm is.
-        tolerance: What the solution's miss may be; part of ``bound``.
+        tolerance: What the solution's error may be; part of ``bound``.
         behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
         problem: Why it ended early: an error that means "not achieved".
         read_back, by_camera: The two judgements.
@@ -244,7 +244,8 @@ class _Reach:
     @property
     def camera(self) -> Vision:
         """The camera, which there is wherever no goal was given."""
-        assert self.report.vision is not None
+        if self.report.vision is None:
+            raise RuntimeError("no goal was given and no camera is open")
         return self.report.vision
 
     def run(self, compiling: Precompilation) -> None:
@@ -303,7 +304,7 @@ class _Reach:
         return report.solution
 
     def accept(self, solution: Solution) -> Tolerance:
-        """What the solution's miss may be: the tolerance, or as much as is not known of a seen goal.
+        """What the solution's error may be: the tolerance, or as much as is not known of a seen goal.
 
         An arm that moves in a plane cannot go to a marker that is seen some micrometres beside that plane.
 
@@ -311,8 +312,8 @@ class _Reach:
             NotConvergedError: It misses both.
         """
         if self.report.seen is not None and not solution.converged:
-            known, miss = self.known(), solution.error
-            if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
+            known, error = self.known(), solution.error
+            if error.position <= SIGMAS * known.position and error.angle <= SIGMAS * known.angle:
                 return Tolerance(
                     position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),
                     angle=max(SOLVE_TOLERANCE.angle, SIGMAS * known.angle),
@@ -322,7 +323,8 @@ class _Reach:
 
     def known(self) -> Bound:
         """Standard deviation of a seen goal, as the last picture of the marker says it."""
-        assert self.report.seen is not None
+        if self.report.seen is None:
+            raise RuntimeError("no marker was seen")
         return self.report.seen.uncertainty(self.camera.scene.pose_marker_tool.position)
 
     def plan(self, goal: Goal, solution: Solution) -> Trajectory:

@@ -84,7 +84,8 @@ def reach_picture(report: ReachReport) -> Any:
 
 def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
     vision, robot = report.vision, report.robot
-    assert vision is not None
+    if vision is None:
+        raise RuntimeError("a picture needs a camera")
     drawn = draw_robot(
         image, robot.model, robot.qpos(q), vision.scene.intrinsics, vision.scene.pose_world_camera,
         alpha=0.22, tint=(240, 150, 30), style="registered", line_colour=(255, 190, 70),
@@ -122,7 +123,8 @@ def _outcome(report: ReachReport) -> str:
 
 def _table(report: ReachReport) -> str:
     run = report.execution
-    assert run is not None
+    if run is None:
+        raise RuntimeError("nothing was executed")
     head = ["time_s", *(f"{joint}_commanded" for joint in run.joints)]
     columns = [run.times[:, None], run.commanded]
     if run.measured is not None:

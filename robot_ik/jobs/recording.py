@@ -6,9 +6,10 @@ them.  A file that was cut off is mended by ``mcap recover``.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
@@ -42,31 +43,73 @@ class Moment:
 
 
 class Recording(Closing):
-    """Takes moments as they come, and is closed at the end."""
+    """Takes moments as they come, and is closed at the end.
+
+    Where the file cannot be written any more, as on a full disk, it is removed: a part of it would be torn.
+
+    Args:
+        path: The file.
+        mode: As of ``open``.
+
+    Raises:
+        OutputError: It cannot be written; all methods raise it.
+    """
+
+    def __init__(self, path: Path, mode: str) -> None:
+        self._path = path
+        try:
+            self._file: Any = open(path, mode, newline="" if mode == "w" else None)  # noqa: SIM115
+        except OSError as error:
+            raise self._unwritable(error) from error
 
     def write(self, moment: Moment) -> None:
         """One more."""
+        with self._whole_or_removed():
+            self._write(moment)
+
+    def close(self) -> None:
+        if not self._file.closed:
+            with self._whole_or_removed():
+                self._finish()
+                self._file.close()
+
+    def _write(self, moment: Moment) -> None:
         raise NotImplementedError
+
+    def _finish(self) -> None:
+        """Writes what belongs at the end of the file."""
+
+    @contextlib.contextmanager
+    def _whole_or_removed(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            with contextlib.suppress(OSError):  # it tries to write the rest once more
+                self._file.close()
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> OutputError:
+        return OutputError(f"{self._path} cannot be written: {error.strerror or error}")
 
 
 class TableRecording(Recording):
     """A CSV file: a row a moment; what is not known stays empty."""
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
-        self._file = _opened(path, "w")
+        super().__init__(path, "w")
         self._blank = [""] * len(joints)
         self._rows = csv.writer(self._file, lineterminator="\n")
         names = [f"{kind}.{joint}" for kind in ("commanded", "measured") for joint in joints]
-        self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
+        with self._whole_or_removed():
+            self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
 
-    def write(self, moment: Moment) -> None:
+    def _write(self, moment: Moment) -> None:
         both, goal = (moment.commanded, moment.measured), moment.goal
         sides = [self._blank if q is None else q.tolist() for q in both]
         aim = [""] * len(_GOAL) if goal is None else [*goal.position.tolist(), *goal.wxyz.tolist()]
         self._rows.writerow([float(moment.now), moment.robot, *sides[0], *sides[1], *aim, moment.text])
-
-    def close(self) -> None:
-        self._file.close()
 
 
 _PARTS = {
@@ -110,12 +153,15 @@ class McapRecording(Recording):
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
         from mcap_ros2.writer import Writer
 
-        self._file = _opened(path, "wb")
-        self._writer: Any = Writer(self._file)
+        super().__init__(path, "wb")
         self._joints, self._begin = list(joints), time.time_ns()
-        self._schemas = {name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()}
+        with self._whole_or_removed():
+            self._writer: Any = Writer(self._file)
+            self._schemas = {
+                name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()
+            }
 
-    def write(self, moment: Moment) -> None:
+    def _write(self, moment: Moment) -> None:
         stamp = self._begin + round(1e9 * moment.now)
         when = {"sec": stamp // 1_000_000_000, "nanosec": stamp % 1_000_000_000}
         head = {"stamp": when, "frame_id": FRAME}
@@ -137,17 +183,8 @@ class McapRecording(Recording):
     def _put(self, topic: str, kind: str, message: dict[str, Any], stamp: int) -> None:
         self._writer.write_message(topic, self._schemas[kind], message, log_time=stamp, publish_time=stamp)
 
-    def close(self) -> None:
-        if not self._file.closed:
-            self._writer.finish()
-            self._file.close()
-
-
-def _opened(path: Path, mode: str) -> Any:
-    try:
-        return open(path, mode, newline="" if mode == "w" else None)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    def _finish(self) -> None:
+        self._writer.finish()
 
 
 def require_recording(path: Path) -> None:

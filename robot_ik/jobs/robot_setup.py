@@ -247,11 +247,9 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     limits = _joint_limits(robot, limited, config)
     if without_bus:
         return RobotSetup(limited, frame, limits, None, None, clock)
-    from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
-    if not virtual:
-        check_model(config, {limit.joint: limit.model for limit in limits})
+    check_calibrated_model(robot, config)
     arm = open_arm(config, request.bus, start=limited.home if virtual else None)
     if arm.virtual_bus is not None:
         offsets = rehearsal.zero_offset_deg.items()
@@ -312,6 +310,28 @@ def require_joints(robot: Robot, config: ArmConfig) -> None:
             f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
             file=config.file or config.name, key="joints", allowed=", ".join(robot.joints),
         )  # fmt: skip
+
+
+def check_calibrated_model(robot: Robot, config: ArmConfig) -> None:
+    """Compare a robot's limits with those in the calibration beside the arm file.
+
+    Every job that opens an arm for a robot calls this before it opens the port.  It asks no servo.
+
+    Args:
+        robot: As loaded: within the limits of its model, not yet within those of the arm file.
+        config: The arm file.  Without a calibration beside it there is nothing to compare.
+
+    Raises:
+        CalibrationMismatchError: The arm was calibrated for another model.
+        ConfigError: The calibration cannot be read.
+    """
+    from robot_ik.hardware.calibration import check_model
+
+    limits = {
+        joint: (float(robot.lower[v]), float(robot.upper[v]))
+        for joint, v in zip(robot.joints, robot.tree.vadr.tolist(), strict=True)
+    }
+    check_model(config, limits)
 
 
 def robot_named_in(config: ArmConfig) -> str:

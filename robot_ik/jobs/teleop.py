@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robot_ik.budget import Budget
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, UnsafeCommandError
 from robot_ik.execution import Schedule
 from robot_ik.geometry import Pose
@@ -29,7 +30,6 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
-from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
 from robot_ik.workcell.guided_motion import approach_profile
 
@@ -185,7 +185,8 @@ class LeaderArm(Operator):
         here = self._read()
         if self._joints is not None:
             return self._joints.follower(here)
-        assert self._begin is not None
+        if self._begin is None:
+            raise RuntimeError("command() before engage()")
         leader, hand = self._begin
         seen = self._leader.engage(here)
         step = self._scale * (seen.position - leader.position)

@@ -24,7 +24,7 @@ from robot_ik.jobs import Progress
 from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.pictures import draw_markers
 from robot_ik.jobs.recording import Moment, Recording, open_recording, require_recording
-from robot_ik.jobs.robot_setup import require_joints
+from robot_ik.jobs.robot_setup import check_calibrated_model, require_joints
 from robot_ik.jobs.scene import scene_for
 from robot_ik.motion.keyframes import column_names
 from robot_ik.ports import Array, Image
@@ -42,6 +42,7 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
 
     Raises:
         ConfigError: There is no arm file, or it is another robot's.
+        CalibrationMismatchError: The arm was calibrated for another model.
         HardwareError: As ``Arm.connect``.
     """
     robot = load_robot(name)
@@ -52,6 +53,7 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
         raise ConfigError("comes without an arm file", file=robot.name, allowed=allowed)
     config = ArmConfig.load(path)
     require_joints(robot, config)
+    check_calibrated_model(robot, config)
     start = robot.home[[robot.joints.index(joint) for joint in config.names]]
     arm = open_arm(config, bus, on_exit=on_exit or None, start=start if bus_row(bus).virtual else None)
     link = ArmLink(arm, robot, bus)
@@ -179,5 +181,6 @@ def film(
             progress("", view.tick / wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
-    assert view is not None
+    if view is None:
+        raise RuntimeError("the command log has no tick")
     return view

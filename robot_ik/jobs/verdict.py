@@ -19,10 +19,10 @@ from robot_ik.goals import Goal, Tolerance, frame_error
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
-# However uncertain the camera, a larger miss than this is no success.
+# However uncertain the camera, a larger error than this is no success.
 LARGEST_MISS = 0.005  # metres
 LARGEST_ANGLE = np.deg2rad(1.0)
-# A solve is asked for far more than the servos can do, so that its miss does not count.
+# A solve is asked for far more than the servos can do, so that its error does not count.
 SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 # Standard deviations within which a measurement is believed.
 SIGMAS = 3.0
@@ -30,7 +30,7 @@ SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Bound:
-    """Largest miss that is explained, or a standard deviation: metres and radians."""
+    """Largest error that is explained, or a standard deviation: metres and radians."""
 
     position: float
     angle: float
@@ -52,7 +52,7 @@ EXACT = Bound(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Judgement:
-    """A measured miss and what was allowed, metres and radians; 0 for the part that the goal leaves free.
+    """A measured error and what was allowed, metres and radians; 0 for the part that the goal leaves free.
 
     ``sigma`` is the standard deviation of the measurement, zeros where it is exact; ``pose``: where the tool
     was measured, in the world.
@@ -86,7 +86,7 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
 def judge_read_back(
     robot: Robot, q: Array, goal: Goal, frame: str, bound: Bound, goal_sigma: Bound = EXACT
 ) -> Judgement:
-    """The miss of ``frame`` at the joint angles read back (nq,), by MuJoCo's own forward pass.
+    """The error of ``frame`` at the joint angles read back (nq,), by MuJoCo's own forward pass.
 
     ``bound`` comes from ``quantisation``; ``goal_sigma`` says how well the goal is known beside where the arm
     was sent, zeros where both are one.
@@ -105,7 +105,7 @@ def judge_by_camera(
     bound: Bound,
     goal_sigma: Bound = EXACT,
 ) -> Judgement:
-    """The miss as a camera sees it: the tool carries the marker body that was ``seen``.
+    """The error as a camera sees it: the tool carries the marker body that was ``seen``.
 
     Allowed is three standard deviations of the measurement plus the quantisation of the servos (``bound``),
     and never more than 5 mm and 1 degree; ``goal_sigma`` as in ``judge_read_back``.

@@ -1,1 +1,1 @@
-"""Compiled numerics: pure functions on flat arrays, no Python objects, no allocation in loops."""
+"""Compiled numerics: functions on named blocks of memory, without Python objects or allocation in loops."""

@@ -78,7 +78,7 @@ def center_velocity(tree, world, moments, first, v):
 
 @outlined
 def center_residual(tree, goals, search, g):
-    """Write the residual and miss of a centre of mass; return (|r|², within tolerance)."""
+    """Write the residual and error of a centre of mass; return (|r|², within tolerance)."""
     point = center_of_mass(tree, search.world, goals.masses, goals.mass_row[g], search.moments)
     so3.write_vector(search.frames[g], 0, point)
     error = position_error(
@@ -91,9 +91,9 @@ def center_residual(tree, goals, search, g):
     weight = search.weight[g, 0]
     square = so3.dot(error, error)
     so3.write_vector(search.residual, goals.row[g], so3.scale(weight, error))
-    search.miss[g, 0] = math.sqrt(square)
-    search.miss[g, 1] = 0.0
-    return weight * weight * square, search.miss[g, 0] <= search.tolerance[g, 0]
+    search.error[g, 0] = math.sqrt(square)
+    search.error[g, 1] = 0.0
+    return weight * weight * square, search.error[g, 0] <= search.tolerance[g, 0]
 
 
 @outlined
@@ -132,10 +132,10 @@ def is_linear(joint, index):
 
 @outlined
 def posture_residual(tree, goals, search, g):
-    """Write the residual and miss of a posture; return (|r|², within tolerance).
+    """Write the residual and error of a posture; return (|r|², within tolerance).
 
     The posture has a row for each column. A coupled joint has none: it follows its leader.
-    The miss is that of the joint farthest from the posture.
+    The error is that of the joint farthest from the posture.
     """
     change = search.dq
     metres = 0.0
@@ -160,8 +160,8 @@ def posture_residual(tree, goals, search, g):
             radians = max(radians, abs(change[v]))
         else:
             radians = max(radians, so3.norm(so3.read_vector_at(change, v - index % 3)))
-    search.miss[g, 0] = metres
-    search.miss[g, 1] = radians
+    search.error[g, 0] = metres
+    search.error[g, 1] = radians
     return cost, metres <= search.tolerance[g, 0] and radians <= search.tolerance[g, 1]
 
 

@@ -94,9 +94,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 # What compiled code of one file takes from another lies in these.
 _WITH_COMPILED_CODE = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
-_IMPORT = re.compile(
-    r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE
-)
+_IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
@@ -149,9 +147,7 @@ def cache_folder(module: str = __name__) -> Path:
         digest.update(source.name.encode())
         digest.update(_imported(source)[0])
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
-    candidates = [
-        Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"
-    ]
+    candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
     with contextlib.suppress(RuntimeError):  # no home folder at all
         candidates.insert(0, _user_cache())
     for base in candidates:
@@ -272,14 +268,14 @@ def _compile_inner(function: F, **options: Any) -> F:
 def kernel(function: F) -> F:
     """An entry point: compiled on its first call, cached between processes, the GIL released while it runs.
 
-    Entry points may allocate; what loops calls ``pure`` functions.
+    Entry points may allocate; what loops calls ``inlined`` functions.
     """
     with _cache_of(function):
         compiled: F = numba.njit(**_OPTIONS, pipeline_class=KernelCompiler)(function)
     return compiled
 
 
-def pure(function: F) -> F:
+def inlined(function: F) -> F:
     """Inner code: arrays in, arrays changed, nothing allocated, so nothing is reference-counted.
 
     Without this, numba counts references at every array that passes through a tuple or a call: a solver
@@ -288,16 +284,13 @@ def pure(function: F) -> F:
     return _compile_inner(function, forceinline=True)
 
 
-inlined = pure
-
-
 def literal(function: F) -> F:
-    """Like ``pure``, but sums are formed as they are written: where rounding errors shall cancel."""
+    """Like ``inlined``, but sums are formed as they are written: where rounding errors shall cancel."""
     return _compile_inner(function, forceinline=True, fastmath={"contract"})
 
 
 def outlined(function: F) -> F:
-    """Like ``pure`` but never forced into its callers: what is large or called from several places.
+    """Like ``inlined`` but never forced into its callers: what is large or called from several places.
 
     Stated explicitly, as a function first compiled for a forced one would inherit the force.
     """

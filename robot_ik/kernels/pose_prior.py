@@ -74,8 +74,8 @@ def prior_residual(goals, search, work, g):
         search.residual[row + i] = -weight * entry
     rest = max(2.0 * (energy - prior.min_energy) - square, 0.0)
     search.residual[row + count] = weight * math.sqrt(rest)
-    search.miss[g, 0] = 0.0
-    search.miss[g, 1] = 0.0
+    search.error[g, 0] = 0.0
+    search.error[g, 1] = 0.0
     return weight * weight * (square + rest)
 
 

@@ -194,7 +194,7 @@ def level_met(goals, search, level, tolerances):
         if goals.soft[g] == 1:
             return False
         for i in range(2):
-            if search.miss[g, i] > tolerances * search.tolerance[g, i]:
+            if search.error[g, i] > tolerances * search.tolerance[g, i]:
                 return False
     return True
 

@@ -61,7 +61,7 @@ open_goals = GOALS.open
 
 @outlined
 def evaluate(tree, goals, search):
-    """Write the residual and miss of all goals; return (½ |r|², all within tolerance).
+    """Write the residual and error of all goals; return (½ |r|², all within tolerance).
 
     Leaves out a pose prior: it is always soft, and only ``priorities`` serves soft goals.
     """

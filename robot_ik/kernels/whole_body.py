@@ -62,7 +62,7 @@ WHOLE_BODY = Layout(
     rest="float",  # a shorter step (rad, m) is the last one of a frame …
     close="float",  # … if no hard row misses by more than this (m, rad)
     hard_count="int",  # hard rows at q
-    hard_miss="float",  # the largest miss of a hard row at q, m or rad
+    hard_error="float",  # the largest error of a hard row at q, m or rad
     kind="ints",  # (g,) of each group of three rows
     node="ints",  # (g,) node that carries the frame
     local="table",  # (g, 12) pose of the frame in the node
@@ -84,7 +84,7 @@ WHOLE_BODY = Layout(
     previous="floats nq",  # the frame before
     displacement="floats nv",  # from the frame before to q
     row="table 3 nv",
-    miss="floats 3",
+    error="floats 3",
     hard="table h nv",
     wanted="floats h",
     matrix="table nv nv",
@@ -173,7 +173,7 @@ def momentum_rate(tree, body, v):
 
 @outlined
 def mass_rows(tree, body, momentum, target, t, g):
-    """Write rows and misses of the centre of mass, or of the angular momentum about it."""
+    """Write rows and errors of the centre of mass, or of the angular momentum about it."""
     row = body.row
     for v in range(row.shape[1]):
         if momentum:
@@ -183,16 +183,16 @@ def mass_rows(tree, body, momentum, target, t, g):
         so3.write_column(row, 0, v, so3.scale(body.share[g, v], rate))
     for i in range(3):
         if momentum:
-            body.miss[i] = _MOMENTUM_SCALE * target[t, i]
+            body.error[i] = _MOMENTUM_SCALE * target[t, i]
             for v in range(row.shape[1]):
-                body.miss[i] -= row[i, v] * body.displacement[v]
+                body.error[i] -= row[i, v] * body.displacement[v]
         else:
-            body.miss[i] = target[t, i] - body.center[i]
+            body.error[i] = target[t, i] - body.center[i]
 
 
 @outlined
 def frame_rows(tree, body, kind, target, t, g):
-    """Write rows and misses of the position, the rotation or the aim of a frame."""
+    """Write rows and errors of the position, the rotation or the aim of a frame."""
     row = body.row
     row[:] = 0.0
     point = so3.read_vector(body.pose, g, 0)
@@ -206,13 +206,13 @@ def frame_rows(tree, body, kind, target, t, g):
             so3.write_column(row, 0, v, so3.scale(body.share[g, v], rate))
         k = tree.parent[k]
     if kind == ROTATION:
-        miss, _ = orientation_error(so3.read_rotation(target, t), rotation)
+        error, _ = orientation_error(so3.read_rotation(target, t), rotation)
     else:
-        miss = so3.subtract(so3.read_vector(target, t, 0), point)
+        error = so3.subtract(so3.read_vector(target, t, 0), point)
         if kind == AIM:
-            direction = so3.scale(1.0 / max(so3.norm(miss), _MIN_AIM_DISTANCE), miss)
-            miss = so3.cross((rotation[0][0], rotation[1][0], rotation[2][0]), direction)
-    so3.write_vector(body.miss, 0, miss)
+            direction = so3.scale(1.0 / max(so3.norm(error), _MIN_AIM_DISTANCE), error)
+            error = so3.cross((rotation[0][0], rotation[1][0], rotation[2][0]), direction)
+    so3.write_vector(body.error, 0, error)
 
 
 @outlined
@@ -240,7 +240,7 @@ def write_system(tree, body, q, target, weight, t, posture):
     measure_displacement(tree, body, q)
     begin_system(tree, body, q, t, posture)
     body.hard_count = 0
-    body.hard_miss = 0.0
+    body.hard_error = 0.0
     for g in range(groups):
         if not weight[t, g] > 0.0:
             continue
@@ -283,8 +283,8 @@ def add_hard_row(body, i):
     count = body.hard_count
     for v in range(body.row.shape[1]):
         body.hard[count, v] = body.row[i, v]
-    body.wanted[count] = body.miss[i]
-    body.hard_miss = max(body.hard_miss, abs(body.miss[i]))
+    body.wanted[count] = body.error[i]
+    body.hard_error = max(body.hard_error, abs(body.error[i]))
     body.hard_count = count + 1
 
 
@@ -295,7 +295,7 @@ def add_soft_row(body, i, weight):
     for u in range(row.shape[1]):
         entry = weight * row[i, u]
         if entry != 0.0:
-            body.gradient[u] += entry * body.miss[i]
+            body.gradient[u] += entry * body.error[i]
             for v in range(u + 1):
                 body.matrix[u, v] += entry * row[i, v]
 
@@ -398,7 +398,7 @@ def continue_motion(tree, body, q):
 
 
 @kernel
-def solve_frames(address, target, weight, posture, q, start, second, miss, used):
+def solve_frames(address, target, weight, posture, q, start, second, error, used):
     """Solve one frame after the other.
 
     Args:
@@ -410,7 +410,7 @@ def solve_frames(address, target, weight, posture, q, start, second, miss, used)
         q: (frames, nq) result.
         start: (nq,) the frame before the first.
         second: (nq,) the frame before that; the first frame continues the motion.
-        miss: (frames,) result: largest miss of a hard row (m, rad).
+        error: (frames,) result: largest error of a hard row (m, rad).
         used: (frames,) result: steps taken.
     """
     body = open_body(address)
@@ -425,9 +425,9 @@ def solve_frames(address, target, weight, posture, q, start, second, miss, used)
         longest = math.inf
         for step in range(body.max_steps + 1):
             write_system(tree, body, frame, target, weight, t, posture)
-            miss[t] = body.hard_miss
+            error[t] = body.hard_error
             used[t] = step
-            at_rest = longest < body.rest and body.hard_miss < body.close
+            at_rest = longest < body.rest and body.hard_error < body.close
             if step == body.max_steps or at_rest:
                 break
             longest = bounded_step(tree, body, frame)

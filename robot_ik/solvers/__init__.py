@@ -55,7 +55,9 @@ class _Solvers(Mapping[str, "type[Solver]"]):
         return f"SOLVERS({', '.join(_ROWS)})"
 
     def __contains__(self, name: object) -> bool:
-        return name in _ROWS  # Mapping's own would let UnknownSolverError through, which is no KeyError
+        return (
+            name in _ROWS
+        )  # Mapping's own would let UnknownSolverError through, which is no KeyError
 
 
 SOLVERS: Mapping[str, type[Solver]] = _Solvers()
@@ -102,7 +104,9 @@ def solver_name(asked: str, file: RobotFile) -> str:
     """
     name = asked or file.solver or "auto"
     if name not in SOLVERS:
-        raise UnknownSolverError(name, SOLVERS, hint="" if asked else f"named by solver of {file.path}")
+        raise UnknownSolverError(
+            name, SOLVERS, hint="" if asked else f"named by solver of {file.path}"
+        )
     return name
 
 

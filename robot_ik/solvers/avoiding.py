@@ -29,7 +29,8 @@ from robot_ik.solvers.analytic.branch import listed_branches
 from robot_ik.solvers.base import BatchResult, Prepared
 
 if TYPE_CHECKING:
-    from robot_ik.problem import Budget, Problem
+    from robot_ik.budget import Budget
+    from robot_ik.problem import Problem
 
 # Starts that are tried after a solution that touches, if the budget does not say.
 _MOST_STARTS = 200

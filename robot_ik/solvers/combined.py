@@ -9,14 +9,16 @@ where cyclic coordinate descent becomes slow (in Pađen 2011, table 1).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_ik.errors import OptionError, UnknownSolverError
-from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import FEATURES, Prepared, Solver
 from robot_ik.solvers.options import option
 from robot_ik.solvers.sequence import PreparedSequence
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem
 
 # Methods that are lists of methods themselves.
 _SEQUENCES = ("auto", "combined")

@@ -9,13 +9,17 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_ik.budget import Budget
 from robot_ik.geometry import Array
-from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import BatchResult, Ints, Prepared
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem
 
 _CONVERGED = Status.CONVERGED
 # A method with such a status was stopped; it did not fail.
@@ -179,7 +183,7 @@ class PreparedSequence:
         results.status[open_rows[unreachable[open_rows]]] = Status.UNREACHABLE
 
     def _costs(self, results: BatchResult) -> Array:
-        """(n,) weighted squares of the misses; below zero for a result that converged."""
+        """(n,) weighted squares of the errors; below zero for a result that converged."""
         costs = ((results.error * self._weight) ** 2).sum(axis=1)
         costs[results.status == _CONVERGED] = -1.0
         return np.asarray(costs)

@@ -36,6 +36,8 @@ _CLOSE_LIMIT = 10.0
 class ArmView:
     """What is seen of the arm."""
 
+    robot: Robot  # whose joints it has: ``xpos`` and ``xquat`` are of this robot's bodies
+    is_shown: bool  # the session's robot is this one
     state: str  # of the arm's life cycle, as text
     mode: ArmMode  # what was asked for last
     port: str  # where it is
@@ -44,7 +46,8 @@ class ArmView:
     xquat: Array | None
     apart: float  # largest distance of a joint from what the session commands, rad or m
     servos: tuple[ServoState, ...]  # currents, temperatures, errors
-    recorded: float  # seconds that a hand has shown; 0: nothing
+    recorded: float  # seconds that a hand has shown, up to now while it shows them; 0: nothing
+    limp: bool  # the torque of some joint is off, so nothing holds it
     message: str  # what went wrong, in one sentence; empty: nothing
 
 
@@ -66,6 +69,7 @@ class ArmLink:
         self._servos: Sequence[ServoState] = ()
         self._message = ""
         self._running, self._alive = True, -np.inf  # whether the session runs, and when it last did
+        self._is_shown = True  # the session's robot is the arm's
         self._recorder = RecorderSink(arm.joints)
         self.recording: Trajectory | None = None
         self._plan: Iterator[Array] | None = None
@@ -92,17 +96,41 @@ class ArmLink:
         if mode == "replay" and self._mode != "teach" and self.recording is None:
             self._message = "nothing was recorded yet: press Teach, guide the arm, press Replay"
             return
-        self._mode, self._message = mode, ""
+        if mode in ("follow", "replay") and not self._is_shown:
+            self._message = f"the arm is a {self._robot.name}: choose that robot first"
+            return
+        waits = mode in ("follow", "replay") and not self._running
+        self._message = "the session holds still: press Start to move the arm" if waits else ""
+        self._mode = mode
+
+    def stop(self, reason: str) -> None:
+        """Make a moving arm hold, until a person presses Follow or Replay again.
+
+        Args:
+            reason: What the page says about it.
+        """
+        if self._mode in ("follow", "replay"):
+            self._message = f"{reason}, and press {self._mode.capitalize()} to move the arm again"
+            self._mode = "hold"
 
     def follow(self, robot: Robot, q: Array, running: bool) -> None:
-        """Leaves the newest joint angles (nq,) of a robot for the arm; another robot's are none of them."""
-        if robot.joints != self._robot.joints or robot.path != self._robot.path:
-            self._message = f"the arm is a {self._robot.name}: it holds"
-        else:
-            self._running = running
-            if running:
-                self._alive = time.monotonic()
-                self._wanted = q[self._order].copy(), self._alive
+        """Take the newest joint angles of the session's first robot, as what the arm is to follow.
+
+        Another robot than the arm's stops the arm.
+
+        Args:
+            robot: The session's robot.
+            q: (nq,) its joint angles, rad or m.
+            running: Whether the session runs; while it does not, the arm holds.
+        """
+        self._is_shown = robot.joints == self._robot.joints and robot.path == self._robot.path
+        if not self._is_shown:
+            self.stop(f"the arm is a {self._robot.name}: it holds. Choose that robot")
+            return
+        self._running = running
+        if running:
+            self._alive = time.monotonic()
+            self._wanted = q[self._order].copy(), self._alive
 
     def view(self) -> ArmView:
         """What is seen of it."""
@@ -115,9 +143,29 @@ class ArmLink:
             if self._wanted is not None:
                 apart = float(np.abs(q - self._wanted[0]).max())
             q = whole
-        state, servos = self._arm.state.value, tuple(self._servos)
-        shown = self.recording.duration if self.recording is not None else 0.0
-        return ArmView(state, self._mode, self._port, q, *poses, apart, servos, shown, self._message)
+        state, servos = self._arm.state, tuple(self._servos)
+        return ArmView(
+            robot=self._robot,
+            is_shown=self._is_shown,
+            state=state.value,
+            mode=self._mode,
+            port=self._port,
+            q=q,
+            xpos=poses[0],
+            xquat=poses[1],
+            apart=apart,
+            servos=servos,
+            recorded=self._recorded_seconds(),
+            # Without torque as far as is known: a program before may have left it on.
+            limp=state is ArmState.CONNECTED and not (servos and all(servo.torque for servo in servos)),
+            message=self._message,
+        )
+
+    def _recorded_seconds(self) -> float:
+        """Length of the recording that is being made, else of the last one."""
+        if samples := len(self._recorder):
+            return (samples - 1) / self._arm.config.rate_hz
+        return self.recording.duration if self.recording is not None else 0.0
 
     def close(self) -> None:
         """Leaves the arm by its exit policy."""
@@ -164,7 +212,7 @@ class ArmLink:
             self._end_recording()
         if mode != "replay":
             self._plan = None
-        fresh = time.monotonic() - self._alive < STALE
+        fresh = self._running and time.monotonic() - self._alive < STALE
         if mode in ("release", "teach"):
             if arm.state is not ArmState.CONNECTED:
                 self._let_go()
@@ -177,8 +225,6 @@ class ArmLink:
             self._replay()
         elif arm.state is ArmState.ENABLED:
             arm.hold()
-            if mode == "replay" and not self._running:
-                self._mode, self._message = "hold", "stopped: press Replay to begin it anew"
         self._measured = arm.read().q
         if mode == "teach" and arm.state is ArmState.CONNECTED:
             self._record(self._measured)
@@ -225,6 +271,7 @@ class ArmLink:
 
     def _let_go(self) -> None:
         """Torque off, and connected again."""
+        self._servos = ()  # what was read before says that torque is on
         before, self._arm.on_exit = self._arm.on_exit, "torque_off"
         try:
             self._arm.close()

@@ -71,20 +71,20 @@ class InstanceView:
     status: str  # how the last solve ended, or why nothing can be solved, as text
     able: bool  # whether its method can serve what is asked
     note: str  # what it does otherwise than the others, as text
-    miss: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
+    error: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
     angle: float  # rad, likewise
     iterations: int  # steps of the last solve
     statistics: Statistics  # of the last ``WINDOW`` solves
     goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
     trail: Array  # (n, 3) where the tool was, oldest first
-    errors: Array  # (n, 3) history: miss in m, in rad, manipulability
+    errors: Array  # (n, 3) history: error in m, in rad, manipulability
 
     @property
     def off(self) -> str:
         """How far the tool is off what the ball asks; in degrees where the angle alone is missed."""
-        if self.miss <= _TOLERANCE.position and self.angle > _TOLERANCE.angle:
+        if self.error <= _TOLERANCE.position and self.angle > _TOLERANCE.angle:
             return f"{math.degrees(self.angle):.2f}°"
-        return f"{1e3 * self.miss:.2f} mm"
+        return f"{1e3 * self.error:.2f} mm"
 
     @property
     def summary(self) -> str:
@@ -118,7 +118,7 @@ class Instance:
         self._drag: Drag | None = None
         self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
-        self.miss = self.angle = self.manipulability = 0.0
+        self.error = self.angle = self.manipulability = 0.0
         self._trail, self._errors = np.empty((0, 3)), np.empty((0, 3))
         self._begin_statistics()
         self._goals: tuple[tuple[str, float, float], ...] = ()
@@ -164,7 +164,7 @@ class Instance:
             solution = self._solved(self._problem, wanted)
         self._measure(goals, ball)
         if solution is not None:
-            met = self.miss <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
+            met = self.error <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
             self._solves = appended(self._solves, (self._seconds, solution.iterations, met), WINDOW)
 
     def stand(self, q: Array, doing: str, goals: RobotGoals, ball: Pose) -> None:
@@ -205,12 +205,12 @@ class Instance:
         return solution
 
     def _measure(self, goals: RobotGoals, ball: Pose) -> None:
-        """Miss, trail and histories."""
+        """Error, trail and histories."""
         rotation, position = self._tool()
-        self.miss, self.angle = off(goals, rotation, position, ball)
+        self.error, self.angle = off(goals, rotation, position, ball)
         self._trail = appended(self._trail, position, TRAIL)
         kept = round(HISTORY_SECONDS * RATE)
-        self._errors = appended(self._errors, (self.miss, self.angle, self.manipulability), kept)
+        self._errors = appended(self._errors, (self.error, self.angle, self.manipulability), kept)
 
     def measure_manipulability(self) -> None:
         """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""
@@ -220,9 +220,7 @@ class Instance:
     def measure_statistics(self, goals: RobotGoals, ball: Pose) -> None:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
         self._statistics = Statistics.of(self._solves)
-        self._goals = tuple(
-            (name, *goal.error(self.robot, self.q)) for name, goal in goals.named(ball)
-        )
+        self._goals = tuple((name, *goal.error(self.robot, self.q)) for name, goal in goals.named(ball))
 
     def view(self) -> InstanceView:
         """What is seen of it."""
@@ -230,7 +228,7 @@ class Instance:
         options = tuple((item.name, getattr(self.solver, item.name)) for item in items)
         return InstanceView(
             "" if self.solver is None else self.solver.name, options, self.q.copy(), self.data.xpos.copy(),
-            self.data.xquat.copy(), self._status, not self.refused, self.note, self.miss, self.angle,
+            self.data.xquat.copy(), self._status, not self.refused, self.note, self.error, self.angle,
             self._iterations, self._statistics, self._goals, self._trail, self._errors,
         )  # fmt: skip
 

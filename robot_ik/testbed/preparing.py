@@ -88,7 +88,8 @@ class Compilers:
         for process in self._running:
             process.kill()
             process.wait()
-            assert process.stdout is not None
+            if process.stdout is None:
+                raise RuntimeError("the child process has no output")
             process.stdout.close()
         self._running = []
 
@@ -100,7 +101,8 @@ class Compilers:
                     stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
                 )  # fmt: skip
                 self._running.append(process)
-                assert process.stdin is not None
+                if process.stdin is None:
+                    raise RuntimeError("the child process has no input")
                 process.stdin.write(given)
                 process.stdin.close()
 

@@ -100,6 +100,7 @@ class View:
     arm: ArmView | None  # the servo arm that the first instance drives; None without
     figure: FigureView | None  # the first instance, where it is a figure that decides by itself
     can_act: bool  # whether this robot is a figure that can
+    missing_meshes: tuple[str, ...]  # mesh files of the robot that are not drawn, as its file names them
 
     @property
     def count(self) -> commands.Count:
@@ -127,7 +128,7 @@ class View:
         seen.update(json.dumps(fields).encode())
         arrays = [self.ball.position, self.ball.wxyz]
         for one in self.instances:
-            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.miss, one.angle))]
+            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.error, one.angle))]
         arrays += [branch.q for branch in self.branches]
         for array in arrays:
             seen.update(np.ascontiguousarray(array, dtype=float).tobytes())
@@ -245,7 +246,8 @@ class Session(Closing):
             one.drag(drag, ready.goals, self._ball)
 
     def _moving_ball(self) -> Pose:
-        assert self._ready is not None
+        if self._ready is None:
+            raise RuntimeError("no robot is ready")
         source = self._random if self._motion == "random" else self._ready.curve
         moved = source.poll(self._phase).target
         return moved if self._ready.goals.kind == "pose" else Pose(moved.position, self._ball.wxyz)
@@ -253,7 +255,8 @@ class Session(Closing):
     def view(self) -> View:
         """What is seen now."""
         setup = self._setup
-        assert setup.kind is not None and setup.extras is not None
+        if setup.kind is None or setup.extras is None:
+            raise RuntimeError("the setup is not completed")
         text, until = self._message
         return View(
             tick=self._tick,
@@ -275,6 +278,7 @@ class Session(Closing):
             arm=self.arm.view() if self.arm is not None else None,
             figure=self._figure_view(),
             can_act=self.robot.file.figure is not None,
+            missing_meshes=self.robot.missing_meshes,
         )
 
     def _figure_view(self) -> FigureView | None:
@@ -321,6 +325,8 @@ class Session(Closing):
                 self._motion = motion
             case commands.SetRunning(running):
                 self._running = running
+                if self.arm is not None and not running:
+                    self.arm.stop("stopped: press Start")
             case commands.SetSpeed(speed):
                 self._speed = speed
             case commands.MoveGoal(position, wxyz):
@@ -450,6 +456,10 @@ class Session(Closing):
             found.append(BranchView(branch.name, branch.q.copy(), data.xpos.copy(), data.xquat.copy()))
         self._branches = tuple(found)
 
+    def report(self, problem: str) -> None:
+        """Show a problem of the front end for ``MESSAGE_SECONDS``; called by the thread that ticks."""
+        self._say(problem)
+
     def _say(self, text: str) -> None:
         _log.debug("%s", text)
         self._message = text, self._tick + round(MESSAGE_SECONDS * commands.RATE)
@@ -479,6 +489,24 @@ def last_view(log: commands.CommandLog) -> View:
     return last.view()
 
 
+def _surviving(session: Session, draw: Callable[[View], object]) -> Callable[[View], object]:
+    """``draw`` with its exceptions logged, once each, and shown as the session's message."""
+    logged: set[str] = set()
+
+    def drawn(view: View) -> object:
+        try:
+            return draw(view)
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}".splitlines()[0]
+            if problem not in logged:
+                logged.add(problem)
+                _log.exception("the view cannot be drawn; the session goes on, because it holds an arm")
+            session.report(f"the view cannot be drawn ({problem}); STOP still works")
+            return None
+
+    return drawn
+
+
 def run(
     session: Session,
     draw: Callable[[View], object],
@@ -491,8 +519,13 @@ def run(
 
     It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set, or ``draw`` gives
     False as that of a closed window does; after a stall it goes on from there and does not hurry.
+
+    An exception of ``draw`` ends a session without an arm only.  With an arm the session logs it, shows it
+    as its message and goes on: commands, STOP among them, still arrive.
     """
     step, due, count = 1.0 / commands.RATE, now(), 0
+    if session.arm is not None:
+        draw = _surviving(session, draw)
     with short_switch_interval():
         while not stop.is_set():
             session.tick()

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robot_ik.branches import Branch, solve_all
+from robot_ik.budget import Budget
 from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
@@ -35,7 +36,7 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
@@ -296,7 +297,8 @@ def prepare(
     if before is not None and is_figure(before.loaded) is not is_figure(loaded):
         setup = replace(setup, choices=())  # an arm's methods do not suit a figure, nor a figure's an arm
     setup = completed(setup, loaded)
-    assert setup.kind is not None and setup.extras is not None
+    if setup.kind is None or setup.extras is None:
+        raise RuntimeError("the setup is not completed")
     same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
     used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
     goals = RobotGoals(used, setup.kind, setup.extras)

@@ -44,14 +44,14 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
         films.importlib.util, "find_spec", lambda name, *more: None if name == "av" else real(name, *more)
     )
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
-    assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
+    assert 'pip install "robot-ik-testbed[video]"' in capsys.readouterr().err
     assert sorted(f.name for f in (tmp_path / "ar").iterdir()) == ["000000.png", "000001.png"]
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 2
     assert "it holds 000000.png" in capsys.readouterr().err
     assert main(["ar", "--seconds", "0", "--out", "b"]) == 2
     assert "--seconds: 0; allowed: above 0" in capsys.readouterr().err
     assert main(["ar", "--out", "a.mp4", "--robot", "nowhere"]) == 2
-    assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
+    assert 'pip install "robot-ik-testbed[video]"' in capsys.readouterr().err
 
 
 def test_ctrl_c_before_the_first_picture(

@@ -30,7 +30,17 @@ def test_report_on_this_machine(robot_ik: Any) -> None:
     report = json.loads(run.out)
     assert run.code == 0 and report["ok"] is True and report["schema"] == 1, run.out
     names = [row["what"] for row in report["rows"]]
-    for name in ("python", "packages", "mujoco", "opencv", "MUJOCO_GL", "display", "kernels", "terminal"):
+    for name in (
+        "python",
+        "distribution",
+        "packages",
+        "mujoco",
+        "opencv",
+        "MUJOCO_GL",
+        "display",
+        "kernels",
+        "terminal",
+    ):
         assert name in names
     assert {row["status"] for row in report["rows"]} <= {checks.OK, checks.NOTE}
     for row in report["rows"]:
@@ -155,6 +165,46 @@ def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     assert status == checks.PROBLEM and found == "missing: dynamixel-sdk"
 
 
+def install_fake(folder: Path, name: str, version: str) -> None:
+    """Writes what an installer leaves of a distribution: its metadata."""
+    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "RECORD").write_text("robot_ik/__init__.py,,\n")
+
+
+def test_our_own_distribution_is_found() -> None:
+    status, found, _ = doctor.check_distribution(SOON)
+    assert status == checks.OK and found.startswith("robot-ik-testbed ")
+
+
+@pytest.mark.parametrize("name", ["robot-ik", "robot_ik"])
+def test_another_project_with_our_import_name_is_a_problem(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install_fake(tmp_path, name, "0.4.0")
+    monkeypatch.syspath_prepend(tmp_path)
+    status, found, do = doctor.check_distribution(SOON)
+    assert status == checks.PROBLEM and "robot-ik 0.4.0 is another project" in found
+    assert do.startswith("pip uninstall -y robot-ik && ") and do.endswith(" robot-ik-testbed")
+
+
+def test_metadata_that_a_build_left_behind_is_no_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "robot_ik.egg-info"
+    info.mkdir()
+    (info / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: robot_ik\nVersion: 0.1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert doctor.check_distribution(SOON)[0] == checks.OK
+
+
+def test_a_checkout_that_is_not_installed_is_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "version_of", lambda name: "")
+    status, _, do = doctor.check_distribution(SOON)
+    assert status == checks.NOTE and do == "pip install robot-ik-testbed"
+
+
 def test_broken_mujoco_gl_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "bogus")
     status, found, do = doctor.check_user_gl(SOON)
@@ -188,9 +238,7 @@ def test_free_port_then_used_port() -> None:
 
 
 @linux
-@pytest.mark.parametrize(
-    ("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)]
-)
+@pytest.mark.parametrize(("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)])
 def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = tmp_path / "ttyUSB7"
     port.write_text("")

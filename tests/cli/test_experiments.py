@@ -11,6 +11,7 @@ import pytest
 
 from robot_ik.bench.theses import a00
 from robot_ik.cli import experiments
+from robot_ik.problem import Budget, Problem
 
 
 def test_a00_passes_and_says_what_was_asked(
@@ -33,8 +34,10 @@ def test_a00_passes_and_says_what_was_asked(
 def test_a00_that_loses_a_goal_ends_with_1(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = a00.make_solver
-    monkeypatch.setattr(a00, "make_solver", lambda name: made(name, max_step=1e-4, restarts=0))
+    def slow_problem(*args: Any, **options: Any) -> Problem:
+        return Problem(*args, **options, budget=Budget(restarts=0), max_step=1e-4)
+
+    monkeypatch.setattr(a00, "Problem", slow_problem)
     run = robot_ik("experiments", "a00", "--tests", 6, "--solvers", "dls", "--frames", 3, "--out", tmp_path)
     assert run.code == 1
     assert "NOT PASSED" in run.out and "dls in test 6: lost at 0°" in run.out
@@ -113,7 +116,7 @@ def test_a_picture_without_matplotlib_is_refused_before_the_work(
     )
     run = robot_ik("experiments", "s12", "--plot")
     run.assert_one_screen_error()
-    assert 'pip install "robot_ik[plots]"' in run.err
+    assert 'pip install "robot-ik-testbed[plots]"' in run.err
 
 
 def test_a_whole_percentage_is_not_rounded_down() -> None:

@@ -149,7 +149,7 @@ def test_help_imports_nothing_heavy(lines: list[str], heavy: list[str]) -> None:
 def test_version_shows_what_it_stands_on(robot_ik: Any) -> None:
     run = robot_ik("--version")
     assert run.code == 0 and len(run.out.splitlines()) < 15
-    for package in ("robot_ik", "mujoco", "numba"):
+    for package in ("robot-ik-testbed", "mujoco", "numba"):
         line = next(line for line in run.out.splitlines() if line.startswith(package + " "))
         assert metadata.version(package) in line
     assert "opencv" in run.out
@@ -200,7 +200,7 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("servo scan --baud x", "--baud: 'x' is no"),
         ("servo calibrate", "missing: OUT.toml"),
         ("servo move joint1=1 --speed", "--speed: a value is missing"),
-        ("ar --record a.csv", "unknown option '--record'; did you mean '--seconds'?"),
+        ("ar --record a.csv", "unknown option '--record'\n"),
         ("bench --seconds 0", "--seconds: 0 s; allowed: above 0"),
         ("sim-bus --wire-baud 99999999", "--wire-baud: 99999999; allowed: 0 to 10500000"),
         ("servo monitor --rate nan", "--rate: nan Hz; allowed: above 0, at most 200"),

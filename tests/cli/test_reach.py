@@ -139,7 +139,7 @@ def arm_file(tmp_path: Path, old: str, new: str) -> Path:
         (["--camera", "0", "--camera-pose", *7 * ["0"]], ["--camera-pose", "zero quaternion"]),
         (["--camera-pose", *"0011000"], ["--camera-pose", "synthetic camera", "a real --camera"]),
         (["--intrinsics", "camera.yaml"], ["--intrinsics", "synthetic camera"]),
-        ([*SIM, "--rehearse.stuck", "joint9"], ["joint9", "'joint6'"]),
+        ([*SIM, "--rehearse.stuck", "joint9"], ["joint9", "joint6"]),
         ([*SIM, "--rehearse.zero-offset", "joint2"], ["--rehearse.zero-offset"]),
         ([*SIM, "--rehearse.zero-offset", "joint2=nan"], ["--rehearse.zero-offset"]),
         ([*SIM, "--rehearse.marker-at", "1", "2"], ["--rehearse.marker-at"]),

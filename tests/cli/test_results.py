@@ -119,4 +119,4 @@ def test_every_command_refuses_a_file_it_cannot_have(
 def test_a_folder_that_takes_no_files_is_not_said_to_be_missing(words: list[str], robot_ik: Any) -> None:
     run = robot_ik(*words, "/proc/x.csv")
     run.assert_one_screen_error()
-    assert "nothing can be made in /proc" in run.err and "no folder" not in run.err
+    assert "no file can be made in /proc" in run.err and "no folder" not in run.err

@@ -48,7 +48,7 @@ def test_the_angles_reach_the_pose(seed: int, frame: str, puma: Robot, robot_ik:
     assert np.linalg.norm(found - position) <= 1e-4
     angle = np.arccos(np.clip((np.trace(turned.T @ rotation) - 1) / 2, -1, 1))
     assert angle <= 1e-3 + 1e-7
-    assert facts["miss"]["position"] == pytest.approx(np.linalg.norm(found - position), abs=1e-12)
+    assert facts["error"]["position"] == pytest.approx(np.linalg.norm(found - position), abs=1e-12)
     assert (puma.lower <= facts["q"]).all() and (facts["q"] <= puma.upper).all()
     assert facts["joints"] == list(puma.joints)
 
@@ -82,7 +82,7 @@ def test_a_start_at_the_goal_stays(puma: Robot, robot_ik: Any) -> None:
 
 def test_tolerance_and_budget_are_used(robot_ik: Any) -> None:
     fine = json.loads(robot_ik("solve", "--goal", *GOAL, "--position-tolerance", "1e-9").out)
-    assert fine["converged"] and fine["miss"]["position"] <= 1e-9
+    assert fine["converged"] and fine["error"]["position"] <= 1e-9
     run = robot_ik("solve", "--goal", *GOAL, "--iterations", 1)
     facts = json.loads(run.out)
     assert run.code == 1 and facts["status"] == "iteration_limit" and facts["iterations"] <= 1
@@ -110,9 +110,9 @@ def test_an_unreachable_goal_is_a_result(puma: Robot, robot_ik: Any) -> None:
     assert run.code == 1 and "Traceback" not in run.err
     assert facts["converged"] is False and facts["status"] == "unreachable"
     found, _ = site_pose(puma, "gripper", facts["q"])
-    assert facts["miss"]["position"] == pytest.approx(np.linalg.norm(found - [9, 0, 0]), rel=1e-9)
+    assert facts["error"]["position"] == pytest.approx(np.linalg.norm(found - [9, 0, 0]), rel=1e-9)
     at_home, _ = site_pose(puma, "gripper", puma.home)
-    assert facts["miss"]["position"] < np.linalg.norm(at_home - [9, 0, 0])  # the nearest found is kept
+    assert facts["error"]["position"] < np.linalg.norm(at_home - [9, 0, 0])  # the nearest found is kept
 
 
 def test_the_table_for_people(puma: Robot, robot_ik: Any) -> None:

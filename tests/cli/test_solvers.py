@@ -60,7 +60,9 @@ def test_choices_are_shown_and_taken(robot_ik: Any) -> None:
     run = robot_ik("solvers", "pseudoinverse")
     line = next(line for line in run.out.splitlines() if line.startswith("aim "))
     assert "none | rest | limits" in line
-    rows = {row["name"]: row for row in json.loads(robot_ik("solvers", "pseudoinverse", "--json").out)["options"]}
+    rows = {
+        row["name"]: row for row in json.loads(robot_ik("solvers", "pseudoinverse", "--json").out)["options"]
+    }
     assert rows["aim"]["choices"] == ["none", "rest", "limits"] and rows["clamp"]["choices"] == []
     goal = ("--goal", "-0.4", "-0.1", "0.7", "--solver", "pseudoinverse", "--set")
     solved = robot_ik("solve", *goal, "aim=rest", "alternative=true")

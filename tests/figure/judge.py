@@ -116,7 +116,7 @@ class Judge:
         return all(self.data.contact[c].dist > -0.002 for c in range(self.data.ncon))
 
     def rows(self, ball: Array, arm: str) -> tuple[Array, Array]:
-        """Misses of feet, palm and balance at the pose in ``data``, and their slopes."""
+        """Errors of feet, palm and balance at the pose in ``data``, and their slopes."""
         m, d, nv = self.model, self.data, self.model.nv
         out, jac = [], []
         jp, jr = np.empty((3, nv)), np.empty((3, nv))
@@ -205,7 +205,7 @@ class Judge:
                 if self.admissible(q, ball, arm, kind):
                     return "yes"
                 border = border or self.admissible(q, ball, arm, kind, LAX)
-                if any(k + 1 >= count and least > miss for count, miss in _FAR):
+                if any(k + 1 >= count and least > error for count, error in _FAR):
                     break
         return BORDER if border else "no"
 

@@ -154,7 +154,7 @@ def test_decisions_do_not_depend_on_place_and_heading(
 def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilities, kind: str) -> None:
     """Some of its points made anew, within what ``Map.surely_out`` allows for local minima."""
     rng = np.random.default_rng(3)
-    flat = abilities.maps[kind, "right"].miss.ravel()
+    flat = abilities.maps[kind, "right"].error.ravel()
     sure = np.flatnonzero(np.isfinite(flat) & ((flat == 0.0) | (flat > 0.01)))
     for i in rng.choice(sure, 12, replace=False):
         found = best_pose(figure, POINTS[i], "right", kind, abilities.maps[kind, "right"].nearby(POINTS[i]))

@@ -32,7 +32,7 @@ def require_feet(measure: MotionMeasure) -> None:
 def test_a_walk_neither_slips_nor_falls(figure: Figure, straight: Walk) -> None:
     measure = measure_motion(figure, straight.frames.q, straight.contact)
     require_feet(measure)
-    assert measure.self_contact == 0 and straight.frames.miss.max() < 1e-5
+    assert measure.self_contact == 0 and straight.frames.error.max() < 1e-5
     assert measure.inside >= 0.95 and measure.close >= 0.98 and measure.worst >= -60
     assert measure.force[0] >= 0.7 and measure.force[1] <= 1.3
     assert measure.jump <= 2.0  # heel strikes, too
@@ -66,7 +66,7 @@ def test_a_walk_along_a_curve_keeps_its_balance(
     measure = measure_motion(figure, found.frames.q, found.contact)
     require_feet(measure)
     assert measure.self_contact == 0 and measure.inside >= 0.95 and measure.close >= 0.98
-    assert measure.jump <= 2.02 and found.frames.miss.max() < 1e-5
+    assert measure.jump <= 2.02 and found.frames.error.max() < 1e-5
 
 
 def test_a_walk_ends_exactly_where_it_shall(figure: Figure, straight: Walk) -> None:
@@ -108,7 +108,7 @@ def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, kind: str, ball: t
     assert figure.robot.measure(motion.q[-1], "right_hand").position == pytest.approx(there, abs=1e-3)
     measure = measure_motion(figure, motion.q, motion.contact)
     require_feet(measure)
-    assert measure.inside == 1.0 and measure.self_contact == 0 and motion.miss.max() < 1e-5
+    assert measure.inside == 1.0 and measure.self_contact == 0 and motion.error.max() < 1e-5
     assert measure.jump <= 2.0
 
 
@@ -177,7 +177,7 @@ def test_feet_either_side_of_backwards_walk_on(figure: Figure) -> None:
     turned = figure.posture({"left_hip_yaw": 1e-6, "right_hip_yaw": 1e-6})
     q = figure.placed(turned, 0.0, 0.0, np.pi)
     found = walk(figure, q, walk_prints(figure, prints_of(figure, q), np.array([-2.0, 0.0, np.pi])))
-    assert found.frames.miss.max() < 1e-5
+    assert found.frames.error.max() < 1e-5
 
 
 def test_the_center_of_mass_follows_its_zero_moment_point() -> None:

@@ -25,7 +25,7 @@ def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
     return [session.step() for _ in range(round(60.0 * seconds))]
 
 
-def hand_miss(session: FigureSession, frame: FigureFrame) -> float:
+def hand_error(session: FigureSession, frame: FigureFrame) -> float:
     assert frame.decision.arm is not None
     hand = session.figure.robot.measure(frame.q, session.figure.hands[frame.decision.arm])
     return float(np.linalg.norm(hand.position - frame.ball))
@@ -39,7 +39,7 @@ def test_active_mode_follows_a_ball_that_moves_and_teleports(abilities: Abilitie
         frames.append(session.step())
     session.set_ball((0.5, 0.25, 0.2))  # and one that is somewhere else at once
     frames += play(session, 2.5)
-    assert frames[-1].decision.action == "bend" and hand_miss(session, frames[-1]) <= 0.005
+    assert frames[-1].decision.action == "bend" and hand_error(session, frames[-1]) <= 0.005
     q, contact = np.array([f.q for f in frames]), np.array([f.contact for f in frames])
     measure = measure_motion(session.figure, q, contact)
     assert measure.slip <= 0.1 and measure.too_fast == 0 and measure.outside_limits == 0
@@ -54,7 +54,7 @@ def test_it_walks_to_a_ball_and_reaches_it(abilities: Abilities) -> None:
         frames.append(session.step())
     actions = list(dict.fromkeys(f.action for f in frames))
     assert "walk" in actions and actions.index("reach") > actions.index("walk")
-    assert hand_miss(session, frames[-1]) <= 0.005
+    assert hand_error(session, frames[-1]) <= 0.005
     q, contact = np.array([f.q for f in frames]), np.array([f.contact for f in frames])
     measure = measure_motion(session.figure, q, contact)
     assert measure.slip <= 0.1 and measure.penetration <= 0.5 and measure.self_contact == 0
@@ -81,10 +81,10 @@ def test_passive_mode_acts_on_the_ball_as_it_was(abilities: Abilities) -> None:
     session.start_passive()
     session.set_ball((0.45, 0.25, 0.8))  # moved while it acts: frozen
     frame = play(session, 1.5)[-1]
-    assert frame.ball == pytest.approx([0.45, -0.25, 1.2]) and hand_miss(session, frame) <= 0.005
+    assert frame.ball == pytest.approx([0.45, -0.25, 1.2]) and hand_error(session, frame) <= 0.005
     session.set_mode("active")
     frame = play(session, 2.0)[-1]
-    assert frame.ball == pytest.approx([0.45, 0.25, 0.8]) and hand_miss(session, frame) <= 0.005
+    assert frame.ball == pytest.approx([0.45, 0.25, 0.8]) and hand_error(session, frame) <= 0.005
     session.reset()
     frame = play(session, 0.1)[-1]
     assert np.isnan(frame.ball).all() and frame.q == pytest.approx(session.figure.home)
@@ -138,11 +138,11 @@ def test_the_command_prints_decisions_and_writes_frames(
     assert main(["figure", "--balls", str(balls), "--record", str(tmp_path / "film.mp4")]) == 2
     assert "with --balls nothing moves" in capsys.readouterr().err
     assert main(["figure", "--ball", "0.5", "0.5", "3.2", "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["misses"] == []
+    assert json.loads(capsys.readouterr().out)["errors"] == []
     out = tmp_path / "frames.csv"
     assert main(["figure", "--ball", "0.45", "0.25", "1.1", "--frames", str(out), "--json"]) == 0
     reported = json.loads(capsys.readouterr().out)
-    assert reported["decisions"][0]["arm"] == "left" and reported["misses"][0]["miss_m"] < 0.005
+    assert reported["decisions"][0]["arm"] == "left" and reported["errors"][0]["error_m"] < 0.005
     assert len(out.read_text().splitlines()) == reported["frames"] + 3
     for row in ("1,2", "nan,0,1", "0.5,0,inf"):
         balls.write_text(f"{row}\n")
@@ -201,7 +201,7 @@ def test_the_lion_is_a_figure_of_the_command(tmp_path: Path, capsys: pytest.Capt
         == 0
     )
     reported = json.loads(capsys.readouterr().out)
-    assert reported["decisions"][0]["arm"].endswith("_paw") and reported["misses"][0]["miss_m"] < 0.005
+    assert reported["decisions"][0]["arm"].endswith("_paw") and reported["errors"][0]["error_m"] < 0.005
     assert len(out.read_text().splitlines()) >= reported["frames"]
 
 

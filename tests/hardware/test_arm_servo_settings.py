@@ -147,14 +147,17 @@ def test_no_servo_gets_torque_by_a_restart_of_its_own(tuned, stream, start) -> N
             stream(arm, [start] * 3)
 
 
-def test_a_servo_that_restarted_since_connect_gets_no_torque(tuned, stream, start) -> None:
+@pytest.mark.parametrize("id", range(1, 7))
+def test_a_servo_that_restarted_since_connect_gets_no_torque(tuned, stream, start, id) -> None:
     """Without its profile and its goal current it would be as fast and as strong as it can."""
     with open_arm(tuned, "sim", start=start) as arm:
-        arm.virtual_bus.servo(1).reboot()
-        with pytest.raises(HardwareError, match=r"joint1.*restarted.*nothing was switched on"):
+        profile = arm.virtual_bus.servo(id).memory.values["profile_velocity"]
+        arm.virtual_bus.servo(id).reboot()
+        with pytest.raises(HardwareError, match=rf"joint{id}.*restarted.*nothing was switched on"):
             arm.enable()
         assert not any(servo.torque for servo in arm.virtual_bus.servos)
         arm.reconnect()
+        assert arm.virtual_bus.servo(id).memory.values["profile_velocity"] == profile
         assert settings(arm.virtual_bus, 1) == WANTED
         arm.enable()
         stream(arm, [start] * 3)

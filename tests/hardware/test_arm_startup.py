@@ -71,6 +71,21 @@ def test_enable_moves_nothing_and_arms_the_watchdog(any_arm, arm_config, registe
     assert np.allclose(any_arm.virtual_bus.true_angles(arm_config), before, atol=any_arm.resolution.max())
 
 
+def test_the_watchdog_is_armed_before_torque_comes_on(arm, registers):
+    """A program that is killed between the two would leave torque on, with nothing to stop the servos."""
+    original, armed = arm.bus.sync_write, []
+
+    def spied(register, values):
+        if register.name == "torque_enable":
+            armed.append(registers(arm, "bus_watchdog"))
+        original(register, values)
+
+    arm.bus.sync_write = spied
+    arm.enable()
+    assert armed == [[10] * 6]
+    arm.bus.sync_write = original
+
+
 def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
     joints = list(arm_config.joints)
     joints[1] = dataclasses.replace(joints[1], id=9)
@@ -86,6 +101,14 @@ def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
     assert "missing" in str(caught.value)
     assert arm.state is ArmState.DISCONNECTED and not arm.bus.is_open
     assert not any(servo.torque for servo in servos.servos)
+
+
+def test_a_lost_ping_is_no_missing_servo_if_all_answer_the_ping_to_all(arm_config):
+    """Else the table would show no difference."""
+    servos = VirtualBus.from_config(arm_config, VirtualClock())
+    servos.inject(Fault("silent", 3, for_packets=5))
+    with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
+        assert arm.state is ArmState.CONNECTED
 
 
 def test_nobody_there_points_at_power_and_baud_rate(arm_config):

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, OutputError, UnknownJointError
+from robot_ik.hardware import config
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.joint_map import JointMap
@@ -82,6 +83,13 @@ WRONG = [
     ("lower_deg = -160.0", "lower_deg = nan", "joints[0].lower_deg", "finite"),
     ("velocity_deg = 90.0", "velocity_deg = 0", "joints[0].velocity_deg", "> 0"),
     ("acceleration_deg = 360.0", "acceleration_deg = -1", "joints[0].acceleration_deg", "> 0"),
+    ("velocity_deg = 90.0", "velocity_deg = 9e14", "joints[0].velocity_deg", "0.001 to 100000"),
+    ("velocity_deg = 90.0", "velocity_deg = 1e-300", "joints[0].velocity_deg", "0.001 to 100000"),
+    ("acceleration_deg = 360.0", "acceleration_deg = 1e-308", "joints[0].acceleration_deg", "0.001 to 1e+06"),
+    ('"joint2"', '"joint\\u001b[2J"', "joints[1].name", "cannot be printed"),
+    ('"joint2"', '"joint\\n2"', "joints[1].name", "cannot be printed"),
+    ('"joint2"', '"joint\\u202e2"', "joints[1].name", "cannot be printed"),
+    ('"joint2"', f'"{"j" * 100_000}"', "joints[1].name", "up to 100"),
     ("1_000_000", "1_000_001", "bus.baud", "57600"),
     ("watchdog_ms = 200", "watchdog_ms = 210", "bus.watchdog_ms", "multiple of 20"),
     ("watchdog_ms = 200", "watchdog_ms = 2560", "bus.watchdog_ms", "0..2540"),
@@ -105,6 +113,14 @@ def test_a_wrong_file_names_file_key_and_what_is_allowed(
     text = str(caught.value)
     assert str(arm_path) in text and said in text
     assert len(text.splitlines()) <= 4
+
+
+def test_a_file_that_is_much_too_long_is_not_even_parsed(arm_toml: str, monkeypatch) -> None:
+    """100,000 joints: a parser takes a quarter of a minute for them."""
+    head, joint = arm_toml.split("[[joints]]")[:2]
+    monkeypatch.setattr(config, "parse_toml", lambda text, file: pytest.fail("it was parsed"))
+    with pytest.raises(ConfigError, match="characters are no arm file; allowed: up to 1,000,000"):
+        ArmConfig.parse(head + 100_000 * ("[[joints]]" + joint))
 
 
 def test_several_mistakes_are_counted(arm_toml: str) -> None:

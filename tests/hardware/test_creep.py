@@ -134,6 +134,26 @@ def test_yielding_is_decided_once_when_holding_begins():
             assert loaded.servos.servo(1).memory.values["goal_position"] == goal
 
 
+def test_a_joint_that_is_pushed_while_it_is_held_never_yields(arm_config, start, stream):
+    """Neither to ``hold``, nor after a Bus Watchdog that tripped, nor when the arm is left holding."""
+    with open_arm(arm_config, "sim", start=start, on_exit="hold") as arm:
+        arm.enable()
+        stream(arm, [start] * 3)
+        arm.hold()
+        servo = arm.virtual_bus.servo(2)
+        goal = servo.memory.values["goal_position"]
+        servo.stuck = True
+        there = servo.shaft.stuck_at
+        for push, pause in ((200, 0.05), (-300, 0.05), (250, 0.5), (-350, 0.5)):  # the last two trip it
+            servo.shaft.stuck_at = there + push
+            arm.clock.sleep_until(arm.clock.now() + pause)
+            arm.read()
+            arm.hold()
+            assert abs(servo.shaft.reading - goal) > 150
+            assert servo.memory.values["goal_position"] == goal
+    assert arm.exit_report.ok and servo.memory.values["goal_position"] == goal
+
+
 def test_a_joint_that_is_pushed_away_yields_when_holding_begins(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 3)

@@ -228,3 +228,28 @@ def test_a_cable_pulled_with_the_signal_does_not_hang_the_program(served, child)
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate()
     assert process.returncode in (1, 143), err
+
+
+FORGOTTEN = """
+import signal, sys
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.config import ArmConfig
+
+arm = open_arm(ArmConfig.load(sys.argv[1]), "sim")
+arm.connect()
+arm.enable()
+write = arm.bus.sync_write
+
+def with_a_signal(register, values):
+    arm.bus.sync_write = write
+    signal.raise_signal(signal.SIGHUP)
+    write(register, values)
+
+arm.bus.sync_write = with_a_signal
+"""
+
+
+def test_a_signal_while_a_forgotten_arm_is_left_is_no_failure(arm_path):
+    words = [sys.executable, "-c", FORGOTTEN, str(arm_path)]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.stderr == "the program ended without closing its arm\n"

@@ -93,7 +93,7 @@ def test_row_06(lab):
 
 def test_row_07(lab):
     """a reply in the next cycle"""
-    assert lab.follows_a_bad_wire(late=0.02).bus.counters.late > 0
+    assert lab.follows_a_bad_wire(late=0.1).bus.counters.late > 0
 
 
 def test_row_08(lab, real_time):

@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import BusDisconnectedError, ConfigError, UnknownJointError, UnsafeCommandError
+from robot_ik.errors import (
+    BusDisconnectedError,
+    ConfigError,
+    MotorFaultError,
+    UnknownJointError,
+    UnsafeCommandError,
+)
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
@@ -20,6 +26,7 @@ from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.health import read_states
 from robot_ik.hardware.joint_map import JointMap, SwingArm
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World, WorldObject, model_with
 from robot_ik.ports import VirtualClock
 
@@ -145,6 +152,35 @@ def test_a_current_after_a_pause_is_taken(desk_arm: Arm) -> None:
     desk_arm.clock.sleep_until(desk_arm.clock.now() + 5.0)
     (grip,) = desk_arm.grip(0.002, current=150.0)
     assert not grip.held and grip.q == pytest.approx(0.002, abs=1e-4)
+
+
+@pytest.mark.parametrize("way", ["reset_fault", "reconnect"])
+def test_a_fault_of_another_joint_does_not_tighten_the_grip(desk_arm: Arm, way: str) -> None:
+    """Never, not even for a moment: every Goal Current on the wire is looked at."""
+    put_between(desk_arm, 0.006)
+    servo = desk_arm.virtual_bus.servo(ID)
+    desk_arm.grip(0.0, current=50.0)
+    written: list[int] = []
+    put = servo.memory.set
+    servo.memory.set = lambda name, value: (
+        name == "goal_current" and written.append(value),
+        put(name, value),
+    )
+    desk_arm.virtual_bus.inject(Fault("overload", 3))
+    with pytest.raises(MotorFaultError):
+        desk_arm.read()
+        desk_arm.clock.sleep_until(desk_arm.clock.now() + 0.02)
+        desk_arm.read()
+    if way == "reconnect":
+        desk_arm.virtual_bus.clear()
+    getattr(desk_arm, way)()
+    desk_arm.enable()
+    assert set(written) <= {50} and servo.memory.values["goal_current"] == 50
+    (grip,) = desk_arm.grip(0.0)
+    assert grip.held and grip.current == pytest.approx(50.0, abs=2.0)
+    desk_arm.close()
+    desk_arm.connect()  # another program, perhaps: what the arm file says
+    assert servo.memory.values["goal_current"] == 450
 
 
 def test_a_port_that_is_gone_when_a_current_is_set_is_a_fault_of_the_arm(desk_arm: Arm) -> None:

@@ -82,7 +82,7 @@ def test_a_threshold_stops_the_arm_before_the_servo_shuts_down(
     with open_arm(watching(arm_config, {1: stop}), "sim", start=start) as arm:
         arm.enable()
         arm.virtual_bus.servo(1).jammed = True
-        away = start + np.array([0.5, 0, 0, 0, 0, 0])
+        away = start + np.array([0.2, 0, 0, 0, 0, 0])  # less than what stops the arm by itself
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [away] * 2000)
         assert (caught.value.joint, caught.value.status) == ("joint1", (status,))

@@ -14,6 +14,7 @@ from robot_ik.errors import HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.simulated import SimBus
+from robot_ik.hardware.torque import ExitReport
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
@@ -68,6 +69,42 @@ def test_an_enable_that_fails_and_leaves_torque_on_is_reported_so_at_the_end_too
     arm.close()
     assert not arm.exit_report.ok and arm.exit_report.done == "torque_off"
     assert "torque may be ON" in arm.exit_report.text
+
+
+def test_an_enable_that_is_refused_before_torque_touches_nothing(arm_config, servos):
+    """Servos that another program left holding go on holding."""
+    arm = open_arm(arm_config, "sim", virtual_bus=servos)
+    arm.connect()
+    for servo in servos.servos:
+        servo.memory.set("torque_enable", 1)
+    servos.servo(3).memory.set("profile_velocity", 0)  # as after a restart
+    with pytest.raises(HardwareError, match="nothing was switched on"):
+        arm.enable()
+    arm.close()
+    assert arm.exit_report.done == "untouched" and arm.exit_report.text == "not touched"
+    assert [servo.torque for servo in servos.servos] == [True] * 6
+
+
+CONFIRMED, SILENT = ("joint1", "joint2"), ("joint3",)
+TEXTS = {
+    "torque is off": ExitReport("torque_off", CONFIRMED),
+    "torque is off (parked first)": ExitReport("torque_off", CONFIRMED, parked=True),
+    "torque is off (not parked: the arm is in fault)": ExitReport(
+        "torque_off", CONFIRMED, unparked="the arm is in fault"
+    ),
+    "torque is off at joint1, joint2; not confirmed by joint3: torque may be ON, cut the power": ExitReport(
+        "torque_off", CONFIRMED, SILENT
+    ),
+    "not confirmed by joint3: torque may be ON, cut the power": ExitReport("torque_off", (), SILENT),
+    "it holds with torque ON at joint1, joint2; joint3 does NOT hold: no torque": ExitReport(
+        "hold", CONFIRMED, SILENT, limp=SILENT
+    ),
+}
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_no_report_contradicts_itself(text):
+    assert TEXTS[text].text == text
 
 
 def test_an_enable_that_fails_and_takes_torque_back_says_so(arm_config, servos, enable_fails):
@@ -145,7 +182,26 @@ def test_a_limp_joint_is_named_when_the_arm_is_to_hold(arm_config, servos, strea
     assert "joint4 does NOT hold" in report.text
 
 
-def test_a_joint_with_another_goal_is_not_confirmed(arm_config, servos, stream, start):
+def test_a_joint_that_does_not_take_its_goal_is_not_confirmed_to_hold(
+    arm_config, servos, stream, start, monkeypatch
+):
+    """It has torque, and goes where its goal is: not to where the report would say that it holds."""
+    with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
+        arm.enable()
+        stream(arm, [start] * 3)
+        memory = servos.servo(3).memory
+        memory.set("goal_position", memory.values["goal_position"] + 100)
+        keep = memory.set
+        monkeypatch.setattr(
+            memory, "set", lambda name, value: None if name == "goal_position" else keep(name, value)
+        )
+    report = arm.exit_report
+    assert report.done == "hold" and report.unverified == ("joint3",) and report.limp == ()
+    assert "not confirmed by joint3" in report.text
+    assert [servo.torque for servo in servos.servos] == [True] * 6
+
+
+def test_a_tripped_watchdog_is_cleared_and_a_silent_joint_is_not_confirmed(arm_config, servos, stream, start):
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
         arm.enable()
         stream(arm, [start] * 3)

@@ -10,6 +10,7 @@ import pytest
 from robot_ik.jobs import precompile
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.kernels import jit
+from robot_ik.solvers import levenberg_marquardt
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_what_is_compiled_starts_no_process(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(jit, "compiled", lambda function: True)
     assert Precompilation.solver("puma560", "lm")._process is None
     # One of those that it may come to will do: which it is, is known only when the robot has been read.
-    monkeypatch.setattr(jit, "compiled", lambda function: function.__name__ == "lm")
+    monkeypatch.setattr(jit, "compiled", lambda function: function is levenberg_marquardt.solve)
     assert Precompilation.solver("puma560", "auto")._process is None
 
 

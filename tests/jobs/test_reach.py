@@ -12,6 +12,7 @@ from robot_ik.errors import (
     ConfigError,
     InvalidPoseError,
     MarkerNotFoundError,
+    MotorFaultError,
     NotConvergedError,
     UnknownFrameError,
     UnknownJointError,
@@ -79,11 +80,17 @@ def test_a_hidden_zero_offset_is_noticed_by_the_camera_alone(joint: str, degrees
     assert "zeros" in report.verdict
 
 
-@pytest.mark.parametrize("joint", ["joint2", "joint3", "joint6"])
-def test_a_stuck_servo_is_noticed_by_both(joint: str, reach: Any) -> None:
-    report = reach({"stuck": (joint,)})
-    assert not report.reached
+def test_a_stuck_servo_is_noticed_by_both_where_it_has_a_short_way(reach: Any) -> None:
+    report = reach({"stuck": ("joint2",)})
+    assert not report.reached and report.problem is None
     assert not report.read_back.passed and not report.by_camera.passed
+
+
+@pytest.mark.parametrize("joint", ["joint3", "joint6"])
+def test_a_stuck_servo_that_falls_far_behind_stops_the_arm(joint: str, reach: Any) -> None:
+    report = reach({"stuck": (joint,)})
+    assert not report.reached and isinstance(report.problem, MotorFaultError)
+    assert (report.problem.joint, report.problem.status) == (joint, ("not_following",))
 
 
 def test_a_covered_gripper_proves_nothing(reach: Any) -> None:

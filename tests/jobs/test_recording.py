@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robot_ik.cli.main import main
-from robot_ik.errors import ConfigError
+from robot_ik.errors import ConfigError, OutputError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.recording import Moment, open_recording
 from robot_ik.jobs.testbed import film
@@ -107,3 +107,34 @@ def test_every_number_of_a_free_base_has_its_own_name(tmp_path: Path) -> None:
     home = load_robot("humanoid").home
     assert float(found["commanded.root_qw"]) == float(said["root_qw"]) == pytest.approx(home[3], abs=0.1)
     assert float(said["root_z"]) == pytest.approx(home[2], abs=0.1)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("moments", [1, 10_000])
+@pytest.mark.parametrize("ending", [".csv", ".mcap"])
+def test_a_full_disk_names_the_file_and_leaves_no_torn_one(tmp_path: Path, ending: str, moments: int) -> None:
+    """At the end, where little was written, or in the middle."""
+    if ending == ".mcap":
+        pytest.importorskip("mcap_ros2", reason="needs the extra record")
+    file = tmp_path / f"a{ending}"
+    file.symlink_to("/dev/full")
+    with (
+        pytest.raises(OutputError, match=rf"a\{ending} cannot be written: No space left"),
+        open_recording(file, JOINTS) as rows,
+    ):
+        for k in range(moments):
+            rows.write(Moment(0.1 * k, commanded=np.array([0.1, 0.2]), text="here"))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_run_whose_disk_is_full_ends_with_the_name_of_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.csv"
+    file.symlink_to("/dev/full")
+    assert main(["run", "pick_and_place", "--record", str(file), "--overwrite"]) == 2
+    said = capsys.readouterr()
+    assert "a.csv cannot be written: No space left" in said.err.replace("\n", "")
+    assert "torque_off, confirmed by" in said.out
+    assert list(tmp_path.iterdir()) == []

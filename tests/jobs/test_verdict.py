@@ -37,8 +37,8 @@ def test_no_rounding_of_the_servos_leaves_the_bound(seed: int, puma: Robot) -> N
     bound = quantisation(puma, q, ticks, "gripper", EXACT)
     there = puma.forward(q, "gripper")
     corners = rng.choice([-1.0, 1.0], (60, puma.nv)) * ticks
-    misses = np.array([puma.forward(q + dq, "gripper").distance(there) for dq in corners])
-    assert (misses[:, 0] <= 1.01 * bound.position).all() and (misses[:, 1] <= 1.01 * bound.angle).all()
+    errors = np.array([puma.forward(q + dq, "gripper").distance(there) for dq in corners])
+    assert (errors[:, 0] <= 1.01 * bound.position).all() and (errors[:, 1] <= 1.01 * bound.angle).all()
     # and it is no mere large number: single joints reach their share of it
     alone = sum(puma.forward(q + dq, "gripper").distance(there)[0] for dq in np.diag(ticks))
     assert bound.position == pytest.approx(alone, rel=0.01)
@@ -81,11 +81,11 @@ def test_uncertainty_at_the_tool_against_random_draws() -> None:
     assert sigma.angle == pytest.approx(np.sqrt(np.linalg.eigvalsh(np.cov(twists[:, 3:].T))[-1]), rel=0.03)
 
 
-def by_camera(miss: float, angle: float, sigma: float, bound: Bound):  # type: ignore[no-untyped-def]
+def by_camera(error: float, angle: float, sigma: float, bound: Bound):  # type: ignore[no-untyped-def]
     target = Pose((0.3, -0.2, 0.9), rotation_exp([0.3, 1.2, -0.4]))
     pose_world_camera = Pose((1.0, 1.0, 1.5), rotation_exp([2.0, 0.3, 0.1]))
     pose_body_tool = Pose((0.0, 0.01, 0.12), rotation_exp([0.0, 0.2, 0.0]))
-    tool = target.compose(Pose((0.0, miss, 0.0), rotation_exp([angle, 0.0, 0.0])))
+    tool = target.compose(Pose((0.0, error, 0.0), rotation_exp([angle, 0.0, 0.0])))
     body = pose_world_camera.inverse().compose(tool).compose(pose_body_tool.inverse())
     seen = BodyObservation(body, np.diag([sigma**2] * 3 + [1e-18] * 3), 0.1, (20,))
     goal = PoseGoal("gripper", position=target.position, wxyz=target.wxyz)
@@ -93,7 +93,7 @@ def by_camera(miss: float, angle: float, sigma: float, bound: Bound):  # type: i
 
 
 @pytest.mark.parametrize(
-    ("miss", "sigma", "ticks", "allowed"),
+    ("error", "sigma", "ticks", "allowed"),
     [
         (0.0012, 1e-4, 1e-3, 3e-4 + 1e-3),
         (0.0014, 1e-4, 1e-3, 3e-4 + 1e-3),
@@ -102,13 +102,13 @@ def by_camera(miss: float, angle: float, sigma: float, bound: Bound):  # type: i
     ],
 )
 def test_the_camera_allows_three_sigma_and_ticks_but_never_more_than_5_mm(
-    miss: float, sigma: float, ticks: float, allowed: float
+    error: float, sigma: float, ticks: float, allowed: float
 ) -> None:
-    judged = by_camera(miss, 0.0, sigma, Bound(ticks, 0.01))
-    assert judged.position == pytest.approx(miss, rel=1e-6)
+    judged = by_camera(error, 0.0, sigma, Bound(ticks, 0.01))
+    assert judged.position == pytest.approx(error, rel=1e-6)
     assert judged.allowed.position == pytest.approx(allowed, rel=1e-6)
     assert judged.allowed.position <= SIGMAS * judged.sigma.position + ticks + 1e-12
-    assert judged.passed is (miss < allowed)
+    assert judged.passed is (error < allowed)
 
 
 @pytest.mark.parametrize(("angle_deg", "passed"), [(0.9, True), (1.1, False)])
@@ -129,8 +129,8 @@ def test_two_looks_at_a_moving_goal_may_differ_by_what_they_are_worth(puma: Robo
     assert wide == Bound(LARGEST_MISS, LARGEST_ANGLE)  # however uncertain the goal
 
 
-def judged(miss: float) -> Judgement:
-    return Judgement(miss, 0.0, Bound(1e-3, 0.01), Bound(0.0, 0.0), Pose())
+def judged(error: float) -> Judgement:
+    return Judgement(error, 0.0, Bound(1e-3, 0.01), Bound(0.0, 0.0), Pose())
 
 
 @pytest.mark.parametrize(

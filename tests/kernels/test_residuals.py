@@ -1,4 +1,4 @@
-"""Residual rows: zero at the goal, derivative exact, miss unweighted; for every kind, near 0 and near pi."""
+"""Residual rows: zero at the goal, derivative exact, error unweighted; for every kind, near 0 and near pi."""
 
 import numpy as np
 import pytest
@@ -95,11 +95,11 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     met = rows_at(problem, there)
     assert met.cost < 1e-20
     assert np.abs(met.residual).max(initial=0) < 1e-10
-    assert np.abs(met.miss).max() < 1e-10
+    assert np.abs(met.error).max() < 1e-10
 
     rows = rows_at(problem, here)
     assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
-    for goal, row in zip(goals, rows.miss, strict=True):
+    for goal, row in zip(goals, rows.error, strict=True):
         metres, radians = goal.error(robot, here)  # MuJoCo's forward pass
         asked = goal.weights
         assert row[0] == pytest.approx(metres, abs=1e-9) or asked[0] == 0.0
@@ -126,7 +126,7 @@ def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, ang
     start = np.array([1.0, 0, 0, 0])
     rows = rows_at(problem, start)
     np.testing.assert_allclose(rows.residual, vector, atol=2e-12)
-    assert rows.miss[0, 1] == pytest.approx(angle, abs=1e-12)
+    assert rows.error[0, 1] == pytest.approx(angle, abs=1e-12)
     np.testing.assert_allclose(rows.jacobian, differences(problem, start), atol=1e-5)
 
 

@@ -84,5 +84,7 @@ def test_the_same_seed_gives_the_same_bits_and_others_do_not(load_xml):
 def test_joints_that_do_not_matter_are_left_alone(load_xml):
     robot = load_xml(MIXED)
     out = starts(robot, 3, 20, joints=("hinge", "ball"))
-    assert not out[:, [1, 6, 7]].any() and np.array_equal(out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1)))
+    assert not out[:, [1, 6, 7]].any() and np.array_equal(
+        out[:, 8:], np.tile([1, 2, 3, 1, 0, 0, 0], (20, 1))
+    )
     assert out[:, 0].std() > 0 and out[:, 3].std() > 0

@@ -59,12 +59,12 @@ def solve(model: mujoco.MjModel, tool: str, position: Array, rotation: Array) ->
         mujoco.mj_comPos(model, data)
         have = data.site_xmat[at].reshape(3, 3)
         turn = 0.5 * sum(np.cross(have[:, k], rotation[:, k]) for k in range(3))
-        miss = np.concatenate([position - data.site_xpos[at], turn])
-        if np.linalg.norm(miss) < 1e-9 and np.trace(rotation.T @ have) > 2.9:
+        error = np.concatenate([position - data.site_xpos[at], turn])
+        if np.linalg.norm(error) < 1e-9 and np.trace(rotation.T @ have) > 2.9:
             return q
         mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], at)
         square = jacobian @ jacobian.T + 1e-5 * np.eye(6)
-        q = np.clip(q + jacobian.T @ np.linalg.solve(square, np.clip(miss, -0.2, 0.2)), lower, upper)
+        q = np.clip(q + jacobian.T @ np.linalg.solve(square, np.clip(error, -0.2, 0.2)), lower, upper)
     return None
 
 

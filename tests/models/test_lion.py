@@ -48,7 +48,7 @@ def reported() -> dict[str, Any]:
 
 
 @cache
-def simba() -> rik.Robot:
+def lion_robot() -> rik.Robot:
     return rik.load_robot("lion")
 
 
@@ -116,7 +116,7 @@ def test_size_and_mass_of_a_grown_lion() -> None:
 
 
 def test_frames_are_where_they_are_said_to_be() -> None:
-    data, robot = posed(), simba()
+    data, robot = posed(), lion_robot()
     for name in reported()["tools"]:
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-15), name
         pose = robot.forward(robot.home, name)
@@ -141,7 +141,7 @@ def test_keyframes_rest_on_flat_paws_free_and_inside_limits(key: str) -> None:
         assert data.site(name).xmat[6:] == pytest.approx([0, 0, 1], abs=1e-9), name
     assert min(extent(model, data, geom)[0] for geom in range(model.ngeom)) == pytest.approx(0, abs=1e-9)
     assert data.ncon == 0
-    assert simba().outside(data.qpos) == []
+    assert lion_robot().outside(data.qpos) == []
     for actuator in range(model.nu):
         assert data.actuator_length[actuator] == pytest.approx(model.key(key).ctrl[actuator], abs=1e-9)
     paws = np.array([data.site(name).xpos for name in PAWS])
@@ -214,7 +214,7 @@ def test_every_paw_has_all_six_freedoms(key: str, paw: str) -> None:
 
 
 def pinned(*frames: str) -> list[rik.PoseGoal]:
-    robot, goals = simba(), []
+    robot, goals = lion_robot(), []
     for frame in frames:
         place = robot.forward(robot.home, frame)
         goals.append(rik.PoseGoal(frame, place.position, place.wxyz))
@@ -230,8 +230,8 @@ def pinned(*frames: str) -> list[rik.PoseGoal]:
         ("tail_tip", (-1.2, 0.3, 1.2)),
     ],
 )
-def test_simba_reaches_while_the_other_paws_stay(frame: str, place: tuple[float, float, float]) -> None:
-    robot = simba()
+def test_the_lion_reaches_while_the_other_paws_stay(frame: str, place: tuple[float, float, float]) -> None:
+    robot = lion_robot()
     goals = [*pinned(*(paw for paw in PAWS if paw != frame)), rik.PositionGoal(frame, place)]
     solution = rik.solve(robot, goals, solver="lm")
     assert solution.converged and robot.outside(solution.q) == []

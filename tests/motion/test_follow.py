@@ -160,7 +160,9 @@ def test_tracking_error_is_that_of_the_source(puma):
     clock = VirtualClock()
     arm = Mirror(clock, puma.home, away=0.003)
     goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
-    report = follow(puma, goal, sinks=[arm], solver="lm", clock=clock, source=arm, start=puma.home, duration=0.2)
+    report = follow(
+        puma, goal, sinks=[arm], solver="lm", clock=clock, source=arm, start=puma.home, duration=0.2
+    )
     np.testing.assert_allclose(report.tracking_error, 0.003, atol=1e-12)
 
 
@@ -172,7 +174,9 @@ def test_a_stall_is_counted_and_not_caught_up(puma):
             clock.sleep_until(clock.now() + 0.1)
 
     goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
-    report = follow(puma, goal, sinks=[recorder], solver="lm", clock=clock, start=puma.home, duration=1.0, on_tick=stall)
+    report = follow(
+        puma, goal, sinks=[recorder], solver="lm", clock=clock, start=puma.home, duration=1.0, on_tick=stall
+    )
     assert report.overruns == 2
     assert (
         report.ticks == 100
@@ -208,7 +212,9 @@ def test_no_sink_can_bend_the_command(puma):
     goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     for source, sink in ((ManualSource(), Bender()), (goal, LateBender())):
         with pytest.raises(ValueError, match="read-only"):
-            follow(puma, source, sinks=[sink], solver="lm", clock=VirtualClock(), start=puma.home, duration=1.0)
+            follow(
+                puma, source, sinks=[sink], solver="lm", clock=VirtualClock(), start=puma.home, duration=1.0
+            )
 
 
 def test_it_stays_on_the_branch_where_the_arm_is(puma):

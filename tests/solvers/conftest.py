@@ -5,11 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.kernels.tree import BALL
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.iterative import IterativeSolver
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solution import Status
 from robot_ik.solvers.analytic.recognise import Family
 from robot_ik.solvers.auto import LM_FIRST_WHEN_NEAR

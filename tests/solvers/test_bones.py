@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
 
@@ -101,11 +102,11 @@ def test_the_result_is_inside_the_limits_and_as_reported(name, robot_name):
         goal = PositionGoal(None, position)
         problem = Problem(robot, goal, solver=name, tolerance=TOLERANCE)
         solution = problem.solve(start)
-        miss = measured(robot, solution.q, position)
-        assert solution.error.position == pytest.approx(miss, abs=1e-12)
-        assert solution.converged == (miss <= TOLERANCE.position)
+        error = measured(robot, solution.q, position)
+        assert solution.error.position == pytest.approx(error, abs=1e-12)
+        assert solution.converged == (error <= TOLERANCE.position)
         assert np.abs(robot.clip(solution.q) - solution.q).max() < 1e-12
-        assert miss <= measured(robot, start, position) + 1e-12
+        assert error <= measured(robot, start, position) + 1e-12
         assert np.array_equal(start, before)
         assert outcome(problem.solve(start)) == outcome(solution)
 

@@ -5,10 +5,11 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from robot_ik.budget import Budget
 from robot_ik.chain import make_chain
 from robot_ik.errors import OptionError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 
 both_axes = pytest.mark.parametrize("axis", ["joint", "free"])

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import OptionError, UnknownSolverError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.sequence import PreparedSequence

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.batch import solve_batch
+from robot_ik.budget import Budget
 from robot_ik.errors import (
     GoalError,
     InvalidGoalError,
@@ -29,7 +30,7 @@ from robot_ik.goals import (
     Tolerance,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
 from tests.solvers.law_cases import served
@@ -204,7 +205,9 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
         if problem is None:
             continue
         solution = problem.solve(np.full(6, 0.1))
-        assert solution.converged and solution.iterations == 0 and solution.error == rik.solution.Deviation(0, 0)
+        assert (
+            solution.converged and solution.iterations == 0 and solution.error == rik.solution.Deviation(0, 0)
+        )
         assert np.array_equal(solution.q, puma.clip(np.full(6, 0.1)))
 
 

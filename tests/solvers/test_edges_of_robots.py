@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.errors import (
     ModelError,
 )
@@ -22,7 +23,7 @@ from robot_ik.goals import (
     Tolerance,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
@@ -67,7 +68,7 @@ def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
 
 
 def honest(robot, solution, tolerance):
-    """q finite and inside, and the status as MuJoCo's miss has it."""
+    """q finite and inside, and the status as MuJoCo's error has it."""
     assert np.isfinite(solution.q).all() and not robot.outside(solution.q)
     within = solution.error.position <= tolerance.position and solution.error.angle <= tolerance.angle
     assert solution.converged == within, (solution, solution.error)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solution import Status
 
 
@@ -51,10 +52,10 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
             solution = problem.solve(start)
             if len(solution.trace) < passes:
                 break
-            miss = np.linalg.norm(points[-1] - target)
-            assert solution.trace[-1].position == pytest.approx(miss, abs=1e-9)
+            error = np.linalg.norm(points[-1] - target)
+            assert solution.trace[-1].position == pytest.approx(error, abs=1e-9)
             # The result is the best pass: mostly the last, whose points can then be compared.
-            if miss <= min(step.position for step in solution.trace) + 1e-12:
+            if error <= min(step.position for step in solution.trace) + 1e-12:
                 np.testing.assert_allclose(positions(robot, solution.q, names), points, atol=1e-8)
                 compared += 1
     assert compared >= 10
@@ -130,7 +131,7 @@ def test_a_tree_serves_several_goals_through_its_sub_base():
 
 def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
     robot = rik.load_robot(Y, tool="left")
-    misses = []
+    errors = []
     for weight in (0.1, 10.0):
         goals = [
             PositionGoal("left", (0.0, 2.0, 0.5), weight=weight),
@@ -139,8 +140,8 @@ def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
         budget = Budget(restarts=0)
         solution = Problem(robot, goals, solver="fabrik", budget=budget).solve()
         assert not solution.converged
-        misses.append(solution.errors[0].position)
-    assert misses[1] < misses[0] - 0.05
+        errors.append(solution.errors[0].position)
+    assert errors[1] < errors[0] - 0.05
 
 
 def test_a_goal_out_of_reach_is_left_out_until_the_other_is_met():

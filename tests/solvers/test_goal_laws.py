@@ -11,6 +11,7 @@ import pytest
 
 from robot_ik.batch import solve_batch
 from robot_ik.branches import solve_all
+from robot_ik.budget import Budget
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.execution import follow
 from robot_ik.geometry import Pose
@@ -18,7 +19,7 @@ from robot_ik.goals import GOALS, PoseGoal, PosePriorGoal, PositionGoal, Toleran
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion import RecorderSink, ScriptSource
 from robot_ik.ports import VirtualClock
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
@@ -121,9 +122,7 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
         start = near(robot, 6)
         start.flags.writeable = False
         kept = start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy()
-        fresh = [
-            outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals
-        ]
+        fresh = [outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals]
         for k in (0, 1, 0):
             solution = hot.solve(start, target=goals[k])
             assert outcome(solution) == fresh[k]

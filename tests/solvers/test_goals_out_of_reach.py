@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import (
@@ -19,7 +20,7 @@ from robot_ik.goals import (
     PostureGoal,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
@@ -117,7 +118,9 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
     for robot in tied.values():
-        problem = served(robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name)
+        problem = served(
+            robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name
+        )
         if problem is None:
             continue
         start = near(robot, 2, 0.1)
@@ -166,8 +169,8 @@ def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name,
         pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
         alone, both = solve(robot, pose, solver=method), solve(robot, [pose, far], solver=method)
         assert both.status is Status.UNREACHABLE
-        miss = both.errors[0]
-        if alone.converged and not (miss.position <= 1e-4 and miss.angle <= 1e-3):
+        error = both.errors[0]
+        if alone.converged and not (error.position <= 1e-4 and error.angle <= 1e-3):
             missed.append(k)
     assert missed == []
 
@@ -212,7 +215,7 @@ def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
 
 def test_length_says_how_many_metres_are_worth_a_radian():
     """A00's scale c: a longer length asks less of the metres, and the result is best by that very measure."""
-    robot, misses = load_robot("puma560"), []
+    robot, errors = load_robot("puma560"), []
     q, far = robot.home, PoseGoal(None, (-1.1, -0.4, 0.7), (0.5, 0.5, 0.5, -0.5))
     for degrees in (600.0, 60.0, 6.0):  # that count as much as one metre
         goal = dataclasses.replace(far, length=360 / (2 * np.pi * degrees))
@@ -220,6 +223,6 @@ def test_length_says_how_many_metres_are_worth_a_radian():
         solution = problem.solve(q)
         assert length_scale(problem.robot, goal) == goal.length and slope(problem, solution.q) < 1e-3
         q = solution.q
-        misses.append(solution.error)
-    assert misses[0].position < misses[1].position - 1e-3 < misses[2].position - 2e-3
-    assert misses[0].angle > misses[1].angle + 1e-3 > misses[2].angle + 2e-3
+        errors.append(solution.error)
+    assert errors[0].position < errors[1].position - 1e-3 < errors[2].position - 2e-3
+    assert errors[0].angle > errors[1].angle + 1e-3 > errors[2].angle + 2e-3

@@ -5,8 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solvers.jacobian_transpose import JacobianTranspose
 
 FREE_STEP = {"clamp": 1e6, "max_step": 1e6, "gain": 1.0}

@@ -5,8 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from tests.solvers.law_cases import general, goal_of, inside, measured, outcome
 
@@ -18,7 +19,9 @@ def test_a_start_outside_the_limits_is_brought_inside(name, robots):
     kept = outside.copy()
     solution = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position"), solver=name).solve(outside)
     assert solution.converged and inside(robot, solution.q) and np.array_equal(outside, kept)
-    none = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0), solver=name).solve(outside)
+    none = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0), solver=name).solve(
+        outside
+    )
     assert none.q.tolist() == [2.8, -2.6, 2.0]
 
 

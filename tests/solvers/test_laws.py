@@ -6,10 +6,11 @@ import pytest
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.obstacles import Sphere
 from robot_ik.collision.scene import Scene
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
@@ -138,7 +139,9 @@ TICKS, SETTLING, STILL = 140, 100, 1e-3
 def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     robot = robots(robot_name)
     budget = Budget(restarts=FLOORS["tracking_restarts"][name])
-    problem = Problem(robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget, solver=name)
+    problem = Problem(
+        robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget, solver=name
+    )
     make_solver(name)
     q, largest = robot.home, 0.0
     for tick in range(TICKS):
@@ -161,7 +164,9 @@ def test_law_7_budgets_hold(name, robot_name, robots):
         assert solution.iterations <= iterations
         if iterations < 130:
             assert solution.status is Status.ITERATION_LIMIT
-    assert np.array_equal(Problem(robot, goal, budget=Budget(iterations=0), solver=solver).solve().q, robot.home)
+    assert np.array_equal(
+        Problem(robot, goal, budget=Budget(iterations=0), solver=solver).solve().q, robot.home
+    )
     assert Problem(robot, goal, budget=Budget(restarts=0), solver=solver).solve().restarts == 0
     assert Problem(robot, goal, budget=Budget(restarts=3), solver=solver).solve().restarts <= 3
     none = Problem(robot, goal, budget=Budget(seconds=0.0), solver=solver).solve()

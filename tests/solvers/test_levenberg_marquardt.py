@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.methods.growth import hinge_chain
+from robot_ik.budget import Budget
 from robot_ik.errors import InvalidGoalError, ModelError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import (
@@ -24,7 +25,7 @@ from robot_ik.goals import (
     Tolerance,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers.minimization import Minimization
@@ -54,9 +55,7 @@ def slope_by_differences(problem, q, step=1e-5):
     return np.array(slope)
 
 
-@pytest.mark.parametrize(
-    ("robot_name", "kind"), [("puma560", "pose"), ("planar", "position")]
-)
+@pytest.mark.parametrize(("robot_name", "kind"), [("puma560", "pose"), ("planar", "position")])
 def test_the_first_step_goes_down_the_slope_that_differences_find(robot_name, kind, near_problems, one_step):
     for problem, q in near_problems(robot_name, kind):
         slope = slope_by_differences(problem, q)
@@ -144,7 +143,12 @@ def test_linear_equalities_hold_at_every_step(tmp_path):
     rng = np.random.default_rng(1)
     for _ in range(3):
         start, there = robot.sample(rng), robot.sample(rng)
-        problem = Problem(robot, PositionGoal(None, 1.3 * robot.forward(there).position), tolerance=FINE, solver=Minimization())
+        problem = Problem(
+            robot,
+            PositionGoal(None, 1.3 * robot.forward(there).position),
+            tolerance=FINE,
+            solver=Minimization(),
+        )
         for steps in range(1, 15):
             problem.budget = Budget(iterations=steps, restarts=0)
             q = problem.solve(start).q

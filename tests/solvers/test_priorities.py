@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import (
     AimGoal,
@@ -16,7 +17,7 @@ from robot_ik.goals import (
     Tolerance,
 )
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS
@@ -115,10 +116,10 @@ def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
             PostureGoal(q=figure.home, priority=4),
         ]
         found = solve(figure, goals)
-        misses = found.errors
-        assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
-        assert (misses[3].position < 1e-4) is reached
-        assert misses[4].angle < 1e-3 or not reached
+        errors = found.errors
+        assert max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
+        assert (errors[3].position < 1e-4) is reached
+        assert errors[4].angle < 1e-3 or not reached
         assert not figure.outside(found.q)
 
 
@@ -137,9 +138,9 @@ def test_a_figure_at_full_stretch_keeps_its_feet(seed):
         PostureGoal(q=home, joints={"root": 0.0}, priority=4),
     ]
     start = figure.integrate(home, np.concatenate([np.zeros(6), rng.uniform(-0.3, 0.3, figure.model.nv - 6)]))
-    misses = solve(figure, goals, start=start, solver="lm").errors
-    assert max(m.position for m in misses[:3]) < 1e-4 and max(m.angle for m in misses[:2]) < 1e-3
-    assert misses[3].position == pytest.approx(0.283, abs=0.002)
+    errors = solve(figure, goals, start=start, solver="lm").errors
+    assert max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
+    assert errors[3].position == pytest.approx(0.283, abs=0.002)
 
 
 def test_laws_hold_with_priorities_too(arm):

@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import OptionError
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers.pseudoinverse import Pseudoinverse
 from tests.residual_rows import columns_of
@@ -86,7 +87,9 @@ def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
     here = robot.forward(start).position
     far = {}
     for name in ("none", aim):
-        problem = Problem(robot, PositionGoal(None, here), solver=Pseudoinverse(aim=name), budget=Budget(restarts=0))
+        problem = Problem(
+            robot, PositionGoal(None, here), solver=Pseudoinverse(aim=name), budget=Budget(restarts=0)
+        )
         q = start
         for tick in range(201):
             problem.retarget(here + np.array([0.03 * np.sin(tick * np.pi / 10), 0, 0]))
@@ -143,7 +146,9 @@ def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
 def landing_of(problem, q, wanted, before, share, step):
     there = problem.robot.clip(problem.robot.integrate(q, np.asarray(step)))
     frame = problem.robot.measure(there)
-    after = (problem.goals[0].target.position - frame.position) / length_scale(problem.robot, problem.goals[0])
+    after = (problem.goals[0].target.position - frame.position) / length_scale(
+        problem.robot, problem.goals[0]
+    )
     return np.linalg.norm(after - (before - share * wanted))
 
 
@@ -171,7 +176,12 @@ def test_halving_ends_and_never_leads_up(robots):
     """Out of reach no step lands for long: bounded halvings, and what leads up is undone."""
     robot = robots("planar")
     problem = Problem(
-        robot, PositionGoal(None, (1.4, 1.0, 0)), trace=True, budget=Budget(iterations=300, restarts=2), solver=Pseudoinverse(halvings=4))
+        robot,
+        PositionGoal(None, (1.4, 1.0, 0)),
+        trace=True,
+        budget=Budget(iterations=300, restarts=2),
+        solver=Pseudoinverse(halvings=4),
+    )
     solution = problem.solve(np.array([0.1, 1.2, -0.4]))
     assert not solution.converged
     first = [row.cost for row in solution.trace if row.restart == 0]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.goals import PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solution import Status
 
 TIGHT = Tolerance(position=1e-8, angle=1e-9)

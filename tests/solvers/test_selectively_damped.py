@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.selectively_damped import SelectivelyDamped
@@ -111,7 +112,11 @@ def test_many_goals_on_a_floating_base(name, options):
     for _ in range(3):
         q = robot.sample(rng)
         frames = ("left_hand", "right_hand", "left_foot", "right_foot")
-        problem = Problem(robot, [PositionGoal(f, robot.forward(q, f).position) for f in frames], solver=make_solver(name, **options))
+        problem = Problem(
+            robot,
+            [PositionGoal(f, robot.forward(q, f).position) for f in frames],
+            solver=make_solver(name, **options),
+        )
         solution = problem.solve()
         assert solution.converged and not robot.outside(solution.q)
-        assert max(miss.position for miss in solution.errors) <= 1e-4
+        assert max(error.position for error in solution.errors) <= 1e-4

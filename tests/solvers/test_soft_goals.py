@@ -6,10 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.errors import InvalidGoalError, UnsupportedGoalError
 from robot_ik.goals import AimGoal, CenterOfMassGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS
@@ -90,8 +91,8 @@ def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_u
         found = problem.solve(q, target={3: ball, 4: ball})
         q = found.q
         assert found.status is Status.CONVERGED
-        miss = found.error
-        assert miss.position <= 1e-4 and miss.angle <= 1e-3
+        error = found.error
+        assert error.position <= 1e-4 and error.angle <= 1e-3
         assert not figure.outside(q)
         near.append(unease(figure, q) <= 1.05 * unease(figure, best) + 1e-6)
     assert np.mean(near) >= 0.95
@@ -107,7 +108,7 @@ def test_a_needed_posture_in_the_same_place_is_never_met(figure):
     assert unease(figure, soft.q) <= 1.05 * unease(figure, needed.q)
 
 
-def test_a_soft_goal_decides_nothing_and_its_miss_is_shown(arm):
+def test_a_soft_goal_decides_nothing_and_its_error_is_shown(arm):
     rng = np.random.default_rng(0)
     for _ in range(20):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.budget import Budget
 from robot_ik.goals import PositionGoal, Tolerance
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.solution import Status
 
 TIGHT = Tolerance(position=1e-9, angle=1e-9)
@@ -82,7 +83,7 @@ def test_the_improved_version_turns_less_near_the_root():
 
 
 @both
-def test_on_hinges_a_miss_is_honest(improved):
+def test_on_hinges_a_error_is_honest(improved):
     robot = rik.load_robot("puma560")
     rng = np.random.default_rng(6)
     budget = Budget(iterations=100, restarts=3)
@@ -90,8 +91,8 @@ def test_on_hinges_a_miss_is_honest(improved):
     for _ in range(10):
         target = robot.forward(robot.sample(rng)).position
         solution = problem.solve(target=target)
-        miss = np.linalg.norm(robot.measure(solution.q).position - target)
-        assert solution.converged == (miss <= 1e-4)
+        error = np.linalg.norm(robot.measure(solution.q).position - target)
+        assert solution.converged == (error <= 1e-4)
         assert np.array_equal(robot.clip(solution.q), solution.q)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -17,7 +18,7 @@ from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
-from robot_ik.testbed.session import Session, View
+from robot_ik.testbed.session import Session, View, run
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")
@@ -59,10 +60,50 @@ def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -
     until(session, lambda v: v.arm and v.arm.servos and all(s.torque for s in v.arm.servos), "no telemetry")
     session.send(SetRunning(False))
     until(session, lambda v: v.arm and v.arm.state == "hold", "stop does not hold the arm")
+    session.send(SetArm("follow"))
+    view = until(session, lambda v: v.arm and v.arm.mode == "follow", "follow is not taken")
+    assert view.arm is not None and view.arm.state == "hold" and "press Start" in view.arm.message
     session.send(SetRunning(True))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not go on")
     session.send(SetArm("release"))
     until(session, lambda v: v.arm and v.arm.state == "connected", "torque stays on")
+
+
+def stays(session: Session, link: ArmLink, state: str) -> None:
+    """Fails where the arm leaves a state within the next 30 cycles of its own and of the session."""
+    cycles = link._arm.clock.now() + 30.0 / link._arm.config.rate_hz
+    end = session.view().tick + 30
+
+    def ran(view: View) -> bool:
+        assert view.arm is not None and view.arm.state == state, f"it left {state}: {view.arm}"
+        return view.tick >= end and link._arm.clock.now() >= cycles
+
+    until(session, ran, "the arm's cycles do not go on")
+
+
+def test_start_after_stop_does_not_move_the_arm(session: Session, link: ArmLink) -> None:
+    session.send(SetArm("follow"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
+    for command in (SetRunning(False), SetRunning(True)):  # both before the next tick
+        session.send(command)
+    view = until(session, lambda v: v.arm and v.arm.state == "hold", "stop does not hold the arm")
+    assert view.running and view.arm is not None and view.arm.mode == "hold"
+    assert "press Follow" in view.arm.message
+    stays(session, link, "hold")
+    session.send(SetArm("follow"))
+    until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow again")
+
+
+def test_an_arm_without_torque_is_said_to_be_limp(session: Session, link: ArmLink) -> None:
+    """Hold switches no torque on: who lets go of an arm that is said to hold lets it fall."""
+    for before in ("release", "teach"):
+        session.send(SetArm("follow"))
+        until(session, lambda v: v.arm and v.arm.state == "enabled" and not v.arm.limp, "does not follow")
+        session.send(SetArm(before))
+        until(session, lambda v: v.arm and v.arm.limp, "not said to be limp")
+        session.send(SetArm("hold"))
+        view = until(session, lambda v: v.arm and v.arm.mode == "hold", "hold is not taken")
+        assert view.arm is not None and view.arm.limp and view.arm.state == "connected"
 
 
 def test_a_session_that_falls_silent_makes_the_arm_hold(session: Session, link: ArmLink) -> None:
@@ -77,6 +118,13 @@ def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link:
     session.send(SetRobot("koch_v11"))
     view = until(session, lambda v: v.arm and v.arm.state == "hold", "the wrong robot moves the arm")
     assert view.robot == "koch_v11" and view.arm is not None and "tabletop_puma" in view.arm.message
+    assert not view.arm.is_shown
+    session.send(SetArm("follow"))
+    view = until(session, lambda v: v.arm and "first" in v.arm.message, "another robot is followed")
+    assert view.arm is not None and view.arm.mode == "hold"
+    session.send(SetRobot("tabletop_puma"))
+    until(session, lambda v: v.arm and v.arm.is_shown, "the arm's robot is not back")
+    stays(session, link, "hold")
 
 
 def test_a_ball_that_jumps_makes_the_arm_walk(session: Session, link: ArmLink) -> None:
@@ -107,8 +155,9 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
     session.send(MoveGoal((0.15, -0.1, 0.15)))
     until(session, lambda v: v.arm and np.abs(v.arm.q - begin).max() > 0.2 and v.arm.apart < 0.02, "no way")
     shown = link.view().q
+    assert link.view().recorded > 0.0
     session.send(SetArm("release"))
-    view = until(session, lambda v: v.arm and v.arm.recorded > 0.1, "nothing was recorded")
+    until(session, lambda v: link.recording and v.arm and v.arm.recorded > 0.1, "nothing was recorded")
     assert begin is not None and shown is not None and link.recording is not None
     assert np.abs(link.recording.q[-1] - shown).max() < 0.03  # so far it may still have been from its goal
     for servo in link._arm.config.servos:  # somewhere else meanwhile
@@ -153,6 +202,63 @@ def test_closing_leaves_the_arm_by_its_policy() -> None:
         session.send(SetArm("follow"))
         until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
     assert link.view().state == "disconnected" and "torque" in link.left
+
+
+def test_a_page_that_cannot_be_drawn_does_not_end_a_session_with_an_arm(
+    session: Session, link: ArmLink, caplog: pytest.LogCaptureFixture
+) -> None:
+    stop, messages = threading.Event(), []
+
+    def draw(view: View) -> None:
+        messages.append(view.message)
+        if len(messages) == 1:
+            session.send(SetArm("follow"))
+        if view.arm is not None and view.arm.state == "enabled":
+            session.send(SetRunning(False))
+        if view.arm is not None and view.arm.state == "hold":
+            stop.set()
+        raise IndexError("index 11 is out of bounds")
+
+    run(session, draw, stop)
+    assert link.view().state == "hold"
+    assert "IndexError" in messages[-1] and "STOP still works" in messages[-1]
+    assert [row.levelname for row in caplog.records if "cannot be drawn" in row.message] == ["ERROR"]
+
+
+def test_a_page_that_cannot_be_drawn_ends_a_session_without_an_arm() -> None:
+    def draw(view: View) -> None:
+        raise IndexError("index 11 is out of bounds")
+
+    with Session(Start("tabletop_puma"), beside=False) as session, pytest.raises(IndexError):
+        run(session, draw, threading.Event())
+
+
+def test_the_arms_ghost_is_drawn_where_it_differs_from_its_own_robot(session: Session, link: ArmLink) -> None:
+    pytest.importorskip("viser", reason="needs the extra web")
+    from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
+
+    def ghost(page: Page) -> bool:
+        node = page.server.scene._handle_from_node_name.get("/robot/arm")
+        return node is not None and bool(node.visible)
+
+    until(session, lambda v: v.arm and v.arm.q is not None, "no reading")
+    with Page(session, PageServer(port=8760, shadows=False)) as page:
+        session.send(MoveGoal((0.2, 0.05, 0.1)))
+        until(session, lambda v: v.arm and v.arm.apart > 0.1, "the robot stays with the arm")
+        page.draw(session.view())
+        assert ghost(page)
+        session.send(SetRobot("humanoid"))  # of more bodies than the arm has
+        view = until(session, lambda v: v.robot == "humanoid", "no other robot")
+        page.draw(view)
+        assert not ghost(page)
+        session.send(SetRobot("tabletop_puma"))
+        session.send(MoveGoal((0.2, 0.05, 0.1)))
+        until(session, lambda v: v.robot == "tabletop_puma", "the arm's robot is not back")
+        session.send(SetArm("follow"))
+        view = until(session, lambda v: v.arm and v.arm.apart < 0.01, "does not follow")
+        page.draw(view)
+        assert not ghost(page)
 
 
 def test_a_robot_without_an_arm_file_is_said() -> None:

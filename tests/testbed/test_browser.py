@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.commands import (
     Act,
     DragLink,
@@ -24,12 +27,17 @@ from robot_ik.testbed.commands import (
     SetOption,
     SetRobot,
     SetRunning,
+    Start,
 )
+from robot_ik.testbed.session import Session, run
 from tests.doc_pages import script
 from tests.testbed.conftest import Bed
 from tests.waiting import LONG
 
 pytest.importorskip("viser", reason="needs the extra web")
+from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.page_server import PageServer
+
 measure_page = script("measure_page")
 
 HARMLESS = (
@@ -312,4 +320,93 @@ def test_no_error_was_said_by_any_of_this(window: Window) -> None:
 def test_the_page_opens_with_its_token(chromium: Any, guarded: Any) -> None:
     window = open_window(chromium, guarded.url, scene=False, width=420, height=400)
     assert window.page.url == guarded.url.split("?")[0]
+    window.page.close()
+
+
+@pytest.fixture
+def arm_bed(real_time: None) -> Iterator[Bed]:
+    """A session with simulated servos, its page, and its loop on a thread."""
+    with (
+        Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
+        Page(session, PageServer(port=8612, shadows=False)) as page,
+        looped(session, page),
+    ):
+        bed = Bed(session, page)
+        bed.until(lambda view: view.tick > 0, "kernels were never ready")
+        yield bed
+
+
+@contextlib.contextmanager
+def looped(session: Session, page: Page) -> Iterator[None]:
+    """The loop of a session, on a thread as long as the block runs."""
+    stop = threading.Event()
+    loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})
+    loop.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        loop.join()
+
+
+def test_stop_stays_where_it_is_on_the_screen(chromium: Any, arm_bed: Bed) -> None:
+    window = open_window(chromium, arm_bed.page.url, scene=False)
+    button = window.page.get_by_role("button", name="STOP")
+    before = button.bounding_box()
+    arm_bed.session.report("a message of many lines " * 20)
+    window.page.get_by_text("a message of many lines").wait_for()
+    assert button.bounding_box() == before
+    window.page.get_by_text("Keys", exact=True).scroll_into_view_if_needed()
+    after = button.bounding_box()
+    assert before is not None and after is not None and abs(after["y"] - before["y"]) < 1.0
+    window.page.close()
+
+
+def test_hold_after_torque_off_says_that_the_arm_is_limp(chromium: Any, arm_bed: Bed) -> None:
+    window = open_window(chromium, arm_bed.page.url, scene=False)
+    window.page.get_by_role("tab", name="Arm", exact=True).click()
+    for button, holds in (
+        ("Follow", lambda view: view.arm.state == "enabled"),
+        ("Torque off", lambda view: view.arm.mode == "release" and view.arm.limp),
+        ("Hold", lambda view: view.arm.mode == "hold"),
+    ):
+        window.page.get_by_role("button", name=button, exact=True).click()
+        arm_bed.until(holds, f"{button} does nothing")
+    window.page.get_by_text("The arm is limp").wait_for()
+    assert window.page.get_by_text("asked: hold").count() == 0
+    window.page.close()
+
+
+def test_a_page_without_its_program_says_that_stop_does_not_work(chromium: Any, real_time: None) -> None:
+    with (
+        Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
+        Page(session, PageServer(port=8612, shadows=False)) as page,
+        looped(session, page),
+    ):
+        window = open_window(chromium, page.url, scene=False)
+        veil = window.page.locator("#connection-lost")
+        window.page.locator("[data-beat]").wait_for(state="attached")
+        veil.wait_for(state="hidden")
+    veil.wait_for()
+    assert "STOP does not work" in veil.inner_text() and "robot-ik stop" in veil.inner_text()
+    assert veil.bounding_box() == {"x": 0, "y": 0, **window.page.viewport_size}
+    window.page.close()
+
+
+def test_a_loop_that_hangs_is_a_lost_connection(chromium: Any, arm_bed: Bed) -> None:
+    window = open_window(chromium, arm_bed.page.url, scene=False)
+    veil = window.page.locator("#connection-lost")
+    hangs, go_on = threading.Event(), threading.Event()
+
+    def hang(*_: object) -> None:
+        hangs.set()
+        go_on.wait()
+
+    arm_bed.page._draw_scene = hang  # type: ignore[method-assign]
+    try:
+        hangs.wait()
+        veil.wait_for()
+    finally:
+        go_on.set()
+    veil.wait_for(state="hidden")
     window.page.close()

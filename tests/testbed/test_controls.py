@@ -6,6 +6,7 @@ import dataclasses
 import queue
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,7 +23,7 @@ from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import Command, MoveGoal, SetMotion, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
-from robot_ik.testbed.frontends.panels import FigurePanel, MeasuredPanel, joint_bars
+from robot_ik.testbed.frontends.panels import FigurePanel, MeasuredPanel, joint_bars, missing_text
 from robot_ik.testbed.session import Session
 from tests.doc_pages import script
 from tests.waiting import LONG, wait_for
@@ -31,6 +32,15 @@ PageClient = script("measure_page").PageClient
 
 ELSEWHERE = {"Path", "Hand over"}
 """A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
+
+
+ONE_JOINT = """<robot name="mine"><link name="base"/><link name="arm">
+<visual><geometry><mesh filename="package://mine/upper&lt;1&gt;.stl"/></geometry></visual>
+<visual><geometry><mesh filename="fore.dae"/></geometry></visual>
+<collision><geometry><mesh filename="fore.dae"/></geometry></collision>
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="a" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
 class Sent(queue.SimpleQueue[Command]):
@@ -207,8 +217,23 @@ def test_a_row_says_how_the_last_solve_ended_and_what_is_off(session: Session) -
     one = session.view().instances[0]
     row = MeasuredPanel._row(0, one, acting=False)
     assert one.status != "converged" and f"<small>{one.status}</small>" in row and "mm</td>" in row
-    aimed = dataclasses.replace(one, miss=0.0, angle=0.5)
+    aimed = dataclasses.replace(one, error=0.0, angle=0.5)
     assert aimed.off == "28.65°" and "28.65°</td>" in MeasuredPanel._row(0, aimed, acting=False)
+
+
+def test_meshes_that_are_not_drawn_are_named_on_the_page(tmp_path: Path) -> None:
+    model = tmp_path / "mine.urdf"
+    model.write_text(ONE_JOINT)
+    with Session(Start(), beside=False) as session:
+        assert session.view().missing_meshes == ()
+        session.send(SetRobot(str(model)))
+        session.tick()
+        view = session.view()
+    assert view.missing_meshes == ("package://mine/upper<1>.stl", "fore.dae")
+    shown = missing_text(view.missing_meshes)
+    assert "2 meshes are not drawn" in shown
+    assert "package://mine/upper&lt;1&gt;.stl" in shown and "fore.dae" in shown
+    assert missing_text(()) == ""
 
 
 def test_no_joint_stands_at_minus_zero() -> None:

@@ -106,7 +106,7 @@ def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     with numbers.open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 1 + 2 * 19 and {row["method"] for row in rows[4:]} == {"dls", "ccd"}
-    assert float(rows[-1]["miss_m"]) == view.instances[1].miss
+    assert float(rows[-1]["error_m"]) == view.instances[1].error
 
 
 def test_a_gif_is_written(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_the_viewer_is_chosen_and_said(
     monkeypatch.setattr(view, "find_spec", lambda name: None)
     monkeypatch.setattr(view, "probe_display", lambda timeout: Probe(True, "display opened"))
     assert view.choose_viewer("auto") == "window"
-    assert "robot_ik[web]" in capsys.readouterr().err
+    assert "robot-ik-testbed[web]" in capsys.readouterr().err
     monkeypatch.setattr(view, "probe_display", lambda timeout: Probe(False, "no display"))
     assert view.choose_viewer("auto") == "recorder"
     assert "recorder" in capsys.readouterr().err

@@ -23,7 +23,7 @@ from tests.waiting import LONG
 bench = script("measure_page")
 
 
-def test_what_misses_its_target_or_was_not_measured_is_said(
+def test_what_errors_its_target_or_was_not_measured_is_said(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = [

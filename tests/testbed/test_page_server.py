@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import time
+import urllib.request
 
 import pytest
 
@@ -13,7 +15,7 @@ from robot_ik.cli.main import main
 from robot_ik.testbed.frontends import page_server
 from robot_ik.testbed.frontends.page_server import PageServer
 from tests.doc_pages import script
-from tests.waiting import wait_for
+from tests.waiting import LONG, wait_for
 
 PageClient = script("measure_page").PageClient
 
@@ -50,3 +52,14 @@ def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     with PageServer(port=8790, shadows=False) as opened, PageClient(opened.url):
         time.sleep(0.4)
         assert _lights(opened) == [False]
+
+
+@pytest.mark.parametrize("encoding", ["identity", "gzip"])
+def test_the_page_carries_the_script_that_watches_the_connection(encoding: str) -> None:
+    with PageServer(port=8790) as opened:
+        request = urllib.request.Request(opened.url, headers={"Accept-Encoding": encoding})
+        with urllib.request.urlopen(request, timeout=LONG) as reply:
+            body, headers = reply.read(), reply.headers
+    assert headers["Content-Encoding"] == encoding and int(headers["Content-Length"]) == len(body)
+    page = gzip.decompress(body) if encoding == "gzip" else body
+    assert page.count(b"connection-lost") == 1 and page.rstrip().endswith(b"</html>")

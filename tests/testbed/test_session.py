@@ -62,7 +62,7 @@ def test_the_arm_follows_the_curve_from_the_first_tick(session: Session) -> None
     first, later = view_after(session, ticks=60), view_after(session, ticks=60)
     assert np.linalg.norm(first.ball.position - later.ball.position) > 0.02
     assert not np.array_equal(first.instances[0].q, later.instances[0].q)
-    assert later.instances[0].miss < 1e-4 and later.instances[0].statistics.solved == 1.0
+    assert later.instances[0].error < 1e-4 and later.instances[0].statistics.solved == 1.0
 
 
 def test_a_view_does_not_change_with_the_session(session: Session) -> None:
@@ -72,16 +72,16 @@ def test_a_view_does_not_change_with_the_session(session: Session) -> None:
     assert view.digest() == digest
 
 
-def test_miss_is_mujocos_own(session: Session) -> None:
+def test_error_is_mujocos_own(session: Session) -> None:
     view = view_after(session, SetMethod(0, "ccd"), ticks=45)
     one, robot = view.instances[0], session.robot
     tool = robot.measure(one.q)
-    assert one.miss == pytest.approx(np.linalg.norm(tool.position - view.ball.position), abs=1e-12)
+    assert one.error == pytest.approx(np.linalg.norm(tool.position - view.ball.position), abs=1e-12)
     assert one.angle == pytest.approx(tool.distance(view.ball)[1], abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["pose", "position", "aim", "line", "plane"])
-def test_every_goal_kind_is_met_and_its_miss_is_the_goals_own(session: Session, kind: str) -> None:
+def test_every_goal_kind_is_met_and_its_error_is_the_goals_own(session: Session, kind: str) -> None:
     session.send(MoveGoal((-0.42, -0.2, 0.75)))
     view = view_after(session, SetGoalKind(kind))  # type: ignore[arg-type]
     assert view.kind == kind and view.instances[0].status == "converged"
@@ -89,7 +89,7 @@ def test_every_goal_kind_is_met_and_its_miss_is_the_goals_own(session: Session, 
     assert ready is not None
     goal = ready.goals.main(view.ball)
     off = goal.error(session.robot, view.instances[0].q)
-    assert (view.instances[0].miss, view.instances[0].angle) == pytest.approx(off, abs=1e-9)
+    assert (view.instances[0].error, view.instances[0].angle) == pytest.approx(off, abs=1e-9)
 
 
 def test_answers_do_not_depend_on_neighbours() -> None:
@@ -134,8 +134,8 @@ def test_statistics_cover_the_last_frames_and_begin_anew_with_a_method(session: 
 def test_a_ball_out_of_reach_lowers_the_share_of_solved(session: Session) -> None:
     view = view_after(session, MoveGoal((2.0, 2.0, 2.0)), ticks=120)
     one = view.instances[0]
-    assert one.status == "unreachable" and one.statistics.solved < 0.1 and one.miss > 1.0
-    assert np.allclose(one.errors[-1, 0], one.miss) and len(one.errors) == 120
+    assert one.status == "unreachable" and one.statistics.solved < 0.1 and one.error > 1.0
+    assert np.allclose(one.errors[-1, 0], one.error) and len(one.errors) == 120
 
 
 def test_the_ball_stays_where_a_robot_can_use_it(session: Session) -> None:
@@ -183,7 +183,7 @@ def test_any_link_can_be_dragged_and_the_grabbed_point_comes_along(session: Sess
     there = one.data.xpos[body] + one.data.xmat[body].reshape(3, 3) @ grip
     assert view.dragged == name and np.linalg.norm(there - to) < 2e-3
     view = view_after(session, Release())
-    assert view.dragged == "" and view.motion == "hand" and view.instances[0].miss < 1e-4
+    assert view.dragged == "" and view.motion == "hand" and view.instances[0].error < 1e-4
 
 
 def test_a_link_whose_origin_lies_on_the_axis_is_dragged_by_its_other_end(session: Session) -> None:
@@ -253,7 +253,7 @@ def test_without_limits_joints_go_beyond_them(session: Session) -> None:
     view = view_after(
         session, MoveGoal(tuple(session.robot.measure(beyond).position)), SetGoalKind("position")
     )
-    assert not view.limits and view.instances[0].q[0] > upper[0] + 0.01 and view.instances[0].miss < 1e-4
+    assert not view.limits and view.instances[0].q[0] > upper[0] + 0.01 and view.instances[0].error < 1e-4
     q = view_after(session, SetLimits(True)).instances[0].q
     assert ((q >= lower - 1e-9) & (q <= upper + 1e-9)).all()
 
@@ -285,7 +285,7 @@ def test_a_figure_keeps_its_feet_and_balance_and_offers_more(session: Session) -
     robot, q = session.robot, view.instances[0].q
     foot = robot.measure(q, "left_foot").position
     assert np.allclose(foot, robot.measure(robot.home, "left_foot").position, atol=1e-4)
-    assert view.instances[0].miss < 1e-3
+    assert view.instances[0].error < 1e-3
     view = view_after(session, SetExtraGoal("hold left_hand", True, 1))
     hand = robot.measure(view.instances[0].q, "left_hand").position
     assert np.linalg.norm(hand - robot.measure(robot.home, "left_hand").position) < 0.02
@@ -301,12 +301,12 @@ def test_a_priority_decides_whose_goal_gives_way(session: Session) -> None:
     def slip(seen: View) -> float:
         return float(np.linalg.norm(robot.measure(seen.instances[0].q, "left_foot").position - kept))
 
-    assert slip(view) < 1e-3 < view.instances[0].miss
+    assert slip(view) < 1e-3 < view.instances[0].error
     session.send(SetExtraGoal("ball", True, 0))
     session.send(SetExtraGoal("keep right_foot", True, 5))
     session.send(SetExtraGoal("keep left_foot", True, 5))
     view = view_after(session, SetExtraGoal("balance", False, 5), ticks=20)
-    assert view.instances[0].miss < 1e-3 and slip(view) > 0.01
+    assert view.instances[0].error < 1e-3 and slip(view) > 0.01
 
 
 def test_a_figure_decides_by_itself_and_says_why(session: Session) -> None:
@@ -544,4 +544,4 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
     grown = max(minutes(tenth) for _ in range(9)) - begin
     session.send(SetRobot("puma560"))
     view = view_after(session, SetMethod(0, "dls"), SetGoalKind("pose"), Reset(), ticks=60)
-    assert view.instances[0].miss < 1e-3 and grown < 10.0, f"{grown:.1f} MB"
+    assert view.instances[0].error < 1e-3 and grown < 10.0, f"{grown:.1f} MB"

@@ -232,7 +232,7 @@ def person():
         assert (flags == window._kept[0]).all(), "W switched a flag of MuJoCo, too"
         before = window._view.ball.position
         until(lambda: dragged(before), "Ctrl-drag did nothing")
-        until(lambda: window._view.instances[0].miss < 0.5, "the arm did not follow")
+        until(lambda: window._view.instances[0].error < 0.5, "the arm did not follow")
         act("key", "r")
         until(lambda: window._view.motion == "curve", "R did not reset")
         act("key", "4")

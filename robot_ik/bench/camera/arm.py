@@ -124,7 +124,8 @@ def _nees(off: Array, covariance: Array) -> float:
 def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
     """The camera's pose by one picture of the sheet on the table, which lies where the world begins."""
     sheet = _photographed(_SHEET_SEEN, _SHEET, rng)
-    assert sheet is not None, "the sheet of the bench was not found"
+    if sheet is None:
+        raise RuntimeError("the sheet of the bench was not found")
     found = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
     return KnownPose(found.pose_parent_camera, found.covariance)
 
@@ -250,7 +251,8 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
             frame=scene.cube_frame, pose_other_board=board, board_sigma=_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
-        assert report.fit is not None and report.samples.true_offsets is not None
+        if report.fit is None or report.samples.true_offsets is None:
+            raise RuntimeError("the rehearsal gave no fit, or no true offsets")
         worst.append(float(np.abs(report.fit.offsets - report.samples.true_offsets).max()))
         largest.append(summary(report.judged(corrected=True)).largest_m)
     yield Quantity("zero offsets, worst joint off by", float(np.degrees(max(worst))), "°", 0.1)

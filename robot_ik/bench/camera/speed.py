@@ -181,7 +181,8 @@ def loop(effort: Effort) -> Iterator[Quantity]:
             frame: Frame, goals: Any = goals, camera: Any = camera, ticks: Any = ticks, q: Array = q
         ) -> None:
             goal = goals.poll(next(ticks) * _PERIOD)
-            assert goal is not None, "a marker of the bench was not found"
+            if goal is None:
+                raise RuntimeError("a marker of the bench was not found")
             q[:] = problem.solve(q, target=goal.target).q
             artist.draw(drawn, robot.qpos(q), camera, view).over(frame.image.copy())
 

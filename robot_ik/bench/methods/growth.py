@@ -13,13 +13,14 @@ import numpy as np
 from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Batch, Growth, LowerBound
+from robot_ik.budget import Budget
 from robot_ik.errors import GoalError, UnsupportedGoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
 from robot_ik.kernels.tree import open_tree
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 
@@ -66,7 +67,17 @@ def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
     node, local = robot.attachment()
     nodes = np.array(robot.tree.ancestors(node), dtype=np.int64)
     world, scratch, out = np.empty((robot.tree.size, 12)), np.empty((2, 12)), np.empty((1, 12))
-    common = (robot.tree.block.address, nodes, node, local[None, :], qs, np.empty(robot.nq), world, scratch, out)
+    common = (
+        robot.tree.block.address,
+        nodes,
+        node,
+        local[None, :],
+        qs,
+        np.empty(robot.nq),
+        world,
+        scratch,
+        out,
+    )
     jacobian = np.empty((6, robot.nv))
     forward_us = round(_best(lambda: loop_forward(*common)) / _LOOP, 4)
     jacobian_us = round(_best(lambda: loop_jacobian(*common, jacobian)) / _LOOP, 4)

@@ -16,7 +16,7 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
-#: Beyond a limit or a tolerance by so little is rounding, not a miss (rad, m, or share of the tolerance).
+#: Beyond a limit or a tolerance by so little is rounding, not an error (rad, m, or share of the tolerance).
 SLACK = 1e-9
 #: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
 WARM_METRES, WARM_RADIANS = 0.005, math.radians(0.5)
@@ -105,8 +105,9 @@ def unreachable(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSe
     """Poses outside the ball that the tool cannot leave: nothing can reach them."""
     ball = robot.reach()
     targets = []
-    for _ in range(count if ball is not None else 0):
-        assert ball is not None
+    for _ in range(count):
+        if ball is None:
+            break
         centre, radius = ball
         pose = robot.measure(robot.sample(rng)).matrix
         direction = pose[:3, 3] - centre

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict
 
 from robot_ik.batch import usable_cores
 from robot_ik.bench.peers.worker import calibration
+from robot_ik.errors import DISTRIBUTION
 from robot_ik.jobs.results import png_of, require_plots
 
 if TYPE_CHECKING:
@@ -110,12 +111,12 @@ class Cell(_Data):
 
 
 class Curve(_Data):
-    """How a method closed in: median over problems of the position miss (m) at its best point so far."""
+    """How a method closed in: median over problems of the position error (m) at its best point so far."""
 
     solver: str
     robot: str
     goal: str
-    miss: list[float]
+    error: list[float]
 
 
 class LowerBound(_Data):
@@ -168,7 +169,7 @@ class Results(_Data):
 
 def this_machine() -> Machine:
     """The machine, and how fast it is just now."""
-    packages = ("robot_ik", "mujoco", "numpy", "numba")
+    packages = (DISTRIBUTION, "mujoco", "numpy", "numba")
     return Machine(
         system=f"{platform.system()} {platform.machine()}",
         processor=_processor(),
@@ -289,14 +290,14 @@ def _labelled(style: Style, cell: Cell | Curve) -> dict[str, Any]:
 def _convergence(results: Results, robot: str, style: Style) -> bytes:
     figure, axes = _figure(1, 7.4, 4.0)
     for curve in (c for c in results.curves if c.robot == robot):
-        steps = np.arange(1, len(curve.miss) + 1)
-        axes[0].plot(steps, np.maximum(np.array(curve.miss, dtype=float), 1e-10), **_labelled(style, curve))
+        steps = np.arange(1, len(curve.error) + 1)
+        axes[0].plot(steps, np.maximum(np.array(curve.error, dtype=float), 1e-10), **_labelled(style, curve))
     axes[0].axhline(results.settings.position_tolerance, color="#999999", linewidth=0.8)
     axes[0].set(
         xscale="log",
         yscale="log",
         xlabel="step (a sweep of ccd, a pass of fabrik and triangulation)",
-        ylabel="position miss of the best so far, m",
+        ylabel="position error of the best so far, m",
         title=f"{robot}, cold: median over problems; grey: the tolerance",
     )
     return _png(figure, axes)

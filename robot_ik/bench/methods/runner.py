@@ -12,12 +12,13 @@ import numpy as np
 from robot_ik.bench.methods import growth
 from robot_ik.bench.methods.problems import SLACK, ProblemSet, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
+from robot_ik.budget import Budget
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver
@@ -57,7 +58,7 @@ class Bench:
                 if good:
                     self.cell.largest_step = max(self.cell.largest_step, step)
                     self.cell.jumps += step > JUMP
-                # Lost: put back on the path, so that one miss is one miss.
+                # Lost: put back on the path, so that one error is one error.
                 previous = q if good else self.problems.witnesses[index]
             progress((index + 1) / len(self.problems))
             if time.perf_counter() > deadline and index >= 9:
@@ -119,16 +120,16 @@ def curve(bench: Bench, settings: Settings) -> Curve | None:
     rows, longest = np.full((CURVE_PROBLEMS, CURVE_STEPS), np.nan), 0
     for k, target in enumerate(bench.problems.targets[:CURVE_PROBLEMS]):
         steps = problem.solve(bench.problems.first, target=target).trace
-        best, miss, longest = np.inf, np.nan, max(longest, len(steps))
+        best, error, longest = np.inf, np.nan, max(longest, len(steps))
         for step in steps:
             if step.cost < best:
-                best, miss = step.cost, step.position
-            rows[k, min(step.iteration, CURVE_STEPS) - 1] = miss
-        rows[k, len(steps) :] = miss
+                best, error = step.cost, step.position
+            rows[k, min(step.iteration, CURVE_STEPS) - 1] = error
+        rows[k, len(steps) :] = error
     if longest <= 1:  # a formula
         return None
     cell, middle = bench.cell, np.nanmedian(rows, axis=0).tolist()
-    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, miss=middle)
+    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, error=middle)
 
 
 # ------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import robot_ik as rik
 from robot_ik.bench.peers.worker import Library, Task
+from robot_ik.errors import DISTRIBUTION
 from robot_ik.ports import Array
 
 #: Asked for a little more than what is judged: rounding must not decide.
@@ -13,7 +14,7 @@ _MARGIN = 0.9
 class OursAuto(Library):
     """The default: the closed form where the arm has one, else Levenberg-Marquardt."""
 
-    needs = ("robot_ik", "mujoco", "numba")
+    needs = (DISTRIBUTION, "mujoco", "numba")
     solver = "auto"
 
     def setup(self, task: Task) -> bool:

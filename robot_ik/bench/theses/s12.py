@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
@@ -167,9 +168,7 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
                     budget=budget,
                     seed=report.seed,
                 )
-                report.tracks[variant, name, case.number] = track(
-                    problem, targets, witnesses[0], show
-                )
+                report.tracks[variant, name, case.number] = track(problem, targets, witnesses[0], show)
                 done += 1
     report.complete = True
     return report

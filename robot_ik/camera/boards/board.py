@@ -106,7 +106,7 @@ class MarkerBoard:
         sizes = {id: side for id, (side, _) in self.layout.items()}
         seen = MarkerTracker(intrinsics, self.dictionary, sizes).corners(frame)
         seen = {i: one for i, one in seen.items() if one.refined} or seen
-        body = estimate_body({i: one.corners for i, one in seen.items()}, self.layout, intrinsics)
+        body = estimate_body(seen, self.layout, intrinsics)
         if body is None:
             return None
         pixels = np.concatenate([seen[i].corners for i in body.ids])

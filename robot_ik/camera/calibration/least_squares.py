@@ -254,7 +254,8 @@ def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise
         squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
         weights = np.minimum(1.0, (_FREEDOM + _TWIST) / (_FREEDOM + squares))
         before = ArmNoise(sizes, covariances, weights)
-    assert before is not None  # there was a round
+    if before is None:
+        raise RuntimeError("no round of the fit was made")
     return before
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
-from robot_ik.kernels.jit import kernel, pure
+from robot_ik.kernels.jit import inlined, kernel
 from robot_ik.ports import Array
 
 # Samples are looked at so many at a time: what fits into the registers of common processors.
@@ -34,13 +34,13 @@ _ZERO, _HALF, _ONE, _WHITE = np.float32(0.0), np.float32(0.5), np.float32(1.0), 
 _THIN = -1e-9
 
 
-@pure
+@inlined
 def _turn(p, a, b, c):
     """Twice the area of a triangle, which seen from outside runs counter-clockwise: below 0."""
     return (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[c, 0] - p[a, 0]) * (p[b, 1] - p[a, 1])
 
 
-@pure
+@inlined
 def _light(p, lit, a, b, c, at, left, top, plane):
     """``plane`` (6,): diffuse light and highlight as functions 1, x, y, from corners ``at`` of ``lit``."""
     ax, ay = p[a, 0] - left, p[a, 1] - top
@@ -52,7 +52,7 @@ def _light(p, lit, a, b, c, at, left, top, plane):
         plane[3 * k], plane[3 * k + 1], plane[3 * k + 2] = base - gx * ax - gy * ay, gx, gy
 
 
-@pure
+@inlined
 def _light_face(p, lit, a, b, c, d, left, top, one, two, plane):
     """``plane`` (11,) of a face of which at least one half is seen; see ``fill_faces``."""
     plane[6:11] = _ZERO
@@ -69,7 +69,7 @@ def _light_face(p, lit, a, b, c, d, left, top, one, two, plane):
             plane[9 + k] = curvature / two
 
 
-@pure
+@inlined
 def _side(ax, ay, bx, by, half):
     """Distance inwards from the line a b times its length: value at (0, 0), gradient; columns a row.
 
@@ -84,7 +84,7 @@ def _side(ax, ay, bx, by, half):
     return value, gx, gy, slope, low, high
 
 
-@pure
+@inlined
 def _depth(ax, ay, bx, by, cx, cy, dx, dy, wa, wb, wc, wd):
     """One over depth as a function 1, x, y of the picture, with the gradient that the diagonals have."""
     area = (cx - ax) * (dy - by) - (dx - bx) * (cy - ay)
@@ -93,7 +93,7 @@ def _depth(ax, ay, bx, by, cx, cy, dx, dy, wa, wb, wc, wd):
     return 0.25 * (wa + wb + wc + wd - gx * (ax + bx + cx + dx) - gy * (ay + by + cy + dy)), gx, gy
 
 
-@pure
+@inlined
 def _fill(p, inverse, a, b, c, d, mark, left, top, across, down, tall, lanes, reach, depth, whose, extent):
     """A convex face into the buffers; a triangle repeats its last corner, which makes a side of no length.
 
@@ -140,7 +140,7 @@ def _fill(p, inverse, a, b, c, d, mark, left, top, across, down, tall, lanes, re
             owner[i] = owned if np.int32(here - _SAME) > close else behind
 
 
-@pure
+@inlined
 def _fill_face(
     pixels, inverse, lit, faces, f, offset, left, top, across, down, tall, lanes, reach,
     depth, whose, planes, extent,
@@ -253,7 +253,7 @@ def light_corners(normals, faces, owner, pixels, every, light, half, ambient, li
             lit[f, k, 1] = power
 
 
-@pure
+@inlined
 def _shaded(plane, base, gloss, x, y):
     """Blue, green and red of a face at a pixel."""
     beyond = min(plane[6] + plane[7] * x + plane[8] * y, _ZERO)
@@ -268,7 +268,7 @@ def _shaded(plane, base, gloss, x, y):
     )
 
 
-@pure
+@inlined
 def _put(pixel, blue, green, red):
     pixel[0], pixel[1], pixel[2] = (
         np.uint8(np.int32(blue)),
@@ -277,7 +277,7 @@ def _put(pixel, blue, green, red):
     )
 
 
-@pure
+@inlined
 def _mixed(marks, samples, planes, owner, base, gloss, x, y, pixel):
     """A pixel of several faces: the mean of its samples; returns how much is covered, 0..255."""
     blue = green = red = seen = _ZERO
@@ -291,7 +291,7 @@ def _mixed(marks, samples, planes, owner, base, gloss, x, y, pixel):
     return np.uint8(np.int32(seen * _WHITE + _HALF))
 
 
-@pure
+@inlined
 def _resolve_row(row, whose, tall, samples, planes, extent, owner, base, gloss, colour, coverage):
     """One row of the pixels; see ``resolve``."""
     count, cell = len(samples), row // tall

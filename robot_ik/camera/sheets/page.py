@@ -168,7 +168,8 @@ def _draw_label(image: Image, label: TextLine, scale: float) -> None:
 def png_bytes(page: PrintedPage, dpi: int) -> bytes:
     """A grey PNG that knows its resolution (chunk pHYs, pixels per metre)."""
     good, data = cv2.imencode(".png", rasterize(page, dpi), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    assert good
+    if not good:
+        raise OutputError("OpenCV could not code the page as a PNG")
     coded = np.asarray(data, dtype=np.uint8).tobytes()
     per_metre = round(dpi / MM_PER_INCH * 1e3)
     body = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)

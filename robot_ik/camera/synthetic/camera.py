@@ -153,7 +153,8 @@ class SyntheticScene:
         """A pose in the world of what stands there, or is carried by a ``frame`` of the robot at ``q``."""
         if frame is None:
             return pose
-        assert isinstance(self.robot, Robot), "what does not move has no frame that carries anything"
+        if not isinstance(self.robot, Robot):
+            raise TypeError(f"the scene has no robot whose frame {frame!r} could carry anything")
         return self.robot.forward(q, frame).compose(pose)
 
 

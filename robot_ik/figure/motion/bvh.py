@@ -79,7 +79,9 @@ class Bvh:
         counts = [len(joint.channels) for joint in self.joints]
         object.__setattr__(self, "_first", tuple(int(v) for v in np.append(0, np.cumsum(counts))))
         if self.values.ndim != 2 or self.values.shape[1] != self._first[-1]:
-            raise TrajectoryError(f"{self._first[-1]} channels got values of shape {self.values.shape}")
+            raise TrajectoryError(
+                f"{self._first[-1]} channels got values of shape {self.values.shape}"
+            )
 
     def __repr__(self) -> str:
         return f"Bvh({len(self.joints)} joints, {len(self.values)} frames at {self.rate:.6g} Hz)"
@@ -163,9 +165,15 @@ class Bvh:
             tab = "  " * len(open_joints)
             lines += [f"{tab}{'JOINT' if open_joints else 'ROOT'} {joint.name}", f"{tab}{{"]
             lines.append(f"{tab}  OFFSET {_numbers(joint.offset)}")
-            lines.append(f"{tab}  CHANNELS {len(joint.channels)} {' '.join(joint.channels)}".rstrip())
+            lines.append(
+                f"{tab}  CHANNELS {len(joint.channels)} {' '.join(joint.channels)}".rstrip()
+            )
             if joint.end is not None:
-                lines += [f"{tab}  End Site", f"{tab}  {{", f"{tab}    OFFSET {_numbers(joint.end)}"]
+                lines += [
+                    f"{tab}  End Site",
+                    f"{tab}  {{",
+                    f"{tab}    OFFSET {_numbers(joint.end)}",
+                ]
                 lines.append(f"{tab}  }}")
             open_joints.append(j)
         lines += ["  " * depth + "}" for depth in reversed(range(len(open_joints)))]
@@ -197,7 +205,9 @@ class _Reader:
         self.next = 0
 
     def error(self, problem: str, allowed: str = "") -> ConfigError:
-        line = self.tokens[min(max(self.next - 1, 0), len(self.tokens) - 1)][1] if self.tokens else 1
+        line = (
+            self.tokens[min(max(self.next - 1, 0), len(self.tokens) - 1)][1] if self.tokens else 1
+        )
         return ConfigError(problem, file=self.file, key=f"line {line}", allowed=allowed)
 
     def token(self, *allowed: str) -> str:
@@ -243,7 +253,8 @@ class _Reader:
         values, width = self.numbers(), sum(len(joint.channels) for joint in joints)
         if len(values) != frames * width:
             raise self.error(
-                f"{len(values)} numbers for {frames} frames", f"{frames} times {width}, one for each channel"
+                f"{len(values)} numbers for {frames} frames",
+                f"{frames} times {width}, one for each channel",
             )
         return Bvh(tuple(joints), frame_time, values.reshape(frames, width))
 
@@ -283,7 +294,9 @@ class _Reader:
 
     def joint(self, parent: int) -> BvhJoint:
         name = self.token()
-        while self.next < len(self.tokens) and self.tokens[self.next][0] != "{":  # names may have blanks
+        while (
+            self.next < len(self.tokens) and self.tokens[self.next][0] != "{"
+        ):  # names may have blanks
             name += " " + self.token()
         self.token("{")
         self.token("OFFSET")
@@ -337,7 +350,9 @@ class _Node:
         if self.kind != mujoco.mjtJoint.mjJNT_HINGE or len(self.joints) > 3:
             return None
         most = np.abs(self.axes).argmax(axis=1)
-        straight = (np.abs(self.axes).max(axis=1) > 1.0 - _ALONG).all() and len(set(most)) == len(most)
+        straight = (np.abs(self.axes).max(axis=1) > 1.0 - _ALONG).all() and len(set(most)) == len(
+            most
+        )
         return tuple(f"{'XYZ'[a]}rotation" for a in most) if straight else None
 
     @property
@@ -385,7 +400,9 @@ def _nodes(robot: Robot) -> list[_Node]:
             name = model.body(body).name or f"body_{body}"
             name = name if k == len(groups) - 1 else f"{name}_{k}"
             at, axes = BVH_AXES @ data.xanchor[group[0]], data.xaxis[group] @ BVH_AXES.T
-            nodes.append(_Node(name, above, at, tuple(group), axes, int(model.jnt_type[group[0]]), body))
+            nodes.append(
+                _Node(name, above, at, tuple(group), axes, int(model.jnt_type[group[0]]), body)
+            )
             above = len(nodes) - 1
         last[body] = above
     return nodes
@@ -489,7 +506,8 @@ def _euler(rotations: Array) -> Array:
     for k in range(1, len(out)):
         other = np.array([out[k, 0] + np.pi, np.pi - out[k, 1], out[k, 2] + np.pi])
         forms = [
-            form - 2.0 * np.pi * np.rint((form - out[k - 1]) / (2.0 * np.pi)) for form in (out[k], other)
+            form - 2.0 * np.pi * np.rint((form - out[k - 1]) / (2.0 * np.pi))
+            for form in (out[k], other)
         ]
         out[k] = min(forms, key=lambda form: float(np.abs(form - out[k - 1]).max()))
     return np.degrees(out)
@@ -520,8 +538,13 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
         if node.along and _only_rotations(bvh, n, node.along):
             for a, axis, name in zip(address, node.axes, node.along, strict=True):
                 angle = bvh.channel(n, name)
-                assert angle is not None
-                qpos[:, a] = model.qpos0[a] + np.radians(angle) * np.sign(axis[np.abs(axis).argmax()])
+                if angle is None:
+                    raise RuntimeError(
+                        "a joint of the file has no channel of the axis that it turns about"
+                    )
+                qpos[:, a] = model.qpos0[a] + np.radians(angle) * np.sign(
+                    axis[np.abs(axis).argmax()]
+                )
         elif node.kind == mujoco.mjtJoint.mjJNT_HINGE:
             qpos[:, address] = model.qpos0[address] + _hinge_angles(node, bvh.rotation(n))
         elif node.joints:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.budget import Budget
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose, vector
 from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal
@@ -21,7 +22,6 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import require_positive
 from robot_ik.ports import Array
-from robot_ik.problem import Budget
 from robot_ik.robot import Robot
 
 # The start of a solve is one tick from its solution, so restarts are not needed.
@@ -87,7 +87,9 @@ class Drag:
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
-        self._grip: tuple[str, Array] | None = None  # a frame of the grabbed body, the offset of its point
+        self._grip: tuple[str, Array] | None = (
+            None  # a frame of the grabbed body, the offset of its point
+        )
         self.dragged: str | None = None
         self.place(robot.home if start is None else start)
         for frame in pinned:
@@ -107,7 +109,9 @@ class Drag:
         """Set the joint angles. Pins and the dragged point are taken from the new pose."""
         self.q = np.array(self.robot.check_q(q))
         self.q.flags.writeable = False
-        self._pins = {frame: PoseGoal.at(frame, self.robot.measure(self.q, frame)) for frame in self._pins}
+        self._pins = {
+            frame: PoseGoal.at(frame, self.robot.measure(self.q, frame)) for frame in self._pins
+        }
         self._moved()
 
     def take(self, frame: str | None) -> None:
@@ -151,7 +155,9 @@ class Drag:
         """
         self.robot.frame(frame)
         if frame == self.dragged:
-            raise InvalidGoalError(f"{frame!r} is dragged", hint="take(None) or another frame first")
+            raise InvalidGoalError(
+                f"{frame!r} is dragged", hint="take(None) or another frame first"
+            )
         self._pins[frame] = PoseGoal.at(frame, self.robot.measure(self.q, frame))
         self._moved()
 
@@ -221,7 +227,11 @@ class Drag:
             x = np.minimum(1.0, x + pace)
             before = np.array(self._mass)
             q = self._towards(self._point, begin + minimum_jerk(x) * displacement)
-            share = float((self._mass - begin) @ displacement / max(square, 1e-12)) if square > 0.0 else 1.0
+            share = (
+                float((self._mass - begin) @ displacement / max(square, 1e-12))
+                if square > 0.0
+                else 1.0
+            )
             yield np.array(q)
             if x >= 1.0 and not np.abs(self._mass - before).max() > 0.0:
                 return  # it goes no farther: pins and limits
@@ -286,7 +296,9 @@ def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
     found = [(frames[body][0], frames[body][1].position)]
     for child in map(int, np.flatnonzero(model.body_parentid == body)):
         joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
-        rotates = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
+        rotates = all(
+            int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints
+        )
         if rotates and child in frames and not frames[child][1].position.any():
             found.append((frames[child][0], model.body_pos[child]))
     return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import field_validator
 
+from robot_ik.budget import Budget
 from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, read_table
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.figure.motion.bvh import Bvh, data_at_rest
@@ -28,7 +29,6 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
-from robot_ik.problem import Budget
 from robot_ik.robot import Robot
 
 SIDES = ("left", "right")
@@ -130,13 +130,13 @@ class Retargeted:
 
     Attributes:
         motion: Ours.
-        hand_miss: (n, 2) metres between the left and right hand and where they should be.
+        hand_error: (n, 2) metres between the left and right hand and where they should be.
         rests: (n, 2) whether the left and right foot is pinned.
         scale: Our metres for a unit of the file, by the legs.
     """
 
     motion: Keyframes
-    hand_miss: Array = field(repr=False)
+    hand_error: Array = field(repr=False)
     rests: NDArray[np.bool_] = field(repr=False)
     scale: float
 
@@ -155,10 +155,13 @@ class _Measures:
         rest = robot.model.qpos0[qpos_addresses(robot.model, robot.tree)]
         # A goal's frame of that name may be a site of the body: the palm, the sole.
         self.offsets = {
-            role: robot.measure(rest, body).position - self.positions[role] for role, body in bodies.items()
+            role: robot.measure(rest, body).position - self.positions[role]
+            for role, body in bodies.items()
         }
         self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
-        lowest = min(float(robot.measure(rest, bodies[f"{side}_ankle"]).position[2]) for side in SIDES)
+        lowest = min(
+            float(robot.measure(rest, bodies[f"{side}_ankle"]).position[2]) for side in SIDES
+        )
         self.ankle = float(_middle(self.positions, "ankle")[2] - lowest)
 
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
@@ -186,7 +189,10 @@ def _lengths(positions: Mapping[str, Array]) -> Array:
     """(4,) of a leg, an arm, the trunk, and from shoulder to shoulder."""
     trunk = np.linalg.norm(_middle(positions, "shoulder") - _middle(positions, "hip"))
     girdle = np.linalg.norm(positions["left_shoulder"] - positions["right_shoulder"])
-    legs, arms = _length(positions, "hip", "knee", "ankle"), _length(positions, "shoulder", "elbow", "wrist")
+    legs, arms = (
+        _length(positions, "hip", "knee", "ankle"),
+        _length(positions, "shoulder", "elbow", "wrist"),
+    )
     return np.array([legs, arms, trunk, girdle])
 
 
@@ -230,7 +236,9 @@ def _targets(
     axes = _alignment(upright, up)
     moved, rotations = bvh.poses()
     positions = {role: moved[:, j] @ axes.T for role, j in joints.items()}
-    deltas = {r: axes @ rotations[:, j] @ rest_rotations[0, j].T @ axes.T for r, j in joints.items()}
+    deltas = {
+        r: axes @ rotations[:, j] @ rest_rotations[0, j].T @ axes.T for r, j in joints.items()
+    }
     legs, arms, trunk, girdle = _ratios(ours.positions, upright)
     lowest = np.minimum(positions["left_ankle"][:, 2], positions["right_ankle"][:, 2])
     floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
@@ -243,7 +251,9 @@ def _targets(
     rests = []
     for side in SIDES:
         shoulder = positions[f"{side}_shoulder"]
-        from_shoulder = pelvis + trunk * (chest - hips) + girdle * (shoulder - chest) - arms * shoulder
+        from_shoulder = (
+            pelvis + trunk * (chest - hips) + girdle * (shoulder - chest) - arms * shoulder
+        )
         paths[f"{side}_elbow"] = from_shoulder + arms * positions[f"{side}_elbow"]
         palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
         along = _hand_direction(bvh, joints, side, moved, rotations) @ axes.T
@@ -288,19 +298,28 @@ def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _foot_path(
-    ankle: Array, rotations: Array, ours: _Measures, side: str, rests: NDArray[np.bool_], rate: float
+    ankle: Array,
+    rotations: Array,
+    ours: _Measures,
+    side: str,
+    rests: NDArray[np.bool_],
+    rate: float,
 ) -> list[Pose]:
     """The sole's pose in each frame: where it rests one pose, flat on the floor; smoothly there and back.
 
     No end of it goes under the floor.
     """
     positions = ankle + rotations @ ours.offsets[f"{side}_ankle"]
-    lowest = (positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(axis=1)
+    lowest = (positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(
+        axis=1
+    )
     positions[:, 2] -= np.minimum(lowest, 0.0)
     path = list(map(Pose.from_rotation, rotations, positions))
     fade = max(1, round(_PIN_BLEND * rate))
     for first, end in _runs(rests):
-        half = 0.5 * math.atan2(*rotations[first:end, 1::-1, 0].mean(axis=0).tolist())  # of its heading
+        half = 0.5 * math.atan2(
+            *rotations[first:end, 1::-1, 0].mean(axis=0).tolist()
+        )  # of its heading
         position = positions[first:end].mean(axis=0)
         pin = Pose((position[0], position[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))
         path[first:end] = [pin] * (end - first)
@@ -348,9 +367,9 @@ def retarget(
     bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
     ours = _Measures(robot, bodies)
     paths, rests, scale = _targets(bvh, indices, ours, rest, up)
-    rows, miss = _solve_frames(robot, bodies, paths)
+    rows, error = _solve_frames(robot, bodies, paths)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
-    return Retargeted(motion, miss, rests, scale)
+    return Retargeted(motion, error, rests, scale)
 
 
 def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array) -> list[Goal]:
@@ -358,7 +377,9 @@ def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array
     feet = [(bodies[f"{side}_ankle"], paths[f"{side}_ankle"][k]) for side in SIDES]
     goals: list[Goal] = [replace(PoseGoal.at(*foot), tolerance=_FOOT_TOLERANCE) for foot in feet]
     hips = paths["pelvis"][k]
-    pelvis = PoseGoal(bodies["pelvis"], hips.position, hips.wxyz, soft=True, position_weight=_PELVIS)
+    pelvis = PoseGoal(
+        bodies["pelvis"], hips.position, hips.wxyz, soft=True, position_weight=_PELVIS
+    )
     goals.append(replace(pelvis, angle_weight=_PELVIS / 4))
     goals.append(OrientationGoal(bodies["head"], paths["head"][k].wxyz, weight=_HEAD, soft=True))
     for part, weight in (("wrist", _HAND), ("elbow", _ELBOW)):
@@ -370,16 +391,16 @@ def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array
 def _solve_frames(
     robot: Robot, bodies: Mapping[str, str], paths: Mapping[str, Any]
 ) -> tuple[list[Array], Array]:
-    """Joint vectors (n, nq) and the misses of the hands (n, 2)."""
+    """Joint vectors (n, nq) and the errors of the hands (n, 2)."""
     rows: list[Array] = []
-    q, miss = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
+    q, error = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
     base = free_base(robot)
     if base is not None:
         q[base][:3] += paths["pelvis"][0].position - robot.forward(q, bodies["pelvis"]).position
-    for k in range(len(miss)):
+    for k in range(len(error)):
         goals = _goals(bodies, paths, k, robot.home)
         q = solve(robot, goals, solver="lm", start=q, budget=_BUDGET if k else _FIRST_BUDGET).q
         rows.append(q)
         for i, role in enumerate(f"{side}_wrist" for side in SIDES):
-            miss[k, i] = np.linalg.norm(robot.forward(q, bodies[role]).position - paths[role][k])
-    return rows, miss
+            error[k, i] = np.linalg.norm(robot.forward(q, bodies[role]).position - paths[role][k])
+    return rows, error

@@ -17,7 +17,7 @@ from robot_ik.goals import PositionGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.inverse_kinematics import solve
-from robot_ik.jobs.robot_setup import robot_named_in
+from robot_ik.jobs.robot_setup import check_calibrated_model, robot_named_in
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
@@ -210,4 +210,5 @@ def _live_arm(path: Path, bus: str, robot: Robot, stack: contextlib.ExitStack) -
             f"is of an arm with the joints {', '.join(joint.name for joint in config.joints)}",
             file=path, allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
         )  # fmt: skip
+    check_calibrated_model(robot, config)
     return stack.enter_context(open_arm(config, bus))

@@ -21,7 +21,7 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
-from robot_ik.errors import CameraError, ConfigError
+from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import Progress
@@ -170,13 +170,15 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
 
 
 def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
+    no_board = CameraError(
+        "what board the camera looks at is not given",
+        hint="say it with --board, for example --board grid:2x2:50:12",
+    )
     if request.board is None and request.intrinsics is not None:
-        raise CameraError(
-            "what board the camera looks at is not given",
-            hint="say it with --board, for example --board grid:2x2:50:12",
-        )
+        raise no_board
     source, intrinsics = open_calibrated(request.camera, request.intrinsics, stack)
-    assert request.board is not None
+    if request.board is None:
+        raise no_board
     carried = request.mounting == "eye_in_hand"
     if not source.live:
         raise ConfigError(
@@ -249,7 +251,8 @@ class HandEyeReport(ArmCameraReport):
 
     def extrinsics(self) -> CameraExtrinsics:
         result = self.result
-        assert result is not None  # a dry run has none
+        if result is None:
+            raise CalibrationError("the samples have not been solved: a dry run has no result")
         return CameraExtrinsics(
             result.pose_parent_camera, self.parent, result.covariance[:6, :6],
             result.residual_px, result.residual_mm, today(), self.samples.intrinsics.digest,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from robot_ik.budget import Budget
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -24,7 +25,7 @@ from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.jobs.scene import in_view
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------

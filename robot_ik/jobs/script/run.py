@@ -13,7 +13,7 @@ import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.config import KeyProblem
-from robot_ik.errors import RobotIkError, distinct_texts
+from robot_ik.errors import OutputError, RobotIkError, distinct_texts
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.inverse_kinematics import solve
@@ -208,6 +208,9 @@ class ScriptRun(RunState):
                 result.found = f"no error came; {wanted} was expected"
         except StepFailed as failure:
             result.found = str(failure)
+        except OutputError as error:  # of the recording: it says nothing of the arm
+            result.found = str(error.args[0])
+            raise
         except RobotIkError as error:
             self.error = error
             name, text = type(error).__name__, str(error.args[0]) if error.args else ""

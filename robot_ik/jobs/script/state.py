@@ -92,7 +92,8 @@ class RunState:
     @property
     def arm(self) -> Arm:
         """The servos; a script never runs without."""
-        assert self.setup.arm is not None
+        if self.setup.arm is None:
+            raise RuntimeError("a script runs with an arm")
         return self.setup.arm
 
     @property
@@ -103,12 +104,14 @@ class RunState:
     @property
     def servos(self) -> VirtualBus:
         """The simulated servos; no step that wants them runs on a real port."""
-        assert self.arm.virtual_bus is not None
+        if self.arm.virtual_bus is None:
+            raise RuntimeError("this step needs simulated servos")
         return self.arm.virtual_bus
 
     @property
     def config(self) -> ArmConfig:
-        assert self.setup.config is not None
+        if self.setup.config is None:
+            raise RuntimeError("a script runs with an arm file")
         return self.setup.config
 
     def now(self) -> float:

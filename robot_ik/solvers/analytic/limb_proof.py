@@ -9,9 +9,11 @@ nothing within tolerance can be reached.
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_ik.budget import Budget
 from robot_ik.geometry import Array
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.kernels import jit, so3
@@ -20,12 +22,14 @@ from robot_ik.kernels.jit import inlined, kernel
 from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH
 from robot_ik.kernels.tree import Tree
-from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.analytic.proofs import centre_error, may_fit, third_side
 from robot_ik.solvers.analytic.recognise import Limb, recognise_limb
 from robot_ik.solvers.analytic.subproblems import height_terms
 from robot_ik.solvers.base import BatchResult
+
+if TYPE_CHECKING:
+    from robot_ik.problem import Problem
 
 LIMB = Layout(
     "Limb",
@@ -66,7 +70,9 @@ def limb_block(limb: Limb, tree: Tree) -> Block:
         "wrist_in_tool": limb.wrist_in_tool,
         "limits": np.array([tree.lower[v], tree.upper[v]]),
     }
-    return LIMB.allocate(given={name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    return LIMB.allocate(
+        given={name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    )
 
 
 class PreparedProof:
@@ -112,7 +118,7 @@ class PreparedProof:
         results: BatchResult,
         budget: Budget,
     ) -> None:
-        """Write the status of each row, with an infinite miss: a proof finds no point."""
+        """Write the status of each row, with an infinite error: a proof finds no point."""
         results.error[...] = np.inf
         for row in range(len(targets)):
             self._target[0] = targets[row]

@@ -189,7 +189,7 @@ def take_branch(tree, goals, search, form, inside, exists):
         keep_best(search)
     else:
         copy(search.best, search.q)
-        measure(tree, goals, search)  # so that the miss is that of the solution
+        measure(tree, goals, search)  # so that the error is that of the solution
 
 
 @outlined

@@ -25,6 +25,7 @@ from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, 
 from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
+    ConnectionPanel,
     Control,
     FigurePanel,
     GoalsPanel,
@@ -43,6 +44,7 @@ ReadPicture = Callable[[], tuple[Image, str] | None]
 
 _LEFT, _RIGHT = 300, 375  # px
 _PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
+_BEAT_PERIOD = 1.0  # seconds; see connection.js
 _NOTICE_SECONDS = 4.0
 _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
@@ -102,6 +104,7 @@ class Page(Closing):
         gui.main_panel.dock_left()
         gui.main_panel.set_width(_LEFT)
         self._run = RunPanel(gui, send, self._view)
+        self._connection = ConnectionPanel(gui, with_arm=self.session.arm is not None)
         self.gate.always.add(self._run.stop_uuid)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Method"):
@@ -308,19 +311,27 @@ class Page(Closing):
         """
         self._view = view
         with self.server.atomic():
-            scene = self._scene
-            if (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
-                scene.remove()
-                self._scene = scene = self._new_scene(view)
-            scene.draw(view)
-            self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
-            if view.motion != "hand":
-                self._gizmo.wxyz = view.ball.wxyz
-            # One panel at most, so that no frame pays for all of them.
-            now, show = time.monotonic(), min(self._due, key=self._due.__getitem__)
-            if now >= self._due[show]:
-                self._due[show] = now + self._periods[show]
-                show(view, scene)
+            try:
+                self._draw_scene(view)
+            finally:  # the panels say what is wrong with the scene
+                self._show_next_panel(view)
+
+    def _draw_scene(self, view: View) -> None:
+        scene = self._scene
+        if (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
+            scene.remove()
+            self._scene = scene = self._new_scene(view)
+        scene.draw(view)
+        self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
+        if view.motion != "hand":
+            self._gizmo.wxyz = view.ball.wxyz
+
+    def _show_next_panel(self, view: View) -> None:
+        """One panel at most, so that no frame pays for all of them."""
+        now, show = time.monotonic(), min(self._due, key=self._due.__getitem__)
+        if now >= self._due[show]:
+            self._due[show] = now + self._periods[show]
+            show(view, self._scene)
 
     def _panel_periods(self) -> dict[Callable[[View, BrowserScene], None], float]:
         """What is shown on the panels, and how often, seconds."""
@@ -335,6 +346,7 @@ class Page(Closing):
             scene.name_instances(view)
 
         return {
+            lambda view, scene: self._connection.show(): _BEAT_PERIOD,
             run: _PANEL_PERIOD,
             lambda view, scene: self._methods.show(view): _PANEL_PERIOD,
             lambda view, scene: self._goals.show(view): _PANEL_PERIOD,

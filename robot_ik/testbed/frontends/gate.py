@@ -10,6 +10,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import functools
+import gzip
 import hmac
 import http
 import io
@@ -23,6 +25,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -34,7 +37,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Response
 
-from robot_ik.errors import ViewerError
+from robot_ik.errors import ViewerError, install_command
 
 LOG = logging.getLogger(__name__)
 
@@ -180,7 +183,8 @@ class Gate:
         if not budget.take() or row is None:
             self.dropped[kind[:40]] += 1
             return False
-        assert isinstance(raw, bytes)
+        if not isinstance(raw, bytes):
+            raise Malformed(kind)
         vm.Message.deserialize(raw)  # fields and their types as viser has them; it raises whatever it likes
         if self._server is None or not _finite(message):
             raise Malformed(kind)
@@ -388,6 +392,27 @@ class SharedEvent(asyncio.Event):
                     waiter.set_result(True)
 
 
+_SCRIPT = Path(__file__).with_name("connection.js")
+
+
+def _add_connection_script(response: Response) -> None:
+    """Put ``connection.js`` into viser's page; a response that is no page stays as it is."""
+    headers = response.headers
+    if response.body and headers.get("Content-Type", "").startswith("text/html"):
+        response.body = _with_script(bytes(response.body), headers.get("Content-Encoding") == "gzip")
+        del headers["Content-Length"]
+        headers["Content-Length"] = str(len(response.body))
+
+
+@functools.lru_cache(maxsize=2)  # the page of 0.8 MB as it is, and compressed
+def _with_script(page: bytes, compressed: bool) -> bytes:
+    """The page with the script at its end, compressed as before."""
+    text = gzip.decompress(page) if compressed else page
+    before, end, after = text.rpartition(b"</body>")
+    text = before + b"<script>" + _SCRIPT.read_bytes() + b"</script>" + end + after
+    return gzip.compress(text) if compressed else text
+
+
 _PATCHING = threading.Lock()
 
 
@@ -398,7 +423,11 @@ def in_front_of_serve(gate: Gate) -> Iterator[None]:
 
     def serve(handler: Any, host: str, port: int, *, process_request: Any, **options: Any) -> Any:
         def first_the_gate(connection: Any, request: Any) -> Response | None:
-            response = gate.answer(connection, request) or process_request(connection, request)
+            response = gate.answer(connection, request)
+            if response is None:
+                response = process_request(connection, request)
+                if response is not None:
+                    _add_connection_script(response)
             for name, value in HEADERS.items() if response is not None else ():
                 if name not in response.headers:
                     response.headers[name] = value
@@ -443,7 +472,7 @@ def open_server(host: str, port: int, token: bool, names: tuple[str, ...]) -> tu
     if not viser.__version__.startswith(_VISER):
         raise ViewerError(
             f"the page is made for viser {_VISER}x, and {viser.__version__} is installed",
-            hint='pip install "robot_ik[web]"',
+            hint=install_command("web"),
         )
     _require_address(host, port)
     gate = Gate(secrets.token_urlsafe(24) if token or not is_loopback(host) else None, names)

@@ -28,7 +28,7 @@ from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.session import View
 
 if TYPE_CHECKING:
-    from robot_ik.testbed.arm import ArmLink
+    from robot_ik.testbed.arm import ArmLink, ArmView
 
 Send = Callable[[commands.Command], None]
 
@@ -43,6 +43,7 @@ STYLE = """<style>.rk{font:13px/1.45 system-ui,sans-serif;padding:0 .75em .5em}
 .rk .bar b{position:absolute;top:-3px;width:4px;height:12px;border-radius:2px;margin-left:-2px}
 .rk .w{width:55%}.rk td.text,.rk .no{white-space:normal;text-align:left}.rk .no{color:#dc2626}
 .rk kbd{font:600 11px system-ui;border:1px solid rgba(128,128,128,.5);border-radius:4px;padding:0 5px}
+.rk .names{max-height:9em;overflow:auto;overflow-wrap:anywhere;font-size:11.5px}
 [role="tab"]{padding-inline:8px!important}
 @media(max-width:600px){[style*="max-height: 60%"]{width:100%!important;max-height:45%!important}
 [style*="max-height: 60%"] [style*="width: 20em"]{width:100%!important}}</style>"""
@@ -121,6 +122,11 @@ def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: 
 
 HINT = "Drag the orange ball, or any part of the robot."
 FIGURE_HINT = "Drag the orange ball: the figure decides what to do."
+LOST = "connection lost: STOP does not work"
+"""What covers the page when its program does not answer."""
+LOST_WITH_ARM = f"{LOST};\nuse robot-ik stop or the power switch"
+STILL_ARM_HINT = "Press Start to go on. The arm stays until you press Follow."
+STILL_HINT = "Press Start to go on."
 _COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), commands.COUNTS, strict=True))
 _MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), commands.MOTIONS, strict=True))
 _KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
@@ -129,6 +135,8 @@ _ARM_LABELS = {
     "Follow": "follow", "Hold": "hold", "Torque off": "release", "Teach": "teach", "Replay": "replay",
 }  # fmt: skip
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
+LIMP = "The arm is limp: the torque is off, and nothing holds it. Press Follow to switch the torque on."
+LIMP_TEACH = "The arm is limp: guide it by hand. Hold ends the recording; the arm stays limp."
 _STATE_DOTS = {"running": "#16a34a", "holding still": "#dc2626"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm, degrees: an axis that fits itself jumps
@@ -137,17 +145,38 @@ _JOINTS_SHOWN = 8
 _STOP_HEIGHT = 52  # px
 
 
+class ConnectionPanel:
+    """What ``connection.js`` watches in the browser; it shows nothing itself."""
+
+    def __init__(self, gui: viser.GuiApi, with_arm: bool) -> None:
+        self._lost = LOST_WITH_ARM if with_arm else LOST
+        self._beats = 0
+        self._element = gui.add_html("")
+        self.show()
+
+    def show(self) -> None:
+        """One beat; to be called once a second."""
+        self._beats += 1
+        self._element.content = (
+            f'<i hidden data-beat="{self._beats}" data-lost="{html.escape(self._lost)}"></i>'
+        )
+
+
 class RunPanel:
     """State, STOP, and what the ball and the robots do."""
 
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
-        self._state = gui.add_html(page(HINT))
+        # STOP comes first: what stands above it would move it whenever its number of lines changes.
         stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP, hint="Everything holds still")
         pressed(stop, lambda _: send(commands.SetRunning(False)))
         self.stop_uuid: str = stop._impl.uuid
         size = f"height:{_STOP_HEIGHT}px!important;font:700 20px system-ui;letter-spacing:.12em"
         button = f'[id="{self.stop_uuid}"]'
-        self._large = f"<style>{button}{{{size}}}{button} svg{{margin-right:.5em}}</style>"
+        # It stays in place while the panel scrolls; one of viser's boxes round it clips, and would scroll it.
+        stays = f"div:has(>{button}){{position:sticky;top:9px;z-index:9}}"
+        stays += f"div:has(>div>div>div>{button}){{overflow:visible!important}}"
+        self._style = f"<style>{button}{{{size}}}{button} svg{{margin-right:.5em}}{stays}</style>"
+        self._state = gui.add_html(self._style + page(HINT))
         run = gui.add_button_group(
             "Run", ("Start", "Pause", "Reset"), hint="Space starts and pauses; R resets"
         )
@@ -162,6 +191,7 @@ class RunPanel:
             gui.add_dropdown("Robot", names, initial_value=view.robot, hint="Any robot that ships"),
             lambda value: send(commands.SetRobot(value)),
         )
+        self._missing = gui.add_html("", visible=False)
         with gui.add_folder("A model of your own", expand_by_default=False):
             path = gui.add_text(
                 "Path", "", hint="An MJCF or URDF file, on the machine where this program runs"
@@ -185,15 +215,31 @@ class RunPanel:
         """State line and menus, five times a second."""
         dot = _STATE_DOTS.get(view.state, "#f58220")
         hint = HINT if view.figure is None else FIGURE_HINT
+        if not view.running:
+            hint = STILL_HINT if view.arm is None else STILL_ARM_HINT
         line = html.escape(view.busy or view.message or hint)
         text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(view.state)}</b><br>{line}'
-        self._state.content = self._large + page(text)
+        self._state.content = self._style + page(text)
         self._motion.follow(view.motion)
         if view.robot not in self._robot.handle.options:  # one of somebody's own
             self._robot.handle.options = (*self._robot.handle.options, view.robot)
         self._robot.follow(view.robot, view.busy)
+        self._missing.visible = bool(view.missing_meshes)
+        self._missing.content = page(missing_text(view.missing_meshes))
         self._count.follow(view.count, view.busy)
         self._speed.follow(view.speed)
+
+
+def missing_text(names: Sequence[str]) -> str:
+    """Which mesh files of the robot are not drawn, by the names that its file gives them; HTML."""
+    if not names:
+        return ""
+    meshes = "1 mesh is" if len(names) == 1 else f"{len(names)} meshes are"
+    rows = "<br>".join(html.escape(name) for name in names)
+    return (
+        f'<span class="no">{meshes} not drawn: no such file, or neither STL nor OBJ. The kinematics is '
+        f'complete.</span><div class="names">{rows}</div>'
+    )
 
 
 class MethodPanel:
@@ -296,7 +342,7 @@ class GoalsPanel:
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
         self._folder = gui.add_folder(None)
-        self._misses = gui.add_html("")
+        self._errors = gui.add_html("")
         self._rows: dict[str, tuple[Control | None, Control]] = {}
 
     def _picked(self, value: str) -> None:
@@ -323,7 +369,7 @@ class GoalsPanel:
             (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
         ]
-        self._misses.content = page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else "")
+        self._errors.content = page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else "")
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._folder._children.values()):
@@ -427,11 +473,15 @@ class ArmPanel:
             line = "<small>no arm: start with <kbd>robot-ik view --bus sim</kbd></small>"
             self._text.content = page(line)
             return
+        limp = f'<span class="no"><b>{_limp_text(arm)}</b></span><br>' if arm.limp else ""
+        where = f"yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind"
+        if not arm.is_shown:
+            where = f"the arm is a {html.escape(arm.robot.name)}, another robot than the one on the page"
+        asked = "" if arm.limp and arm.mode == "hold" else f"; asked: {arm.mode}"
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
-            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.mode)}<br>"
-            f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind; "
-            f"recorded: {arm.recorded:.1f} s</small>{said}"
+            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}{asked}<br>"
+            f"{limp}<small>{where}; recorded: {arm.recorded:.1f} s</small>{said}"
         )
         rows = []
         for s in arm.servos:
@@ -440,6 +490,11 @@ class ArmPanel:
             cells = (at, torque, _cell(s.current_ma), _cell(s.temperature), errors)
             rows.append((html.escape(s.joint), *cells))
         self._table.content = page(_table(("joint", "at", "torque", "mA", "°C", "errors"), rows))
+
+
+def _limp_text(arm: ArmView) -> str:
+    """That nothing holds the arm, and what to press."""
+    return LIMP_TEACH if arm.mode == "teach" else LIMP
 
 
 def _cell(value: float | None, digits: int = 0, unit: str = "") -> str:

@@ -72,7 +72,7 @@ class Recorder:
             self._rows.append(
                 [
                     view.tick, f"{view.now:.6f}", view.robot, k + 1, one.method, one.status, one.iterations,
-                    *view.ball.position.tolist(), one.miss, one.angle,
+                    *view.ball.position.tolist(), one.error, one.angle,
                     f"{one.statistics.mean:.9f}", f"{one.statistics.solved:.4f}",
                     " ".join(f"{name}={value!r}" for name, value in angles),
                 ]
@@ -155,7 +155,7 @@ class Recorder:
             cv2.circle(image, (x, y), round(16.0 * radius), GOAL_COLOUR[::-1], -1, cv2.LINE_AA, 4)
 
     def _caption(self, image: Image, view: View) -> None:
-        """A line for each instance: method, steps, share solved, miss."""
+        """A line for each instance: method, steps, share solved, error."""
         size = max(10, round(_LETTER * image.shape[0]))
         for k, one in enumerate(view.instances):
             y = round((1.6 * k + 1.5) * size)
@@ -166,6 +166,6 @@ class Recorder:
 
 COLUMNS = (
     "tick", "time_s", "robot", "instance", "method", "status", "iterations", "ball_x", "ball_y", "ball_z",
-    "miss_m", "angle_rad", "mean_s", "solved", "q",
+    "error_m", "angle_rad", "mean_s", "solved", "q",
 )  # fmt: skip
 """Of the CSV file."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -40,10 +41,13 @@ GHOSTS = 8
 """Branches that are drawn at most."""
 _BRANCH_COLOUR: Colour = (110, 130, 155)
 _ARM_COLOUR: Colour = (250, 204, 21)
+_REACH_COLOUR: Colour = (110, 130, 155)  # not the ball's: the points hide neither it nor the robot
 _GHOST_OPACITY = 0.28
 _CLOUD_POINTS = 4000
 _PLATE_RADIUS = 0.21  # of the extent
 _BALL_FACES = 36  # round it
+_SAME_ANGLE = math.radians(1.0)  # of a joint, between arm and robot: less is not drawn as a ghost
+_SAME_LENGTH = 1e-3  # metres, likewise of a slide
 _NOWHERE = -1e3  # metres: where what is not shown lies
 
 
@@ -202,6 +206,14 @@ def _poses(count: int) -> tuple[Floats, Floats]:
     return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
 
 
+def slide_numbers(robot: Robot) -> NDArray[np.bool_]:
+    """(nq,) whether a number of ``q`` is a length; the others are angles, or parts of a pose."""
+    slides = robot.model.jnt_type[list(robot.tree.joint_ids)] == mujoco.mjtJoint.mjJNT_SLIDE
+    found = np.zeros(robot.nq, bool)
+    found[robot.tree.qadr[slides]] = True
+    return found
+
+
 class BrowserScene:
     """What is drawn of one robot in n instances; thrown away when robot or count change."""
 
@@ -211,6 +223,7 @@ class BrowserScene:
         self.offsets = self.arrangement.offsets.astype(np.float32)
         self.bodies: list[tuple[int, Any]] = []
         self._ghosts: dict[str, Ghosts] = {}
+        self._slides = slide_numbers(robot)
         self._cloud: Any = None
         self._axes: Any = None
         self._trails_shown = True
@@ -300,8 +313,8 @@ class BrowserScene:
             robot = self.robot
             points = [robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)]
             self._cloud = self._server.scene.add_point_cloud(
-                "/robot/reach", np.array(points, np.float32), colors=GOAL_COLOUR,
-                point_size=0.006 * self.arrangement.extent, point_shape="circle",
+                "/robot/reach", np.array(points, np.float32), colors=_REACH_COLOUR,
+                point_size=0.002 * self.arrangement.extent, point_shape="circle",
             )  # fmt: skip
 
     def name_instances(self, view: View) -> None:
@@ -352,14 +365,34 @@ class BrowserScene:
 
     def _draw_ghosts(self, view: View) -> None:
         branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]
-        arm = []
-        if view.arm is not None and view.arm.xpos is not None and view.arm.xquat is not None:
-            arm = [(view.arm.xpos, view.arm.xquat)]
-        for name, colour, count, poses in (
-            ("branches", _BRANCH_COLOUR, GHOSTS, branches),
-            ("arm", _ARM_COLOUR, 1, arm),
-        ):
-            if poses and name not in self._ghosts:
-                self._ghosts[name] = Ghosts(self._server, self.robot.model, name, colour, count)
-            if name in self._ghosts:
-                self._ghosts[name].draw(poses, self.arrangement.offsets[0])
+        self._draw_copies("branches", self.robot.model, _BRANCH_COLOUR, GHOSTS, branches)
+        if view.arm is not None:
+            arm, poses = view.arm, []
+            if arm.xpos is not None and arm.xquat is not None and self._is_apart(view):
+                poses = [(arm.xpos, arm.xquat)]
+            self._draw_copies("arm", arm.robot.model, _ARM_COLOUR, 1, poses)
+
+    def _draw_copies(
+        self,
+        name: str,
+        model: mujoco.MjModel,
+        colour: Colour,
+        count: int,
+        poses: list[tuple[Array, Array]],
+    ) -> None:
+        """Up to ``count`` ghosts of a model at the bodies' ``poses``; their meshes are made when needed."""
+        if poses and name not in self._ghosts:
+            self._ghosts[name] = Ghosts(self._server, model, name, colour, count)
+        if name in self._ghosts:
+            self._ghosts[name].draw(poses, self.arrangement.offsets[0])
+
+    def _is_apart(self, view: View) -> bool:
+        """Whether the servo arm is of the robot that is shown, and visibly elsewhere than the first one.
+
+        At the same place the two surfaces flicker through each other.
+        """
+        arm = view.arm
+        if arm is None or arm.q is None or not arm.is_shown:
+            return False
+        same = np.where(self._slides, _SAME_LENGTH, _SAME_ANGLE)
+        return bool((np.abs(arm.q - view.instances[0].q) > same).any())

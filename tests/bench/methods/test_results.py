@@ -47,7 +47,7 @@ def test_figures_belong_together(results: Results) -> None:
 def test_curves_close_in(results: Results) -> None:
     curves = {(c.solver, c.robot): c for c in results.curves}
     assert ("analytic", "puma560") not in curves  # a formula has no steps
-    lm = curves["lm", "puma560"].miss
+    lm = curves["lm", "puma560"].error
     assert lm[0] > 1e-2 and lm[-1] <= 1e-4
 
 
@@ -81,7 +81,7 @@ def test_without_matplotlib_it_says_what_to_install(
     results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"robot_ik\[plots\]"):
+    with pytest.raises(MissingExtraError, match=r"robot-ik-testbed\[plots\]"):
         draw(results)
 
 

@@ -11,7 +11,8 @@ import pytest
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Settings
 from robot_ik.bench.methods.runner import Bench, prepare
-from robot_ik.problem import Budget, Problem
+from robot_ik.budget import Budget
+from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver
@@ -38,9 +39,7 @@ class Scripted(Solver):
         calls.append(problem.search.arrays["start"].copy())
         q = np.array(self.solutions[(len(calls) - 1) % len(self.solutions)])
         targets = problem.search.arrays["target"].reshape(-1, 4, 4).copy()
-        return Solution(
-            q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets
-        )
+        return Solution(q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets)
 
 
 calls: list[np.ndarray] = []
@@ -73,7 +72,7 @@ def test_a_solver_that_lies_is_found_out() -> None:
 def test_tracking_starts_at_the_last_answer_and_counts_jumps() -> None:
     problems = make_set("warm", load_robot("puma560"), 12)
     solutions = problems.witnesses.copy()
-    solutions[4] += 0.5  # a miss: the next start is back on the path
+    solutions[4] += 0.5  # an error: the next start is back on the path
     wrist = solutions[8, 3:]  # the same pose with the wrist flipped
     wrist[:] = wrist[0] - np.pi * np.sign(wrist[0]), -wrist[1], wrist[2] - np.pi * np.sign(wrist[2])
     one = bench("warm", solutions)

@@ -15,8 +15,8 @@ from robot_ik.bench.theses.a00 import DIAGONAL, NUMBERS, Course, make_course
 from robot_ik.bench.theses.tracking import track
 from robot_ik.errors import ConfigError, UnknownSolverError
 from robot_ik.files import plain
-from robot_ik.problem import Problem
-from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.problem import Budget, Problem
+from robot_ik.solvers import SOLVERS
 
 FEW = 12
 
@@ -117,9 +117,13 @@ def test_a_method_without_the_kind_of_goal_is_refused_not_lost() -> None:
     assert report.tracks["triangulation", 5].passed and report.passed
 
 
+def slow_problem(*args: Any, **options: Any) -> Problem:
+    """Return a problem whose method is too slow to follow its goal."""
+    return Problem(*args, **options, budget=Budget(restarts=0), max_step=1e-4)
+
+
 def test_a_loss_is_counted_and_placed(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = a00.make_solver
-    monkeypatch.setattr(a00, "make_solver", lambda name: made(name, max_step=1e-4, restarts=0))
+    monkeypatch.setattr(a00, "Problem", slow_problem)
     report = a00.run_a00(a00.ask_a00([6], ["dls"], frames=6))
     assert report.complete and not report.passed and report.failures == [("dls", 6)]
     assert report.tracks["dls", 6].lost == 0 and report.lost_at("dls", 6) == "0°"
@@ -127,19 +131,18 @@ def test_a_loss_is_counted_and_placed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_solver_is_not_believed() -> None:
     """A method that says CONVERGED and lies is found out by MuJoCo's forward pass."""
-    course, truth = make_course(4, frames=5), make_solver("lm")
+    course = make_course(4, frames=5)
 
-    class Liar(type(truth)):  # type: ignore[misc]
-        def solve(self, problem: Problem, start: Any = None) -> Any:
-            solution = super().solve(problem, start)
-            solution.q = problem.robot.integrate(solution.q, np.full(15, 1e-3))
+    class Liar(Problem):
+        def solve(self, start: Any = None, *, target: Any = None) -> Any:
+            solution = super().solve(start, target=target)
+            solution.q = self.robot.integrate(solution.q, np.full(15, 1e-3))
             assert solution.converged
             return solution
 
-    problem = Problem(course.robot, course.goal)
-    honest = track(problem, truth, course.targets, course.robot.home)
+    honest = track(Problem(course.robot, course.goal), course.targets, course.robot.home)
     assert honest.passed and honest.lost is None
-    found = track(problem, Liar(), course.targets, course.robot.home)
+    found = track(Liar(course.robot, course.goal), course.targets, course.robot.home)
     assert found.solved == 0 and found.lost == 0
 
 

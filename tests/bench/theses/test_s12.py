@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.theses import s12
+from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import MissingExtraError
 from robot_ik.goals import PositionGoal
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Problem
 
 FEW = 15
 
@@ -117,7 +118,7 @@ def test_without_matplotlib_the_picture_is_refused(monkeypatch: pytest.MonkeyPat
         s12.s12_picture(s12.S12Report())
 
 
-def test_one_miss_fails_the_whole(report: s12.S12Report) -> None:
+def test_one_error_fails_the_whole(report: s12.S12Report) -> None:
     worse = dict(report.tracks)
     worse["best", "lm", 4] = dataclasses.replace(worse["best", "lm", 4], solved=FEW - 1)
     assert dataclasses.replace(report, tracks=worse).failures == [("lm", 4)]

@@ -74,7 +74,7 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
         ("parent = [", "not valid TOML"),
         ("parent = 'world'", "position: this key is missing"),
         (None, "cannot be read"),
-        ("wxyz", "wxyz: a quaternion of zeros"),
+        ("wxyz", "wxyz: a zero quaternion"),
         ("schema = 2", "schema: 2 is not right; allowed: 1"),
         ("covariance", "covariance"),
     ],

@@ -20,7 +20,10 @@ CASES: dict[str, tuple[dict[str, tuple[float, float, float]], tuple[str, ...]]] 
         {"left_forearm": (0.15, 0.1, 0.2), "head": (0.1, 0.05, -0.1), "left_hand": (0.1, 0, 0.2)},
         SOLES,
     ),
-    "lion": ({"head": (0.1, 0.1, -0.1), "tail_tip": (0, 0.2, 0.1), PAWS[0]: (0.1, 0.05, 0.1)}, PAWS[1:]),
+    "lion": (
+        {"head": (0.1, 0.1, -0.1), "tail_tip": (0, 0.2, 0.1), PAWS[0]: (0.1, 0.05, 0.1)},
+        PAWS[1:],
+    ),
     "puma560": ({"link5": (0.1, 0.2, 0.1), "gripper": (-0.1, 0.1, -0.1)}, ()),
 }
 
@@ -84,7 +87,8 @@ def test_out_of_reach_the_nearest_is_held_and_the_pins_hold() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "onto", "free"), [("humanoid", ["left_foot"], "right_foot"), ("lion", PAWS[1:], PAWS[0])]
+    ("name", "onto", "free"),
+    [("humanoid", ["left_foot"], "right_foot"), ("lion", PAWS[1:], PAWS[0])],
 )
 def test_weight_shifts_and_the_free_foot_lifts(name: str, onto: list[str], free: str) -> None:
     robot = rik.load_robot(name)

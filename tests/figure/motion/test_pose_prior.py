@@ -10,7 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError, UnsupportedGoalError
+from robot_ik.errors import (
+    ConfigError,
+    InvalidGoalError,
+    ModelError,
+    UnknownJointError,
+    UnsupportedGoalError,
+)
 from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored, thinned
 from robot_ik.goals import PosePriorGoal
 from robot_ik.motion import Keyframes, KeyPoses
@@ -24,7 +30,10 @@ Array = NDArray[np.float64]
 def some_poses(robot: rik.Robot, count: int, size: float = 0.25) -> Array:
     rng = np.random.default_rng(0)
     return np.array(
-        [robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv))) for _ in range(count)]
+        [
+            robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv)))
+            for _ in range(count)
+        ]
     )
 
 
@@ -43,7 +52,9 @@ def prior(robot: rik.Robot) -> PosePrior:
     return fit_pose_prior(robot, some_poses(robot, 80), parts=3, mirror=False)
 
 
-def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, prior: PosePrior) -> None:
+def test_the_rows_are_the_energy_and_their_slope_its_gradient(
+    robot: rik.Robot, prior: PosePrior
+) -> None:
     weight = 0.7
     problem = Problem(robot, PosePriorGoal(prior=prior, weight=weight))
     for q in some_poses(robot, 3, size=0.4):
@@ -62,7 +73,9 @@ def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, 
         np.testing.assert_allclose(gradient, numeric, atol=1e-6 * max(1.0, np.abs(numeric).max()))
 
 
-def test_gauss_newton_steps_never_make_a_pose_less_likely(robot: rik.Robot, prior: PosePrior) -> None:
+def test_gauss_newton_steps_never_make_a_pose_less_likely(
+    robot: rik.Robot, prior: PosePrior
+) -> None:
     problem = Problem(robot, PosePriorGoal(prior=prior))
     for q in some_poses(robot, 3, size=0.5):
         energies = [prior.energy(robot, q)]
@@ -153,7 +166,9 @@ def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik
         assert prior.energy(humanoid, likely.q) < prior.energy(humanoid, plain.q)
         inside.append(prior.energy(humanoid, likely.q) < prior.contour)
         # Tracked from there it stays: the solution is a minimum.
-        again = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm", start=likely.q)
+        again = rik.solve(
+            humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm", start=likely.q
+        )
         assert np.abs(humanoid.difference(likely.q, again.q)).max() < 0.05
     assert sum(inside) >= 3
 
@@ -209,13 +224,16 @@ def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
     page = (docs / "how-to" / "poses.md").read_text(encoding="utf-8")
     labels = {"goals alone": "goals alone", "with a posture goal": "with a soft posture (home)"}
     for name, row in found["rows"].items():
-        degrees, inside, nearest, miss = (
+        degrees, inside, nearest, error = (
             row["rms of elbows and spine, degrees"], row["inside the 99 % contour"], row["nearest pose"],
-            row["largest miss of the hand, mm"],
+            row["largest error of the hand, mm"],
         )  # fmt: skip
-        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {miss:.2f} mm |"
+        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
         assert line.replace("%", " %") in page
     assert f"Held out were {found['held out']} of {found['motions']} motions" in page
     assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
     with_prior, plain = found["rows"]["with the prior"], found["rows"]["goals alone"]
-    assert with_prior["rms of elbows and spine, degrees"] < 0.6 * plain["rms of elbows and spine, degrees"]
+    assert (
+        with_prior["rms of elbows and spine, degrees"]
+        < 0.6 * plain["rms of elbows and spine, degrees"]
+    )

@@ -124,7 +124,7 @@ def test_goals_without_a_closed_form_are_refused_by_name():
         assert solve(robot, goal).converged
     with pytest.raises(UnsupportedGoalError, match=r"its closed form is for one pose: give .*\n.*lm"):
         solve(robot, goal, solver="analytic")
-    with pytest.raises(UnsupportedGoalError, match="\nno other method knows every solution") as caught:
+    with pytest.raises(UnsupportedGoalError, match="\nsolve_all serves two parallel hinges") as caught:
         solve_all(robot, goal)
     assert caught.value.able == ()
 
@@ -145,18 +145,17 @@ def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_na
 
 
 @pytest.mark.parametrize("off", [1e-9, 1e-7, 2e-7, 1e-6, 1e-5])
-@pytest.mark.parametrize("robot_name", ["puma560", "ur5e", "srs_arm"])
+@pytest.mark.parametrize("robot_name", ["puma560", "ur5e"])
 def test_next_to_a_singular_wrist_every_branch_meets_the_goal(robot_name, off):
     robot = load_robot(robot_name)
     rng = np.random.default_rng(7)
-    bent = 5 if robot_name == "srs_arm" else 4
     for _ in range(40):
         q = robot.sample(rng)
-        q[bent] = off
+        q[4] = off
         goal = PoseGoal.at(None, robot.forward(q))
         branches = solve_all(robot, goal, start=robot.sample(rng))
         assert branches
-        assert max(max(goal.error(robot, branch.q, goal.target)) for branch in branches) < 1e-6
+        assert max(max(goal.error(robot, branch.q)) for branch in branches) < 1e-6
         assert solve(robot, goal, solver="analytic", tolerance=TIGHT).converged
 
 
@@ -190,7 +189,7 @@ def test_a_free_angle_gives_way_to_the_limits_of_the_other_joints(name):
         start = robot.sample(rng)
         branches = solve_all(robot, goal, start=start)
         assert branches
-        assert max(max(goal.error(robot, branch.q, goal.target)) for branch in branches) < 1e-7
+        assert max(max(goal.error(robot, branch.q)) for branch in branches) < 1e-7
         solution = solve(robot, goal, solver="analytic", start=start, tolerance=TIGHT)
         assert solution.converged and np.abs(solution.q - branches[0].q).max() < 1e-6
 
@@ -206,10 +205,10 @@ def test_a_stretched_elbow_is_solved():
         assert solution.converged, (q, solution)
 
 
-@pytest.mark.parametrize(("name", "elbow"), [("ur5e", 2), ("srs_arm", 3)])
-def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch(name, elbow):
+def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch():
+    elbow = 2
     rng = np.random.default_rng(5)
-    free = load_robot(name)
+    free = load_robot("ur5e")
     lower = free.lower.copy()
     lower[elbow] = 0.0
     robot = free.with_limits(lower, free.upper)
@@ -219,8 +218,8 @@ def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch(name, elbow):
         goal = PoseGoal.at(None, robot.forward(q))
         branches = solve_all(robot, goal, start=q)
         assert branches and not any(robot.outside(branch.q, 0.0) for branch in branches)
-        misses = [goal.error(robot, branch.q, goal.target) for branch in branches]
-        assert np.max(misses) < 2e-6
+        errors = [goal.error(robot, branch.q) for branch in branches]
+        assert np.max(errors) < 2e-6
 
 
 def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
@@ -310,7 +309,9 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
     rng = np.random.default_rng(seed)
     robot = random_arm(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
     solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
-    problem = Problem(robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance, solver=solver)
+    problem = Problem(
+        robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance, solver=solver
+    )
     for _ in range(40):
         luck = rng.random(6)
         q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))

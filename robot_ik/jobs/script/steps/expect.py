@@ -162,7 +162,8 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
 
 def _position_of(now: RunState, name: str) -> Array:
     """(3,) m where an object lies, as the world has it; it is not measured."""
-    assert now.servos.world is not None
+    if now.servos.world is None:
+        raise RuntimeError("the simulated servos move in no world")
     with now.servos.lock:
         now.servos.advance()
         return np.array(now.servos.world.data.body(name).xpos)

@@ -153,9 +153,11 @@ class MarkerStep(Move):
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
         """To where it was seen; judged by where it truly is."""
-        assert now.vision is not None
+        if now.vision is None:
+            raise RuntimeError("this step needs a camera")
         seen = now.vision.find_target()
-        assert seen.true_pose is not None  # the camera is synthetic
+        if seen.true_pose is None:
+            raise RuntimeError("the camera of a script must be synthetic")
         true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)
         off = float(np.linalg.norm(seen.goal.target.position - true.position))
         result.numbers["seen_off_mm"] = round(1e3 * off, 4)
@@ -382,9 +384,11 @@ class FollowStep(Framed, Action):
 
     def _goals(self, now: RunState, frame: str) -> contextlib.AbstractContextManager[Any]:
         if self.needs_camera:
-            assert now.vision is not None
+            if now.vision is None:
+                raise RuntimeError("this step needs a camera")
             return now.vision.following(now.setup.clock, self.seconds)
-        assert self.center is not None and self.radius is not None and self.period is not None
+        if self.center is None or self.radius is None or self.period is None:
+            raise RuntimeError("a curve needs center, radius and period")
         make = CurveSource.circle if self.path == "circle" else CurveSource.lemniscate
         normal = self.normal or (0.0, 0.0, 1.0)
         curve = make(frame, self.center, self.radius, self.period, normal=normal, wxyz=self.wxyz)
@@ -407,7 +411,9 @@ class FollowStep(Framed, Action):
 
 def _marked_place(now: RunState) -> Array:
     """(3,) m where the tool should be above the marker that is followed; only the scene knows."""
-    assert now.vision is not None
+    if now.vision is None:
+        raise RuntimeError("this step needs a camera")
     marker = now.vision.true_target(now.setup.clock.now())
-    assert marker is not None, "a script's camera is synthetic"
+    if marker is None:
+        raise RuntimeError("the camera of a script must be synthetic")
     return marker.compose(now.vision.scene.pose_marker_tool).position
