@@ -34,7 +34,7 @@ _CONTAINER_STEPS = 8
 class ShapeTables:
     """The geoms of a model, sorted by link, as compiled code reads them.
 
-    A link is a set of geoms that move together. Each geom that stands still is its own link.
+    A link is a set of geoms that move together, or of one body that stands still.
 
     Attributes:
         block: Block of ``shapes.SHAPES``.
@@ -50,15 +50,18 @@ class ShapeTables:
             bodies: Node (-1: the world) and pose in the node of each body.
             geoms: MuJoCo's ids of the geoms that take part.
         """
-        node_of = np.array([bodies[model.geom_bodyid[g]][0] for g in geoms], dtype=np.int64)
-        # Moving links first, each in one piece; then geoms that stand still, one by one.
-        order = np.lexsort([geoms, np.where(node_of < 0, np.iinfo(np.int64).max, node_of)])
+        body_of = model.geom_bodyid[geoms]
+        node_of = np.array([bodies[body][0] for body in body_of], dtype=np.int64)
+        # Moving links first; then what stands still: geoms of one body together, but those of the
+        # world and planes one by one.
+        alone = (body_of == 0) | (model.geom_type[geoms] == shapes.PLANE)
+        still = np.where(alone, model.nbody + geoms, body_of)
+        group = np.where(node_of < 0, len(bodies) + model.ngeom + still, node_of)
+        order = np.lexsort([geoms, group])
         self.geoms = geoms[order]
         self.row = {int(g): k for k, g in enumerate(self.geoms)}
         nodes = node_of[order]
-        starts = [
-            k for k in range(len(nodes)) if k == 0 or nodes[k] < 0 or nodes[k] != nodes[k - 1]
-        ]
+        starts = np.flatnonzero(np.diff(group[order], prepend=-2)).tolist()
         edges = np.array([*starts, len(nodes)], dtype=np.int64)
         hulls = [_hull(model, int(g)) for g in self.geoms]
         tables: dict[str, NDArray[Any]] = {
@@ -85,10 +88,10 @@ class ShapeTables:
         tables["local"] = np.array([self._pose(model, bodies, g).row for g in self.geoms])
         tables["local"] = tables["local"].reshape(-1, 12)
         stands_alone = (kinds == shapes.BOX) | (kinds == shapes.PLANE)
-        tables["box"] = np.where(
-            (tables["node"] < 0) & stands_alone[starts], np.array(starts, dtype=np.int64), -1
-        )
-        tables["capsule"] = np.zeros((len(starts), 7))
+        is_box = (tables["node"] < 0) & stands_alone[starts] & (np.diff(edges) == 1)
+        tables["box"] = np.where(is_box, np.array(starts, dtype=np.int64), -1)
+        tables["capsule"] = np.zeros((len(starts), 8))
+        tables["capsule"][:, 7] = np.inf  # planes
         self.block = shapes.SHAPES.allocate(given=tables)
         for link in range(len(starts)):
             self._fit_capsule(link)
@@ -118,7 +121,9 @@ class ShapeTables:
             points.append(extent @ local[3:].reshape(3, 3).T + local[:3])
             radii.append(np.full(len(extent), radius))
         if sum(map(len, points)):
-            tables["capsule"][link] = capsule_around(np.concatenate(points), np.concatenate(radii))
+            capsule = capsule_around(np.concatenate(points), np.concatenate(radii))
+            half = 0.5 * np.linalg.norm(capsule[3:6] - capsule[:3])
+            tables["capsule"][link] = *capsule, half + capsule[6] + _SLACK
 
 
 def capsule_around(points: Array, radii: Array) -> Array:

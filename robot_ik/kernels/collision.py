@@ -55,12 +55,14 @@ CHECK = Layout(
     pair="int",
     pair_end="int",
     last_hit="int",  # pair of geoms that touched last + 1; 0 for none
+    last_nearest="int",  # pair of geoms that was the nearest last + 1; 0 for none
     near_count="int",
     least="float",  # least distance of the near pairs
     q="floats nq",
     world="table n 12",
     scratch="table 2 12",
     ends="table l 6",  # ends of each link's capsule
+    middle="table l 3",  # and its centre
     poses="table g 12",  # of the geoms that were needed
     placed="ints l",  # number of the check that placed the link's geoms
     hint="ints g",  # see ``shapes.support``
@@ -101,6 +103,7 @@ def begin_check(run, q):
             last = so3.add(origin, so3.apply(rotation, last))
         write_vector_at(check.ends, link, 0, first)
         write_vector_at(check.ends, link, 3, last)
+        so3.write_row(check.middle, link, so3.scale(0.5, so3.add(first, last)))
     check.now += 1
     restart_scan(check, -1)
 
@@ -151,6 +154,10 @@ def next_pair(run, bound):
 @inlined
 def links_are_near(shapes, check, a, b, bound):
     """Return whether two links may be nearer than ``bound``."""
+    offset = so3.subtract(so3.read_vector(check.middle, a, 0), so3.read_vector(check.middle, b, 0))
+    reach = shapes.capsule[a, 7] + shapes.capsule[b, 7] + bound
+    if so3.dot(offset, offset) >= reach * reach:
+        return False
     first = so3.read_vector(check.ends, a, 0)
     last = so3.read_vector(check.ends, a, 3)
     reach = shapes.capsule[a, 6] + bound
@@ -196,6 +203,13 @@ def place_geoms(shapes, check, link):
         else:
             for i in range(12):
                 check.poses[g, i] = shapes.local[g, i]
+
+
+@inlined
+def place_pair(run, pair):
+    """Write the world poses of the links of two geoms."""
+    for side in range(2):
+        place_geoms(run.shapes, run.check, run.shapes.link[run.pairs.geoms[pair, side]])
 
 
 @inlined
@@ -307,8 +321,7 @@ def verdict(run, q, margin):
     if check.last_hit > 0:
         # Of postures that follow each other the same pair touches often.
         pair = check.last_hit - 1
-        place_geoms(run.shapes, check, run.shapes.link[run.pairs.geoms[pair, 0]])
-        place_geoms(run.shapes, check, run.shapes.link[run.pairs.geoms[pair, 1]])
+        place_pair(run, pair)
         if balls_are_near(run, pair, margin) and pair_verdict(run, pair, margin) == TOUCHING:
             return TOUCHING
     undecided = False
@@ -329,18 +342,35 @@ def least_distance(run, q, reach):
 
     Of pairs that touch the distance is 0 or less, and not the depth.
     """
+    check = run.check
     begin_check(run, q)
     least = reach
     nearest = -1
+    if check.last_nearest > 0:
+        # A small distance to begin with spares the exact distances of most other pairs.
+        pair = check.last_nearest - 1
+        place_pair(run, pair)
+        if balls_are_near(run, pair, least):
+            distance = lower_distance(run, pair, least)
+            if distance < least:
+                least = distance
+                nearest = pair
     while True:
         pair = next_pair(run, least)
         if pair < 0:
+            check.last_nearest = nearest + 1
             return least, nearest
-        lower, _, overlap = pair_bounds(run, pair, least, -1.0)
-        distance = min(lower, 0.0) if overlap else lower
+        distance = lower_distance(run, pair, least)
         if distance < least:
             least = distance
             nearest = pair
+
+
+@inlined
+def lower_distance(run, pair, far):
+    """Return a lower bound of a distance up to ``far``; 0 or less for a pair that touches."""
+    lower, _, overlap = pair_bounds(run, pair, far, -1.0)
+    return min(lower, 0.0) if overlap else lower
 
 
 # Near pairs with their gradients
@@ -482,7 +512,6 @@ def bounds_of_pair(address, q, pair, far, out):
     """Write (lower, upper, overlap) of the distance of one pair at ``q`` to ``out`` (3,)."""
     run = open_run(address)
     begin_check(run, q)
-    place_geoms(run.shapes, run.check, run.shapes.link[run.pairs.geoms[pair, 0]])
-    place_geoms(run.shapes, run.check, run.shapes.link[run.pairs.geoms[pair, 1]])
+    place_pair(run, pair)
     out[0], out[1], overlap = pair_bounds(run, pair, far, -1.0)
     out[2] = 1.0 if overlap else 0.0

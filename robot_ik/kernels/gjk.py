@@ -18,7 +18,7 @@ from robot_ik.kernels.shapes import support
 # Iterations of one distance. Flat against flat takes 5 to 8, rounded shapes up to 30.
 _MOST_ITERATIONS = 60
 # Difference of the squared bounds, relative to the upper bound, at which both are the distance.
-_ACCURACY = 1e-10
+_ACCURACY = 1e-8
 # Squared length, m², below which v is the origin.
 _ZERO_SQUARE = 1e-18
 # v must become shorter by this share.
