@@ -1,4 +1,4 @@
-"""``solve_all``: every solution (branch) with which an arm can meet a goal, where a closed form is known."""
+"""``solve_all``: every branch with which an arm meets a goal, where a closed form is known."""
 
 from __future__ import annotations
 

@@ -377,8 +377,8 @@ def follow(
 
     With ``collisions`` each tick is one step of differential inverse kinematics that keeps the
     margin: the joints slow down in front of an obstacle and slide along it, and give way to an
-    obstacle that comes nearer (``scene.move``). ``solver`` is not used then. The status of a tick is
-    ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
+    obstacle that comes nearer (``scene.move``). ``solver`` is not used then. The status of a tick
+    is ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
     hold every step back.
 
     The first goal of another kind or frame than the one before builds a new problem, which compiles

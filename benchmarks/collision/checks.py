@@ -143,6 +143,7 @@ def measure(scene: Scene, rows: np.ndarray) -> tuple[float, float, float, float]
 
 
 def main() -> None:
+    """Print the table."""
     names = sys.argv[1:] or ROBOTS
     print("| robot | obstacles | pairs | check, µs: MuJoCo / ours | distance, µs: MuJoCo / ours |")
     print("|---|---:|---:|---:|---:|")

@@ -56,8 +56,15 @@ class Obstacle(ABC):
         """Raise ``InvalidObstacleError`` for a size that is not finite and positive."""
 
     @abstractmethod
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
-        """Add this shape to a body of a spec, at its origin."""
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
+        """Return MuJoCo's type of this shape, and its ``geom_size``."""
+
+    def add_to(self, _spec: mujoco.MjSpec, body: Any) -> Any:
+        """Add this shape to a body of a spec, at its origin, and return the geom."""
+        kind, size = self.shape()
+        return body.add_geom(
+            name=self.name, type=kind, size=size, contype=EVERY_BIT, conaffinity=EVERY_BIT
+        )
 
     def _require_positive(self, what: str, value: object) -> None:
         if not is_real(value, 0.0, LARGEST_SIZE) or not value:
@@ -65,15 +72,6 @@ class Obstacle(ABC):
                 f"the {what} of obstacle {self.name!r} is {value!r}",
                 hint=f"give a number above 0 and up to {LARGEST_SIZE:g} m",
             )
-
-    def _add_geom(self, body: Any, kind: mujoco.mjtGeom, size: list[float]) -> Any:
-        return body.add_geom(
-            name=self.name,
-            type=kind,
-            size=size,
-            contype=EVERY_BIT,
-            conaffinity=EVERY_BIT,
-        )
 
 
 @dataclass(frozen=True)
@@ -94,9 +92,8 @@ class Box(Obstacle):
         for value in self.size:
             self._require_positive("edge length", value)
 
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
-        half = [0.5 * float(length) for length in self.size]
-        self._add_geom(body, mujoco.mjtGeom.mjGEOM_BOX, half)
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
+        return mujoco.mjtGeom.mjGEOM_BOX, [0.5 * float(length) for length in self.size]
 
 
 @dataclass(frozen=True)
@@ -112,8 +109,8 @@ class Sphere(Obstacle):
     def check_size(self) -> None:
         self._require_positive("radius", self.radius)
 
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
-        self._add_geom(body, mujoco.mjtGeom.mjGEOM_SPHERE, [float(self.radius), 0.0, 0.0])
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
+        return mujoco.mjtGeom.mjGEOM_SPHERE, [float(self.radius), 0.0, 0.0]
 
 
 @dataclass(frozen=True)
@@ -141,16 +138,16 @@ class _Round(Obstacle):
 class Capsule(_Round):
     """A cylinder with half balls at its ends."""
 
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
-        self._add_geom(body, mujoco.mjtGeom.mjGEOM_CAPSULE, self._half)
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
+        return mujoco.mjtGeom.mjGEOM_CAPSULE, self._half
 
 
 @dataclass(frozen=True)
 class Cylinder(_Round):
     """A cylinder."""
 
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
-        self._add_geom(body, mujoco.mjtGeom.mjGEOM_CYLINDER, self._half)
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
+        return mujoco.mjtGeom.mjGEOM_CYLINDER, self._half
 
 
 @dataclass(frozen=True)
@@ -160,9 +157,9 @@ class Plane(Obstacle):
     def check_size(self) -> None:
         """Do nothing: a plane has no size."""
 
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
         # The size is that of its picture.
-        self._add_geom(body, mujoco.mjtGeom.mjGEOM_PLANE, [1.0, 1.0, 0.01])
+        return mujoco.mjtGeom.mjGEOM_PLANE, [1.0, 1.0, 0.01]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,11 +200,15 @@ class Mesh(Obstacle):
             )
         return points
 
-    def add_to(self, spec: mujoco.MjSpec, body: Any) -> None:
+    def shape(self) -> tuple[mujoco.mjtGeom, list[float]]:
+        return mujoco.mjtGeom.mjGEOM_MESH, [0.0, 0.0, 0.0]
+
+    def add_to(self, spec: mujoco.MjSpec, body: Any) -> Any:
         mesh = spec.add_mesh(name=f"{self.name} of the scene", scale=[float(self.scale)] * 3)
         if self.file is not None:
             mesh.file = os.path.abspath(self.file)
         else:
             mesh.uservert = self._points().ravel()
-        geom = self._add_geom(body, mujoco.mjtGeom.mjGEOM_MESH, [0.0, 0.0, 0.0])
+        geom = super().add_to(spec, body)
         geom.meshname = mesh.name
+        return geom

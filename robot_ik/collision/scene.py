@@ -231,7 +231,10 @@ class Scene:
     # Distances by MuJoCo
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
-        """Return MuJoCo's data with all bodies at ``q``, valid until the next call of this thread."""
+        """Return MuJoCo's data with all bodies at ``q``.
+
+        It is valid until the next call of this thread.
+        """
         data = getattr(self._thread_data, "data", None)
         if data is None:
             data = mujoco.MjData(self.model)
@@ -498,8 +501,7 @@ def _compiled(
 
 def _add_part(spec: mujoco.MjSpec, body: Any, part: Obstacle, place: Pose) -> None:
     """Add a part to a body of the robot; ``place`` is its pose in the body."""
-    part.add_to(spec, body)
-    geom = next(geom for geom in body.geoms if geom.name == part.name)
+    geom = part.add_to(spec, body)
     geom.pos = place.position
     geom.quat = place.wxyz
 

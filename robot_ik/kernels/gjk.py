@@ -293,9 +293,9 @@ def least_overlap(shapes, hint, simplex, a, b, rotation, offset):
     """Return (distance, direction) of two overlapping cores: the distance is negative.
 
     The distance is the largest separation along any direction, a unit vector from ``b`` to ``a`` in
-    the frame of ``a``. The first directions are the axes of both geoms, their products, and the line
-    of centres, which is exact for boxes. For other shapes ``b`` is then moved out along the best
-    direction, and the direction between the nearest points tried in its place, until it is no
+    the frame of ``a``. The first directions are the axes of both geoms, their products, and the
+    line of centres, which is exact for boxes. For other shapes ``b`` is then moved out along the
+    best direction, and the direction between the nearest points tried in its place, until it is no
     better. The depth is an upper bound, and near the truth. Writes the nearest points to
     simplex.points: row 0 of ``a``, row 1 of ``b``.
     """

@@ -6,14 +6,16 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.scene import posture_rows
 from robot_ik.errors import MotionBlockedError
 from robot_ik.geometry import Array
-from robot_ik.kernels import certificate, jit
+from robot_ik.kernels import certificate, collision, jit
 from robot_ik.robot import Robot
+
+Ints = NDArray[np.int64]
 
 MOST_CHECKS = 20_000
 """Postures that a proof may check: about a tenth of a second."""
@@ -81,7 +83,7 @@ def certify(
     jit.announce(certificate.prove_path, "proofs of motions")
     starts = np.ascontiguousarray(rows[corners[:-1]] if len(changes) else rows[:1])
     verdict = certificate.prove_path(proof.address, starts, changes, collisions.margin)
-    if verdict == certificate.FREE:
+    if verdict == collision.FREE:
         return Certificate(True, collisions.margin, proof["checks"])
     posture = proof.arrays["q"].copy()
     if collisions.clearance(posture).distance < collisions.margin:
@@ -90,7 +92,7 @@ def certify(
     return Certificate(False, float("nan"), proof["checks"])
 
 
-def straight_corners(robot: Robot, rows: Array) -> Array:
+def straight_corners(robot: Robot, rows: Array) -> Ints:
     """Return the indices (k,) of the corners of a path (n, nq); the rows between lie on lines."""
     if len(rows) < 3 or robot.nq != robot.nv:
         return np.arange(len(rows))
@@ -109,7 +111,7 @@ def straight_corners(robot: Robot, rows: Array) -> Array:
 
 
 def changes_between(robot: Robot, rows: Array) -> Array:
-    """Return the changes (k - 1, nv) from each posture to the next; one zero for a single posture."""
+    """Return the changes (k - 1, nv) from each posture to the next; zeros for one posture."""
     if len(rows) < 2:
         return np.zeros((1, robot.nv))
     if robot.nq == robot.nv:
@@ -117,7 +119,7 @@ def changes_between(robot: Robot, rows: Array) -> Array:
     return np.array([robot.difference(a, b) for a, b in itertools.pairwise(rows)])
 
 
-def _time_of(rows: Array, seconds: Array, corners: Array, segment: int, share: float) -> float:
+def _time_of(rows: Array, seconds: Array, corners: Ints, segment: int, share: float) -> float:
     """Return the time of a share of a line between two corners."""
     if len(corners) < 2:
         return float(seconds[0])
@@ -144,5 +146,5 @@ def _blocked(
         clearance = collisions.clearance(rows[row])
         if clearance.pair == first.pair:
             deepest = min(deepest, clearance.distance)
-    assert first.pair is not None, "a pair was nearer than the margin"
-    return MotionBlockedError(at, first.pair, deepest, collisions.margin, posture)
+    pair = first.pair or ("", "")  # there is a pair: it was nearer than the margin
+    return MotionBlockedError(at, pair, deepest, collisions.margin, posture)

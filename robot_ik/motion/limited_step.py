@@ -1,4 +1,4 @@
-"""``LimitedStep``: one step of differential inverse kinematics that keeps a margin from collisions."""
+"""``LimitedStep``: a step of differential inverse kinematics that keeps away from collisions."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ The method solves as always. If its solution touches, the answer is looked for e
     closed form      the nearest free branch. None is free, and no branch is singular: a proof.
     other methods    the same method from other starts, first near the start, then anywhere
 
-Only a solution that keeps the margin is CONVERGED. The compiled check decides; where it cannot tell,
-MuJoCo does.
+Only a solution that keeps the margin is CONVERGED. The compiled check decides; where it cannot
+tell, MuJoCo does.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def test_a_plate_between_two_samples_is_found():
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["puma560", "humanoid", "lion", "panda"]))
 def test_no_point_of_a_link_moves_farther_than_the_bound(seed, name):
-    """Displacement of surface points relative to every ancestor, measured by MuJoCo's kinematics."""
+    """Displacement of the links relative to each other, measured by MuJoCo's kinematics."""
     from robot_ik.kernels import certificate
 
     rng = np.random.default_rng(seed)

@@ -155,8 +155,8 @@ def test_parts_that_always_touch_are_reported():
 def test_pairs_of_the_model_count_even_between_neighbours():
     text = """<mujoco><worldbody>
       <body name="a"><joint name="j1" axis="0 0 1"/><geom name="g" size=".1"/>
-        <body name="b" pos=".1 0 0"><joint name="j2" axis="0 0 1"/><geom name="h" size=".05"/></body>
-      </body></worldbody><contact><pair geom1="g" geom2="h"/></contact></mujoco>"""
+        <body name="b" pos=".1 0 0"><joint name="j2" axis="0 0 1"/><geom name="h" size=".05"/>
+      </body></body></worldbody><contact><pair geom1="g" geom2="h"/></contact></mujoco>"""
     scene = rik.Scene(rik.load_robot(text))
     assert len(scene.pairs) == 1
     assert scene.clearance([0.0, 0.0]).distance == pytest.approx(-0.05)

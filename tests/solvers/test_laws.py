@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from robot_ik.budget import Budget
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.obstacles import Sphere
 from robot_ik.collision.scene import Scene
-from robot_ik.budget import Budget
 from robot_ik.compiled_goals import length_scale
 from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal

@@ -17,8 +17,8 @@ from robot_ik.solution import short_numbers
 _SAME = 1e-6
 # rad, m: so far beyond a limit a joint still counts as inside.
 _SLACK = 1e-9
-# rad, m: so far beyond, it is brought back.  At a singular pose (an arm stretched out, whose elbow has its
-# limit there) rounding moves a joint by its own square root, and far less what the joint carries.
+# rad, m: so far beyond, it is brought back. At a singular pose (an arm stretched out, whose elbow
+# has its limit there) rounding moves a joint by its own square root, and far less what it carries.
 _ROUNDING = 1e-6
 
 
@@ -28,7 +28,8 @@ class Branch:
 
     Attributes:
         name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the start.
+        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the
+            start.
         inside: Whether all joints are inside their limits.
         clearance: The nearest pair of parts, by MuJoCo; None without a condition on collisions.
         free: Whether the clearance is at least the margin; True without a condition on collisions.
@@ -63,7 +64,9 @@ def listed_branches(
     far = ((qs - origin) ** 2).sum(axis=1).tolist()
     first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
     hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
-    ends = np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    ends = (
+        np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    )
     off = np.abs(ends - qs)
     if off.max() > _SLACK:
         qs = np.where(off <= _ROUNDING, ends, qs)
