@@ -63,21 +63,21 @@ class ShapeTables:
         nodes = node_of[order]
         starts = np.flatnonzero(np.diff(group[order], prepend=-2)).tolist()
         edges = np.array([*starts, len(nodes)], dtype=np.int64)
-        hulls = [_hull(model, int(g)) for g in self.geoms]
+        hulls = _Hulls(model, self.geoms)
         tables: dict[str, NDArray[Any]] = {
             "kind": model.geom_type[self.geoms].astype(np.int64),
             "size": np.array(model.geom_size[self.geoms], dtype=float).reshape(-1, 3),
             "link": np.repeat(np.arange(len(starts)), np.diff(edges)),
             "node": nodes[starts],
             "geom_start": edges,
-            **_mesh_tables(hulls),
+            **hulls.tables,
         }
         kinds = tables["kind"]
         swept = (kinds == shapes.SPHERE) | (kinds == shapes.CAPSULE)
         tables["rounding"] = np.where(swept, tables["size"][:, 0], 0.0)
         self._extents = [
-            _extent(int(kind), size, hull[0])
-            for kind, size, hull in zip(kinds, tables["size"], hulls, strict=True)
+            _extent(int(kind), size, hulls.vertices[mesh])
+            for kind, size, mesh in zip(kinds, tables["size"], hulls.mesh.tolist(), strict=True)
         ]
         tables["ball"] = np.array(
             [
@@ -198,50 +198,58 @@ def _rings(kind: int, size: Array) -> Array:
     return np.concatenate(rings) * scale
 
 
-_Hull = tuple[Array, list[list[int]]]
+class _Hulls:
+    """Vertices of all meshes, numbered through. Geoms of one mesh share them.
 
-
-def _hull(model: mujoco.MjModel, geom: int) -> _Hull:
-    """Return the vertices (n, 3) of a mesh that count, and the neighbours of each.
-
-    MuJoCo keeps the graph of the convex hull. Without it all vertices count, without neighbours.
+    MuJoCo keeps the graph of each convex hull. Without it all vertices count, without neighbours.
     """
-    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
-        return np.zeros((0, 3)), []
-    mesh = int(model.geom_dataid[geom])
+
+    def __init__(self, model: mujoco.MjModel, geoms: Ints) -> None:
+        is_mesh = model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH
+        self.mesh = np.where(is_mesh, model.geom_dataid[geoms], -1)
+        self.vertices = {-1: np.zeros((0, 3))}
+        start = {-1: 0}
+        edge_counts = [np.zeros(0, dtype=np.int64)]
+        edges = [np.zeros(0, dtype=np.int64)]
+        total = 0
+        for mesh in np.unique(self.mesh[is_mesh]).tolist():
+            vertices, counts, ends = _hull(model, mesh)
+            self.vertices[mesh] = vertices
+            start[mesh] = total
+            edge_counts.append(counts)
+            edges.append(ends + total)
+            total += len(vertices)
+        first = np.array([start[mesh] for mesh in self.mesh.tolist()], dtype=np.int64)
+        lengths = [len(self.vertices[mesh]) for mesh in self.mesh.tolist()]
+        edge_start = np.concatenate([[0], np.cumsum(np.concatenate(edge_counts))])
+        self.tables: dict[str, NDArray[Any]] = {
+            "vertex_start": first,
+            "vertex_end": first + np.array(lengths, dtype=np.int64),
+            "vertices": np.concatenate(list(self.vertices.values())),
+            "edge_start": edge_start.astype(np.int64),
+            "edges": np.concatenate(edges),
+        }
+
+
+def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Ints, Ints]:
+    """Return the vertices (n, 3) of a mesh that count, the number of neighbours, and these."""
     first = int(model.mesh_vertadr[mesh])
-    vertices = np.array(model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])], dtype=float)
+    end = first + int(model.mesh_vertnum[mesh])
+    vertices = np.array(model.mesh_vert[first:end], dtype=float)
     begin = int(model.mesh_graphadr[mesh])
     if begin < 0:
-        return vertices, [[] for _ in vertices]
+        return vertices, np.zeros(len(vertices), dtype=np.int64), np.zeros(0, dtype=np.int64)
+    # The layout is that of ``mesh_graph`` in mjmodel.h.
     graph = model.mesh_graph[begin:]
-    count = int(graph[0])
-    edge_start = graph[2 : 2 + count]
+    count, faces = graph[:2].tolist()
     ids = graph[2 + count : 2 + 2 * count]
-    edges = graph[2 + 2 * count :]
-    neighbours = []
-    for vertex in range(count):
-        ends = itertools.takewhile(lambda end: end >= 0, edges[int(edge_start[vertex]) :].tolist())
-        neighbours.append(list(ends))
-    return vertices[ids], neighbours
-
-
-def _mesh_tables(hulls: list[_Hull]) -> dict[str, NDArray[Any]]:
-    """Return the tables of all meshes, whose vertices are numbered through."""
-    counts = np.array([len(vertices) for vertices, _ in hulls], dtype=np.int64)
-    vertex_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    neighbours = [
-        [int(first) + end for end in ends]
-        for first, (_, lists) in zip(vertex_start, hulls, strict=False)
-        for ends in lists
-    ]
-    edge_start = np.concatenate([[0], np.cumsum([len(ends) for ends in neighbours])])
-    return {
-        "vertex_start": vertex_start,
-        "vertices": np.concatenate([np.zeros((0, 3)), *(v for v, _ in hulls)]),
-        "edge_start": edge_start.astype(np.int64),
-        "edges": np.array(list(itertools.chain(*neighbours)), dtype=np.int64),
-    }
+    edges = graph[2 + 2 * count : 2 + 3 * count + 3 * faces]
+    starts = graph[2 : 2 + count]
+    stops = np.flatnonzero(edges < 0)
+    ends = stops[np.searchsorted(stops, starts)]
+    lists = [edges[a:b] for a, b in zip(starts.tolist(), ends.tolist(), strict=True)]
+    counts = (ends - starts).astype(np.int64)
+    return vertices[ids], counts, np.concatenate(lists).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +325,7 @@ def check_memory(tree: Tree, tables: ShapeTables, pairs: PairTables) -> Block:
         "nv": tree.nv,
     }
     check = collision.CHECK.allocate(sizes)
-    check.arrays["hint"][...] = tables.block.arrays["vertex_start"][:-1]
+    check.arrays["hint"][...] = tables.block.arrays["vertex_start"]
     return collision.RUN.allocate(
         given={
             "tree": tree.block,

@@ -33,7 +33,8 @@ SHAPES = Layout(
     geom_start="ints",  # (l + 1,) first geom of each link; geoms are sorted by link
     capsule="table",  # (l, 8) a capsule that contains the link: ends, radius, radius of its ball
     box="ints",  # (l,) the geom of a link that is one box or plane that stands still, else -1
-    vertex_start="ints",  # (g + 1,) first vertex of each mesh
+    vertex_start="ints",  # (g,) first vertex of each mesh
+    vertex_end="ints",  # (g,) end of its vertices; geoms of one mesh share them
     vertices="table",  # (v, 3) in the frame of the geom
     edge_start="ints",  # (v + 1,) first neighbour of each vertex
     edges="ints",  # neighbours: indices of vertices
@@ -76,7 +77,7 @@ def support(shapes, hint, g, direction):
 def farthest_vertex(shapes, hint, g, direction):
     """Return the vertex of mesh ``g`` that is farthest along ``direction``; writes ``hint``."""
     first = shapes.vertex_start[g]
-    end = shapes.vertex_start[g + 1]
+    end = shapes.vertex_end[g]
     best = first
     if end - first <= _MOST_VERTICES_TO_SCAN or shapes.edge_start[end] == shapes.edge_start[first]:
         height = so3.dot(direction, so3.read_vector(shapes.vertices, first, 0))

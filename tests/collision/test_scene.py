@@ -232,3 +232,34 @@ def test_many_postures_are_checked_on_all_cores_with_equal_results():
     q = np.array([robot.sample(rng) for _ in range(2000)])
     singles = np.concatenate([scene.free(q[k : k + 100]) for k in range(0, 2000, 100)])
     assert (scene.free(q) == singles).all()
+
+
+def test_a_model_of_large_hulls_that_share_meshes_agrees_with_mujoco():
+    rng = np.random.default_rng(0)
+    meshes = []
+    for k in range(3):
+        points = rng.normal(size=(500, 3))
+        points *= rng.uniform(0.02, 0.05, 3) / np.linalg.norm(points, axis=1)[:, None]
+        numbers = " ".join(map(str, points.ravel()))
+        meshes.append(f'<mesh name="m{k}" vertex="{numbers}"/>')
+    body = '<site name="tool"/>'
+    for link in range(5, 0, -1):
+        geoms = "".join(
+            f'<geom type="mesh" mesh="m{k % 3}" pos="0 0 {0.02 * k}"/>' for k in range(8)
+        )
+        axis = "0 0 1" if link % 2 else "0 1 0"
+        body = (
+            f'<body name="l{link}" pos="0 0 .2"><joint name="j{link}" axis="{axis}"/>'
+            f"{geoms}{body}</body>"
+        )
+    text = f"<mujoco><asset>{''.join(meshes)}</asset><worldbody>{body}</worldbody></mujoco>"
+    robot = rik.load_robot(text)
+    scene = rik.Scene(robot, [rik.Box("box", pose=rik.Pose((0.2, 0.2, 0.5)))])
+    assert len(scene._tables.block.arrays["vertices"]) < 1600
+    q = np.array([robot.sample(rng) for _ in range(100)])
+    free = scene.free(q)
+    assert 0.1 < free.mean() < 0.95
+    for row in range(len(q)):
+        expected, depth = mujoco_is_free(scene, q[row])
+        if abs(depth) > BAND or expected:
+            assert free[row] == expected
