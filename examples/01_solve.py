@@ -14,7 +14,8 @@ def show(name: str, solution: rik.Solution) -> None:
     error = solution.error  # measured by MuJoCo, not by the solver
     print(
         f"{name:13} {solution.status.name:12} {1e3 * error.position:9.4f} mm "
-        f"{np.degrees(error.angle):8.4f} deg  {solution.iterations:4} iterations, {solution.restarts} restarts"
+        f"{np.degrees(error.angle):8.4f} deg  {solution.iterations:4} iterations, "
+        f"{solution.restarts} restarts"
     )
 
 

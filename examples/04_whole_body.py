@@ -3,7 +3,7 @@
     python examples/04_whole_body.py                    a ball before its feet
     python examples/04_whole_body.py 1.3 -0.3 1.2        a ball too far away
 
-A later goal costs an earlier one nothing.  Prints the error of every goal by its priority, measured by MuJoCo:
+A later goal costs an earlier one nothing.  Prints the error of every goal by its priority, by MuJoCo:
 the feet stay and the balance holds even where the hand cannot come, and the posture only fills what is left.
 """
 

@@ -33,21 +33,22 @@ def permission_hint(path: str) -> str:
     ):  # a number without a name; Windows has no groups
         group = ""
     if group in ("", "root", "wheel"):
-        return f"you may not read and write {path}: ask for a udev rule that gives it to a group of yours"
+        return f"no permission for {path}: ask for a udev rule that gives it to one of your groups"
     return f"sudo usermod -aG {group} {getpass.getuser()}, then log out and in again"
 
 
 def named_users_of(path: str) -> list[str]:
-    """Programs that have ``path`` open, as ``name (pid)``; only what this user may see, Linux only."""
+    """Return the programs with ``path`` open, as ``name (pid)``. Linux only."""
     return [f"{name} ({number})" for number, name in users_of(path).items()]
 
 
 def users_of(device: str) -> dict[int, str]:
-    """Programs that have a device file open, by process number; what this user may see, on Linux only.
+    """Return the programs with a device file open, by process number, as far as this user may see.
 
     Whoever serves a pseudo terminal may keep both of its ends open, and is no user of it by that.
     """
-    target, found = os.path.realpath(device), {}
+    target = os.path.realpath(device)
+    found = {}
     for process in sorted(Path("/proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
         try:
             files = list((process / "fd").iterdir())

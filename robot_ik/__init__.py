@@ -1,12 +1,13 @@
-"""Inverse kinematics from a MuJoCo model to simulated or real Dynamixel servos, with goals a camera can see.
+"""Inverse kinematics from a MuJoCo model to simulated or real servos, with goals a camera can see.
 
     import robot_ik as rik
 
     robot = rik.load_robot("puma560")
-    solution = rik.solve(robot, rik.PoseGoal("gripper", position=(-0.45, -0.1, 0.8), wxyz=(0, 1, 0, 0)))
+    goal = rik.PoseGoal("gripper", position=(-0.45, -0.1, 0.8), wxyz=(0, 1, 0, 0))
+    solution = rik.solve(robot, goal)
 
-Names are imported when they are first used: importing the package opens no window, port, camera or GL
-context and compiles nothing.
+Names are imported when they are first used. The import of the package opens no window, port, camera
+or GL context and compiles nothing.
 """
 
 import importlib
@@ -61,8 +62,18 @@ _HOME = {
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
     "robot_ik.goals": (
-        "AimGoal", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "OrientationGoal", "PlaneGoal",
-        "PoseGoal", "PosePriorGoal", "PositionGoal", "PostureGoal", "Tolerance",
+        "AimGoal",
+        "CenterOfMassGoal",
+        "Goal",
+        "HalfSpaceGoal",
+        "LineGoal",
+        "OrientationGoal",
+        "PlaneGoal",
+        "PoseGoal",
+        "PosePriorGoal",
+        "PositionGoal",
+        "PostureGoal",
+        "Tolerance",
     ),
     "robot_ik.pose_prior": ("PosePrior",),
     "robot_ik.motion.line": ("line_move",),
@@ -75,7 +86,7 @@ _HOME = {
     "robot_ik.solution": ("Deviation", "Solution", "Status"),
     "robot_ik.inverse_kinematics": ("solve", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
-}  # fmt: skip
+}
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
@@ -130,7 +141,7 @@ __all__ = [
     "solve_all",
     "solve_batch",
     "warm_up",
-]  # fmt: skip
+]
 
 if not TYPE_CHECKING:
 

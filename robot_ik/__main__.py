@@ -7,6 +7,6 @@ from robot_ik.cli.main import main
 
 if __name__ == "__main__":
     code = main()
-    # Nothing is left to interrupt: a late Ctrl-C, while the interpreter exits, would only print a traceback.
+    # A late Ctrl-C, while the interpreter exits, would only print a traceback.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(code)

@@ -1,4 +1,4 @@
-"""``solve_all``: every branch with which an arm meets a goal, where a closed form is known."""
+"""``solve_all``: every solution (branch) of a goal, for arms with a closed form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Serial chains built in memory: from Denavit-Hartenberg rows, or of equal links and ball joints."""
+"""Serial chains in memory, from Denavit-Hartenberg rows or of equal links with ball joints."""
 
 from __future__ import annotations
 

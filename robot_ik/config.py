@@ -1,7 +1,7 @@
 """Files written by people: TOML, JSON and CSV are read, and their tables are checked.
 
-All errors are ``ConfigError`` with the file, the key, the allowed values and close names. A table is
-a pydantic model that derives from ``Table``.
+All errors are ``ConfigError`` with the file, the key, the allowed values and close names. A table
+is a pydantic model that derives from ``Table``.
 """
 
 from __future__ import annotations
@@ -411,7 +411,7 @@ def _check_quaternion(wxyz: tuple[float, ...]) -> tuple[float, ...]:
 # Types of keys. Tables are frozen, so lists become tuples. Their items are checked as strictly as
 # everything else.
 SchemaVersion = Annotated[Literal[1], Field(alias="schema", description="1")]
-"""Key ``schema`` of every file. The field has another name: pydantic's base class has ``schema``."""
+"""Key ``schema`` of every file. The field is not called so, because pydantic uses that name."""
 Positive = Annotated[float, Field(gt=0.0)]
 Word = Annotated[str, Field(min_length=1)]
 Several = Annotated[tuple[Item, ...], Field(strict=False)]

@@ -22,7 +22,7 @@ MOST_NAMES = 30
 """Names that a message lists at most."""
 
 DISTRIBUTION = "robot-ik-testbed"
-"""Name on the package index. ``robot-ik`` there is another project that installs ``robot_ik`` too."""
+"""Name on the package index. ``robot-ik`` is another project, which installs ``robot_ik`` too."""
 
 
 def install_command(extra: str = "") -> str:
@@ -34,9 +34,9 @@ def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Return the known names that ``name`` may be a typing error of, best first.
 
     A typing error is one wrong, missing, additional or exchanged letter for each three letters of
-    the name, in names of at least three letters. Case and leading dashes do not count. Another number is not a
-    typing error: ``joint9`` does not mean ``joint1``. A word or the beginning of a known name is
-    close to it too: ``elbow`` to ``elbow_joint``.
+    the name, in names of at least three letters. Case and leading dashes do not count. Another
+    number is not a typing error: ``joint9`` does not mean ``joint1``. A word or the beginning of a
+    known name is close to it too: ``elbow`` to ``elbow_joint``.
 
     Args:
         name: The unknown name. Values of other types are compared by their text.
@@ -366,7 +366,9 @@ class ServoMismatchError(HardwareError):
             model = expected.get(id, "-")
             rows.append(f"  {id:>3}  {model:<{width}}  {found.get(id, 'missing')}")
         text = f"the servos on {port} are not those of {source}; nothing was switched on"
-        usual = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
+        usual = (
+            "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
+        )
         super().__init__("\n".join((text, *rows)), hint=hint or usual)
 
 
@@ -428,7 +430,7 @@ class ModelError(RobotIkError):
 
 
 class InvalidModelError(ModelError, ValueError):
-    """A model cannot be built from the given values, or a value is not a name, path, text or spec."""
+    """A model cannot be built from the given values, or a value has a wrong type."""
 
 
 class InvalidPoseError(RobotIkError, ValueError):
@@ -556,7 +558,7 @@ class ProblemInUseError(RobotIkError):
     def __init__(self) -> None:
         super().__init__(
             "this Problem is being solved by another thread: its arrays are in use",
-            hint="give each thread a Problem of its own (copy.copy(problem)), or let them take turns",
+            hint="give each thread its own Problem (copy.copy(problem)), or let them take turns",
         )
 
 

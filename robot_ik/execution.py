@@ -476,7 +476,7 @@ class _FollowState:
         self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:
-        """Return the problem with these goals: the last one, if they differ in their targets only."""
+        """Return a problem with these goals: the last one, if only the targets differ."""
         from robot_ik.budget import Budget
         from robot_ik.problem import Problem  # here, because it loads the compiler
 
@@ -500,7 +500,7 @@ class _FollowState:
         return self._problem
 
     def step(self, goal: Goals | None) -> tuple[Solution | None, bool]:
-        """Move the command towards ``goal``; return the solution, and whether the step was capped."""
+        """Move the command towards ``goal``; return the solution, and if the step was capped."""
         report = self.report
         report.ticks += 1
         if goal is None:

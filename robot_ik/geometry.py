@@ -116,10 +116,14 @@ def quat_multiply(a: Array, b: Array) -> Array:
     """Return the Hamilton product of two quaternions (4,), wxyz: first ``b``, then ``a``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return np.array((
-        aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,
-    ))  # fmt: skip
+    return np.array(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        )
+    )
 
 
 def quat_to_matrix(wxyz: Array) -> Array:
@@ -133,10 +137,16 @@ def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     Takes numbers, for which Python's own are the fastest, or arrays of numbers.
     """
     return (
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
 
 
 def matrix_to_quat(rotation: ArrayLike) -> Array:
@@ -164,7 +174,7 @@ def rotation_residual(
 ) -> Any:
     """Return how far a matrix is from a rotation. Takes its entries, or arrays of them, row by row.
 
-    The first two columns should be unit vectors, and the third column should be their cross product.
+    The first two columns should be unit vectors. The third should be their cross product.
     """
     lengths = abs(a * a + d * d + g * g - 1.0) + abs(b * b + e * e + h * h - 1.0)
     return lengths + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)

@@ -39,7 +39,7 @@ SMALLEST_INERTIA = 1e-12
 """kg m². Moments of inertia of such a link."""
 
 LARGEST_MASS = 1e100
-"""kg or kg m². A model in millimetres has masses 1e9 times too large, but its kinematics are right."""
+"""kg or kg m². Masses of a model in millimetres are 1e9 times too large, but it can be solved."""
 
 HOME_ROUNDING = 1e-3
 """rad or m. A home pose this far beyond a limit is clipped: limits are written with few digits."""
@@ -310,8 +310,8 @@ def _warn_of_radians(model: mujoco.MjModel, spec: mujoco.MjSpec, path: Path) -> 
 def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     """Return the qpos (model.nq,) of the home pose.
 
-    It is the numbers or the keyframe that robot.toml names, else the keyframe "home", else the first
-    keyframe, else qpos0.
+    It is the numbers or the keyframe that robot.toml names, else the keyframe "home", else the
+    first keyframe, else qpos0.
 
     Raises:
         ModelError: robot.toml names a keyframe that the model does not have.
@@ -666,14 +666,14 @@ def random_q(tree: Tree, home: Array, rng: np.random.Generator) -> Array:
         a = int(tree.qadr[k])
         v = int(tree.vadr[k])
         if tree.kind[k] in (HINGE, SLIDE):
-            q[a] = rng.uniform(tree.low[v], tree.high[v])
+            q[a] = rng.uniform(tree.sample_lower[v], tree.sample_upper[v])
             continue
         if tree.kind[k] == FREE:
             q[a : a + 3] = home[a : a + 3] + rng.uniform(-1.0, 1.0, 3)
             a += 3
             v += 3
         axis = rng.normal(size=3)
-        half_angle = 0.5 * rng.uniform(0.0, min(float(tree.high[v]), np.pi))
+        half_angle = 0.5 * rng.uniform(0.0, min(float(tree.sample_upper[v]), np.pi))
         q[a] = np.cos(half_angle)
         q[a + 1 : a + 4] = axis / np.linalg.norm(axis) * np.sin(half_angle)
     return q

@@ -1,8 +1,8 @@
 """Protocols that connect the parts of a program, and the clocks of a run.
 
-This module depends on no robot, solver or servo. Joint vectors are ``q`` of shape (nq,) in the order
-of the joints of the robot, in radians (metres for slides). Times are seconds on the clock of the
-loop.
+This module depends on no robot, solver or servo. Joint vectors are ``q`` of shape (nq,) in the
+order of the joints of the robot, in radians (metres for slides). Times are seconds on the clock of
+the loop.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ def short_switch_interval() -> Iterator[None]:
     """Switch the threads of this process every 0.5 ms, for loops in real time.
 
     The interpreter's default of 5 ms is half a period of a loop at 100 Hz. Beside a thread that
-    computes pictures, such a loop lost a fifth of its rate, and replies of servos came too late. The
-    last block to end restores the interval that the first block found.
+    computes pictures, such a loop lost a fifth of its rate, and replies of servos came too late.
+    The last block to end restores the interval that the first block found.
     """
     global _switch_users, _usual_switch_interval
     with _switch_lock:

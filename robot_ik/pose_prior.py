@@ -31,18 +31,28 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
 # Parts of a joint that are features, and the kernel's code of each.
-_PARTS = {"": NUMBER, ":lean_x": LEAN_X, ":lean_y": LEAN_Y, ":x": VECTOR_X, ":y": VECTOR_Y, ":z": VECTOR_Z}
+_PARTS = {
+    "": NUMBER,
+    ":lean_x": LEAN_X,
+    ":lean_y": LEAN_Y,
+    ":x": VECTOR_X,
+    ":y": VECTOR_Y,
+    ":z": VECTOR_Z,
+}
 _PARTS_OF = {FREE: (":lean_x", ":lean_y"), BALL: (":x", ":y", ":z")}
-# Rounds of the fixed-point iteration that climbs from each mean to a mode, and how still it must be.
-_MODE_ROUNDS, _MODE_STILL = 500, 1e-10
-# Subtracted from the least energy found: the kernel's root must not fall below zero by rounding.
-_LEAST_MARGIN = 1e-9
+# Largest number of rounds of the fixed-point iteration from a mean to a mode.
+_MODE_ROUNDS = 500
+# Largest change in a round at which the iteration ends.
+_MODE_CHANGE = 1e-10
+# Subtracted from the lowest energy, so that rounding does not make the kernel's radicand negative.
+_ENERGY_MARGIN = 1e-9
 
 
 def feature_names(robot: Robot) -> tuple[str, ...]:
-    """All features of a prior: hinges and slides, the lean of a free base, rotation vectors of balls.
+    """Return all features of a prior, by name.
 
-    A base's position and heading are left out: the same pose elsewhere is as likely.
+    They are hinges and slides, the lean of a free base, and the rotation vectors of balls.
+    Position and heading of a base are no features, because they do not change the pose.
     """
     names: list[str] = []
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
@@ -52,15 +62,18 @@ def feature_names(robot: Robot) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PosePrior:
-    """A Gaussian mixture over poses: E(x) = −log Σ w_k N(x; μ_k, Σ_k), x = (feature − middle) / spread.
+    """A Gaussian mixture over poses.
+
+    The energy is E(x) = −log Σ w_k N(x; μ_k, Σ_k), where x = (feature − middle) / spread.
 
     Attributes:
-        names: (n,) features by name: see ``feature_names``.
-        middle, spread: (n,) of the features: rad, m; lean: sine.
-        weights: (k,) of the parts; they add up to one.
-        means: (k, n) of x.
-        covariances: (k, n, n) of x.
-        contour: Energy within which 99 % of what it learned from lies; inf where it is not given.
+        names: (n,) features by name, see ``feature_names``.
+        middle, spread: (n,) scale of the features, in rad and m; a lean is a sine.
+        weights: (k,) weights of the parts, whose sum is one.
+        means: (k, n) means of x.
+        covariances: (k, n, n) covariances of x.
+        contour: Energy of the contour around 99 % of the learned poses; inf if unknown.
+        min_energy: Lowest energy of the mixture.
     """
 
     names: tuple[str, ...]
@@ -72,11 +85,18 @@ class PosePrior:
     contour: float = np.inf
     precisions: Array = field(init=False)
     logs: Array = field(init=False)
-    least: float = field(init=False)
+    min_energy: float = field(init=False)
 
     def __post_init__(self) -> None:
-        n, k = len(self.names), len(self.weights)
-        shapes = {"middle": (n,), "spread": (n,), "weights": (k,), "means": (k, n), "covariances": (k, n, n)}
+        n = len(self.names)
+        k = len(self.weights)
+        shapes = {
+            "middle": (n,),
+            "spread": (n,),
+            "weights": (k,),
+            "means": (k, n),
+            "covariances": (k, n, n),
+        }
         for name, shape in shapes.items():
             array = np.array(getattr(self, name), dtype=float)
             if array.shape != shape or not np.isfinite(array).all() or not array.size:
@@ -88,45 +108,50 @@ class PosePrior:
         try:
             factors = np.linalg.cholesky(self.covariances)
         except np.linalg.LinAlgError as error:
-            raise InvalidGoalError("a pose prior's covariances must be positive definite") from error
+            raise InvalidGoalError(
+                "a pose prior's covariances must be positive definite"
+            ) from error
         logs = np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
         weights = self.weights / self.weights.sum()
         object.__setattr__(self, "precisions", np.linalg.inv(self.covariances))
         object.__setattr__(self, "logs", np.log(weights) - logs - 0.5 * n * np.log(2.0 * np.pi))
-        object.__setattr__(self, "least", self._least())
+        object.__setattr__(self, "min_energy", self._lowest_energy())
 
     def __repr__(self) -> str:
         return f"PosePrior({len(self.names)} features, {len(self.weights)} parts)"
 
     def features(self, robot: Robot, q: ArrayLike) -> Array:
-        """(m, n) features x of poses (m, nq), or (n,) of one.
+        """Return the features x (m, n) of poses (m, nq), or (n,) of one pose.
 
         Raises:
             UnknownJointError: The robot lacks a joint of the prior.
         """
         rows = np.atleast_2d(np.asarray(q, dtype=float))
         columns = []
-        for what, a, _ in self.indices(robot).tolist():
-            if what == NUMBER:
+        for code, a, _ in self.indices(robot).tolist():
+            if code == NUMBER:
                 columns.append(rows[:, a])
-            elif what in (LEAN_X, LEAN_Y):
+            elif code in (LEAN_X, LEAN_Y):
                 w, x, y, z = rows[:, a : a + 4].T
-                columns.append(2.0 * (x * z - w * y) if what == LEAN_X else 2.0 * (y * z + w * x))
+                columns.append(2.0 * (x * z - w * y) if code == LEAN_X else 2.0 * (y * z + w * x))
             else:
-                columns.append(np.array([rotation_log(row[a : a + 4])[what - VECTOR_X] for row in rows]))
-        found = (np.stack(columns, axis=1) - self.middle) / self.spread
-        return np.asarray(found[0] if np.ndim(q) == 1 else found)
+                columns.append(
+                    np.array([rotation_log(row[a : a + 4])[code - VECTOR_X] for row in rows])
+                )
+        x = (np.stack(columns, axis=1) - self.middle) / self.spread
+        return np.asarray(x[0] if np.ndim(q) == 1 else x)
 
     def energy(self, robot: Robot, q: ArrayLike) -> Array:
-        """−log density of x at poses (m, nq), or of one: the less, the likelier."""
+        """Return −log of the density at poses (m, nq), or at one pose."""
         x = self.features(robot, q)
         return self.energy_of(np.atleast_2d(x))[0 if np.ndim(q) == 1 else slice(None)]
 
     def indices(self, robot: Robot) -> NDArray[np.int64]:
-        """(n, 3) the kernel's code of each feature, where it begins in q, and its node.
+        """Return (n, 3) for each feature: its code in kernels, where it starts in q, and its node.
 
         Raises:
-            UnknownJointError: The robot lacks a joint, or it is of another kind.
+            UnknownJointError: The robot lacks a joint of the prior.
+            InvalidGoalError: A joint has another kind.
         """
         rows = []
         for name in self.names:
@@ -137,10 +162,12 @@ class PosePrior:
             kind = int(robot.tree.kind[k])
             if colon + part not in _PARTS_OF.get(kind, ("",)):
                 raise InvalidGoalError(
-                    f"the prior has {name!r}, but joint {joint!r} of {robot.name!r} is of another kind",
-                    hint=f"learn one from motions of {robot.name!r}: robot_ik.figure.motion.pose_prior",
+                    f"the prior has {name!r}, but that joint of {robot.name!r} has another kind",
+                    hint=f"learn a prior from motions of {robot.name!r} with fit_pose_prior",
                 )
-            rows.append((_PARTS[colon + part], int(robot.tree.qadr[k]) + (3 if kind == FREE else 0), k))
+            rows.append(
+                (_PARTS[colon + part], int(robot.tree.qadr[k]) + (3 if kind == FREE else 0), k)
+            )
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
 
     def block(self, robot: Robot) -> Block:
@@ -158,29 +185,35 @@ class PosePrior:
             "precisions": self.precisions.reshape(-1, len(self.names)),
         }
         block = PRIOR.allocate(given=given)
-        block["min_energy"] = self.least
+        block["min_energy"] = self.min_energy
         return block
 
     def save(self, path: Path | str) -> None:
-        """Writes an .npz file.
+        """Write an .npz file.
 
         Raises:
             OutputError: The folder is missing or not writable.
         """
         stream = io.BytesIO()
         np.savez_compressed(
-            stream, schema=1, names=np.array(self.names), middle=self.middle, spread=self.spread,
-            weights=self.weights, means=self.means, covariances=self.covariances.astype(np.float32),
+            stream,
+            schema=1,
+            names=np.array(self.names),
+            middle=self.middle,
+            spread=self.spread,
+            weights=self.weights,
+            means=self.means,
+            covariances=self.covariances.astype(np.float32),
             contour=self.contour,
-        )  # fmt: skip
+        )
         write_atomically(Path(path), stream.getvalue())
 
     @classmethod
     def load(cls, path: Path | str) -> PosePrior:
-        """Reads what ``save`` wrote.
+        """Read a file of ``save``.
 
         Raises:
-            ConfigError: It is not there, or no pose prior.
+            ConfigError: The file does not exist or is not a pose prior.
         """
         file = Path(path)
         try:
@@ -188,40 +221,54 @@ class PosePrior:
                 if int(arrays["schema"]) != 1:
                     raise ConfigError("another version", file=file, key="schema", allowed="1")
                 return cls(
-                    tuple(arrays["names"].tolist()), arrays["middle"], arrays["spread"], arrays["weights"],
-                    arrays["means"], arrays["covariances"].astype(float), float(arrays["contour"]),
-                )  # fmt: skip
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, InvalidGoalError) as error:
+                    tuple(arrays["names"].tolist()),
+                    arrays["middle"],
+                    arrays["spread"],
+                    arrays["weights"],
+                    arrays["means"],
+                    arrays["covariances"].astype(float),
+                    float(arrays["contour"]),
+                )
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            zipfile.BadZipFile,
+            InvalidGoalError,
+        ) as error:
             raise ConfigError(f"is no pose prior: {error}", file=file) from error
 
     @classmethod
     def of(cls, robot: Robot) -> PosePrior:
-        """The prior that ships with a robot.
+        """Return the prior of a bundled robot.
 
         Raises:
-            ModelError: None does.
+            ModelError: The robot has no prior.
         """
         file = robot.folder / "assets" / "pose_prior.npz"
         if not file.is_file():
             raise ModelError(
-                f"no pose prior ships with {robot.name!r}", path=robot.path,
+                f"no pose prior ships with {robot.name!r}",
+                path=robot.path,
                 hint="learn one from its motions: robot_ik.figure.motion.pose_prior.fit_pose_prior",
-            )  # fmt: skip
+            )
         return cls.load(file)
 
     def energy_of(self, x: Array) -> Array:
-        """(m,) of features (m, n)."""
+        """Return the energies (m,) of features (m, n)."""
         logs = self._part_logs(x)
         best = logs.max(axis=1)
         return -(best + np.log(np.exp(logs - best[:, None]).sum(axis=1)))
 
     def _part_logs(self, x: Array) -> Array:
-        """(m, k) log w_k N(x; …)."""
-        off = x[:, None, :] - self.means
-        return np.asarray(self.logs - 0.5 * np.einsum("mki,kij,mkj->mk", off, self.precisions, off))
+        """Return (m, k) log w_k N(x; …)."""
+        deviation = x[:, None, :] - self.means
+        squares = np.einsum("mki,kij,mkj->mk", deviation, self.precisions, deviation)
+        return np.asarray(self.logs - 0.5 * squares)
 
-    def _least(self) -> float:
-        """The least energy: the lowest mode that climbing from the means finds (Carreira-Perpiñán 2000)."""
+    def _lowest_energy(self) -> float:
+        """Return the energy of the best mode that the means lead to (Carreira-Perpiñán 2000)."""
         x = np.array(self.means)
         for _ in range(_MODE_ROUNDS):
             logs = self._part_logs(x)
@@ -229,11 +276,11 @@ class PosePrior:
             matrix = np.einsum("mk,kij->mij", shares, self.precisions)
             right = np.einsum("mk,kij,kj->mi", shares, self.precisions, self.means)
             moved = np.linalg.solve(matrix, right[..., None])[..., 0]
-            still = float(np.abs(moved - x).max())
+            change = float(np.abs(moved - x).max())
             x = moved
-            if still < _MODE_STILL:
+            if change < _MODE_CHANGE:
                 break
-        return float(self.energy_of(x).min()) - _LEAST_MARGIN
+        return float(self.energy_of(x).min()) - _ENERGY_MARGIN
 
 
 NO_PRIOR = PRIOR.allocate(

@@ -1,7 +1,7 @@
-"""Fixtures with which people test their own robot programs: an arm, its servos, and what goes wrong.
+"""pytest fixtures for tests of robot programs: an arm, its simulated servos, and their faults.
 
-pytest finds this module by itself wherever robot_ik is installed (entry point ``pytest11``).  Nothing is
-imported before a test asks for one of the fixtures.  Another arm: define ``virtual_arm_config`` anew.
+pytest finds this module wherever robot_ik is installed (entry point ``pytest11``). Nothing is
+imported before a test uses a fixture. To test another arm, override ``virtual_arm_config``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def virtual_arm_config() -> ArmConfig:
 
 @pytest.fixture
 def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
-    """(n,) rad where the arm stands at first: the robot's home, or zeros where its model is not at hand."""
+    """Joint angles (n,), rad, of the arm at the start: the home pose, or zeros without a model."""
     from robot_ik.hardware.virtual.bus import home_of
 
     return home_of(virtual_arm_config)
@@ -43,8 +43,8 @@ def virtual_bus(
 ) -> VirtualBus:
     """The simulated servos: registers, shafts, faults.
 
-    On virtual time, which passes only when somebody sleeps on ``virtual_bus.clock``; on real time in a test
-    that uses ``virtual_port``.
+    Their time is virtual: it passes only during a sleep on ``virtual_bus.clock``. In a test that
+    uses ``virtual_port`` it is real.
     """
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.ports import RealClock, VirtualClock
@@ -65,9 +65,9 @@ def virtual_arm(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Itera
 
 @pytest.fixture
 def virtual_port(virtual_bus: VirtualBus) -> Iterator[str]:
-    """Path of a serial port behind which these servos are: for programs that open one, in any language.
+    """Path of a serial port with these servos, for programs in any language.
 
-    Skips the test where there are no pseudo terminals (Windows).
+    The test is skipped on systems without pseudo terminals (Windows).
     """
     try:
         from robot_ik.hardware.virtual.pty import PtyPort
@@ -78,13 +78,14 @@ def virtual_port(virtual_bus: VirtualBus) -> Iterator[str]:
 
 
 class FaultPlayer:
-    """Lets faults happen on the servos of a test; times count from the call."""
+    """Injects faults into the servos of a test. Times count from the call."""
 
     def __init__(self, config: ArmConfig, bus: VirtualBus) -> None:
-        self._config, self._bus = config, bus
+        self._config = config
+        self._bus = bus
 
     def __call__(self, source: str | Path) -> FaultFile:
-        """Plays a file of faults, or the text of one.
+        """Play a file of faults, or its text.
 
         Raises:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
@@ -92,7 +93,9 @@ class FaultPlayer:
         from robot_ik.hardware.virtual.faults import load_faults, parse_faults
 
         text = isinstance(source, str) and "\n" in source
-        found = parse_faults(str(source), self._config) if text else load_faults(source, self._config)
+        found = (
+            parse_faults(str(source), self._config) if text else load_faults(source, self._config)
+        )
         self._bus.reseed(found.seed)
         self._bus.inject(*found.faults)
         return found
@@ -107,24 +110,34 @@ class FaultPlayer:
         in_s: float = 0.0,
         for_s: float | None = None,
     ) -> None:
-        """Lets one fault happen: a kind of the virtual bus, in ``in_s`` seconds, for ``for_s`` or for good.
+        """Inject one fault of the virtual bus, in ``in_s`` seconds, for ``for_s`` or forever.
 
         Raises:
-            ConfigError: No such kind, joint or value.
+            ConfigError: The kind, the joint or the value does not exist.
         """
         from robot_ik.hardware.virtual.faults import make_fault
 
         fault = make_fault(
-            self._config, "fault_script", kind=kind, joint=joint, id=id, value=value, at_s=in_s, for_s=for_s
+            self._config,
+            "fault_script",
+            kind=kind,
+            joint=joint,
+            id=id,
+            value=value,
+            at_s=in_s,
+            for_s=for_s,
         )
         self._bus.inject(fault)
 
     def clear(self, kind: str | None = None) -> int:
-        """Takes faults back, all or of one kind; servos that shut down restart.  How many there were."""
+        """Clear all faults, or those of one kind, and return their number.
+
+        Servos that shut down restart.
+        """
         return self._bus.clear(kind)
 
 
 @pytest.fixture
 def fault_script(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> FaultPlayer:
-    """``fault_script(file or text)`` plays a file of faults, ``.inject(kind, joint)`` one; ``.clear()``."""
+    """Player of faults: ``fault_script(file)``, ``.inject(kind, joint)`` and ``.clear()``."""
     return FaultPlayer(virtual_arm_config, virtual_bus)

@@ -230,7 +230,7 @@ class Robot:
         return np.asarray(dq[np.isin(self.model.dof_jntid, self.tree.joint_ids)])
 
     def data_at(self, q: ArrayLike) -> mujoco.MjData:
-        """Return MuJoCo's data with all bodies at ``q``, valid until the next call of this thread."""
+        """Return MuJoCo's data with the bodies at ``q``, valid until this thread's next call."""
         data = getattr(self._thread_data, "data", None)
         if data is None:
             data = mujoco.MjData(self.model)
@@ -353,9 +353,9 @@ class Robot:
         """Return a ball that the origin of a frame cannot leave.
 
         Returns:
-            Centre (3,) and radius in metres, or None if the base floats or a slide is unlimited. The
-            centre is the position of the first joint. The radius is the sum of the offsets after
-            it, with slides at their longest.
+            Centre (3,) and radius in metres, or None if the base floats or a slide is unlimited.
+            The centre is the position of the first joint. The radius is the sum of the offsets
+            after it, with slides at their longest.
         """
         node, local = self.attachment(frame)
         return self.tree.reach(node, local)
@@ -372,7 +372,8 @@ class Robot:
         world = np.empty((self.tree.size, 12))
         scratch = np.empty((2, 12))
         address = self.tree.block.address
-        inputs = (address, nodes, node, local[None, :], self.check_q(q))
+        # A copy: numba would compile the forward pass again for an array that is read-only.
+        inputs = (address, nodes, node, local[None, :], self.check_q(q).copy())
         return *inputs, world, scratch, *outputs
 
     @cached_property

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Status(enum.IntEnum):
-    """How a solve ended; only CONVERGED means that every goal that is needed is within tolerance."""
+    """How a solve ended. Only CONVERGED means that all hard goals are within tolerance."""
 
     CONVERGED = search.CONVERGED
     STALLED = search.STALLED
@@ -98,8 +98,8 @@ class Solution:
         iterations, restarts: Steps of all tries; random restarts used.
         seconds: Wall-clock time of the solve.
         solver: Name of the method that found q.
-        given, targets: The goals as given to the problem, and the matrices (g, 4, 4) they were moved
-            to since; ``goals`` puts the two together.
+        given: The goals as given to the problem.
+        targets: (g, 4, 4) their current targets. ``goals`` has both.
         avoidance: The condition on collisions, if there was one.
     """
 
@@ -124,7 +124,9 @@ class Solution:
     def goals(self) -> tuple[Goal, ...]:
         """The goals with the targets they had in this solve."""
         rows = [goal.rows(self.robot) for goal in self.given]
-        return tuple(at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True))
+        return tuple(
+            at_matrix(*triple) for triple in zip(self.given, rows, self.targets, strict=True)
+        )
 
     @cached_property
     def errors(self) -> tuple[Deviation, ...]:
@@ -134,7 +136,9 @@ class Solution:
     @property
     def error(self) -> Deviation:
         """Largest error of the goals that are not soft, measured by MuJoCo on first access."""
-        needed = [error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft]
+        needed = [
+            error for goal, error in zip(self.given, self.errors, strict=True) if not goal.soft
+        ]
         return Deviation(
             position=max((error.position for error in needed), default=0.0),
             angle=max((error.angle for error in needed), default=0.0),
@@ -158,20 +162,27 @@ class Solution:
     def trace(self) -> tuple[Step, ...]:
         """One row for each step, when a trace was asked for."""
         rows = [] if self.trace_rows is None else self.trace_rows.tolist()
-        return tuple(Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows)
+        return tuple(
+            Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows
+        )
 
     def require(self) -> Solution:
-        """This solution if it converged; else raises ``NotConvergedError``: how far off it is and why."""
+        """Return this solution if it converged.
+
+        Raises:
+            NotConvergedError: It did not. The error tells the distance and the reason.
+        """
         if self.converged:
             return self
-        off = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
+        distance = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
         if self.status in _COLLIDING and self.clearance.pair is not None:
             first, second = self.clearance.pair
-            off += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
+            distance += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
         raise NotConvergedError(
-            f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); nearest: "
-            f"{off} after {self.iterations} steps", self,
-        )  # fmt: skip
+            f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); "
+            f"nearest: {distance} after {self.iterations} steps",
+            self,
+        )
 
     def __repr__(self) -> str:
         return (

@@ -115,7 +115,7 @@ class Urdf:
         return None
 
     def _wrong_mimic(self) -> Problem | None:
-        """Find a joint that mimics a joint which it cannot mimic. MuJoCo would let it move freely."""
+        """Find a joint with a mimic that MuJoCo would ignore, so the joint would move freely."""
         types = {joint.get("name", ""): joint.get("type", "") for joint in self._joints()}
         possible = [name for name, kind in types.items() if kind in MIMIC_TYPES]
         for joint in self._joints():
@@ -157,8 +157,8 @@ class Urdf:
         """Return the text that MuJoCo reads.
 
         Fixed joints keep their frames, and meshes are found, unless the ``<mujoco>`` element of the
-        file has other settings. A missing mesh, or one in a format that MuJoCo does not read (.dae),
-        is left out, because kinematics needs no meshes.
+        file has other settings. Missing meshes, and meshes in a format that MuJoCo does not read
+        (.dae), are left out, because kinematics needs no meshes.
         """
         for joint in self._joints():
             limit = joint.find("limit")

@@ -26,24 +26,28 @@ ROW = st.builds(
 
 
 def rotation_x(angle):
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     return np.array([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
 
 
 def rotation_z(angle):
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
 
 def translation(x, z):
     matrix = np.eye(4)
-    matrix[0, 3], matrix[2, 3] = x, z
+    matrix[0, 3] = x
+    matrix[2, 3] = z
     return matrix
 
 
 def dh_matrix(row, value, convention):
     """Return A_i of the literature."""
-    theta, d = row.theta, row.d
+    theta = row.theta
+    d = row.d
     if row.joint == "revolute":
         theta += value
     else:

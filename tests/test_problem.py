@@ -38,10 +38,10 @@ def targets_of(problem):
 
 def test_tolerances_and_budgets_must_make_sense():
     for bad in ({"position": 0.0}, {"angle": -1.0}, {"position": np.nan}):
-        with pytest.raises(OptionError, match="tolerance: .*allowed: a positive number"):
+        with pytest.raises(OptionError, match=r"tolerance: .*allowed: a positive number"):
             Tolerance(**bad)
     for bad in ({"iterations": -1}, {"restarts": -1}, {"seconds": -0.1}, {"seconds": np.nan}):
-        with pytest.raises(OptionError, match=f"budget: {next(iter(bad))}: .*allowed: 0"):
+        with pytest.raises(OptionError, match=rf"budget: {next(iter(bad))}: .*allowed: 0"):
             Budget(**bad)
 
 

@@ -330,7 +330,10 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Motio
     for name, rows in found.items():
         ms = [m for m, _ in rows]
         yield name, Quantity("balls", len(ms), least=count)
-        yield name, Quantity("hand from the ball, worst", 1e3 * max(error for _, error in rows), "mm", most=5.0)
+        yield (
+            name,
+            Quantity("hand from the ball, worst", 1e3 * max(error for _, error in rows), "mm", most=5.0),
+        )
         least = 90.0 if name == "jump" else 100.0
         inside = 100 * float(np.mean([m.inside for m in ms]))
         yield name, Quantity("zero-moment point inside", inside, "%", least=least)
@@ -419,7 +422,7 @@ def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iter
 #
 # Both get, frame by frame, the poses of the feet, the centre of mass over the floor, the pelvis (rotation and
 # height), the rotation of the chest, gaze and a posture, read off a solved walk, and begin where their frame
-# before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``PEER_ERROR``.
+# before ended.  mink weighs all rows; it steps until feet and centre of mass are within ``PEER_ERROR``.
 
 
 PEER_ERROR = 1e-4

@@ -14,8 +14,11 @@ GL_PACKAGES = {"egl": "libegl1 libgl1", "osmesa": "libosmesa6", "glfw": _MESA, "
 """Back end of ``MUJOCO_GL``: packages of Debian and Ubuntu that install it."""
 
 OPENCV_WHEELS = (
-    "opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python",
-)  # fmt: skip
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+    "opencv-contrib-python",
+    "opencv-python",
+)
 """Distributions that install ``cv2``, best first."""
 
 
@@ -58,7 +61,7 @@ def import_mujoco() -> ModuleType:
         ) from reason
     if not hasattr(mujoco, "MjModel"):
         raise RobotIkError(
-            "the installed mujoco package is an empty shell (it has no MjModel): two versions were mixed",
+            "the installed mujoco package has no MjModel, because two versions were mixed",
             hint="repair: pip uninstall -y mujoco mujoco-core mujoco-studio && pip install mujoco",
         )
     return mujoco
@@ -73,7 +76,7 @@ def version_of(package: str) -> str:
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of this distribution and its main dependencies, without importing them."""
+    """Return the versions of this distribution and of its main dependencies."""
     opencv = next((name for name in OPENCV_WHEELS if version_of(name)), "opencv")
     names = (DISTRIBUTION, "mujoco", opencv, "numba", "numpy", "dynamixel-sdk")
     return {name: version_of(name) for name in names}

@@ -1,1 +1,1 @@
-"""Compiled numerics: functions on named blocks of memory, without Python objects or allocation in loops."""
+"""Compiled numerics on named blocks of memory, without Python objects or allocation in loops."""

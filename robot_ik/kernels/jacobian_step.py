@@ -1,4 +1,4 @@
-"""What the steps of the Jacobian methods share: clamped residual, bounds, largest change of a joint.
+"""Shared parts of the Jacobian methods: clamped residual, bounds, largest change of a joint.
 
 A step is made as follows. The middle belongs to the method:
 
@@ -128,7 +128,7 @@ def keep_inside(box, step):
 
 @outlined
 def limit(step, gain, max_step):
-    """Scale ``step`` in place by ``gain``, or until no joint exceeds ``max_step``; return the scale."""
+    """Scale ``step`` in place by ``gain``, but no joint beyond ``max_step``; return the scale."""
     largest = 0.0
     for u in range(step.shape[0]):
         largest = max(largest, abs(gain * step[u]))

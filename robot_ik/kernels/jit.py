@@ -1,7 +1,8 @@
 """``@kernel``: the one decorator for compiled code, with a cache that cannot go stale.
 
-A module's cache folder is named after a hash of its source and of every source that it imports: numba's own
-cache serves a compiled caller again although a callee in *another* file has changed.
+The cache folder of a module is named after a hash of its source and of all sources that it
+imports. numba's own cache would keep a compiled caller
+although a callee in another file has changed.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from robot_ik.errors import OptionError
 from robot_ik.kernels.typing_memory import KernelCompiler
 
-# Made while numba is imported, from the environment: no type checker can see what is in it.
+# numba creates it from the environment during the import, so type checkers know no attributes.
 numba_config: Any = numba.core.config
 if numba_config.DISABLE_JIT:
     raise OptionError(
@@ -59,7 +60,7 @@ if "numba.np.arraymath" not in sys.modules and importlib.util.find_spec("scipy")
 
 
 class _ExitGuard(event.Listener):
-    """Stops a thread that compiles when the process exits: LLVM crashes if it ends under a thread."""
+    """Stops compilation in other threads at exit. LLVM crashes if it ends under a thread."""
 
     exiting = False
 
@@ -68,12 +69,12 @@ class _ExitGuard(event.Listener):
         self.exiting = True
         global_compiler_lock.acquire()
 
-    def on_start(self, event: Any) -> None:
-        """Stop here if the process exits."""
+    def on_start(self, _event: Any) -> None:
+        """Stop the thread if the process exits."""
         if self.exiting:
             raise SystemExit
 
-    def on_end(self, event: Any) -> None:
+    def on_end(self, _event: Any) -> None:
         """Do nothing."""
 
 
@@ -83,47 +84,53 @@ atexit.register(_exit_guard.stop_compiling)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# Not nnan and ninf: comparisons with NaN and infinity must mean what they say.  Even so LLVM folds
-# isfinite(x) of a number that it has just computed to True: test numbers with comparisons instead.
+# Without nnan and ninf, because comparisons with NaN and infinity must be right. LLVM still folds
+# isfinite(x) of a computed number to True, so kernels test numbers with comparisons.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: dict[str, Any] = {
-    "cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,
-}  # fmt: skip
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": _FASTMATH,
+    "no_cfunc_wrapper": True,
+}
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-# What compiled code of one file takes from another lies in these.
+# Packages with compiled code.
 _WITH_COMPILED_CODE = ("kernels", "solvers", "camera")
-# At the margin only: what is imported inside a function is no global of compiled code.
-_IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
+# Imports at the margin only, because compiled code cannot use imports inside functions.
+_IMPORT = re.compile(
+    r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE
+)
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of ``solvers.ccd``; None for what is no module."""
+    """Return the source of a module such as ``solvers.ccd``; None if it does not exist."""
     path = _PACKAGE.joinpath(*module.split("."))
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
 
 
 @functools.cache
 def _imported(path: Path) -> tuple[bytes, tuple[Path, ...]]:
-    """One source, and the sources of compiled code that it imports."""
+    """Return the bytes of a source, and the sources of compiled code that it imports."""
     text = path.read_bytes()
-    found: list[Path | None] = []
+    files: list[Path | None] = []
     for module, names in _IMPORT.findall(text.decode()):
         if module.split(".")[0] in _WITH_COMPILED_CODE:
-            found += [
+            files += [
                 _file_of(module),
                 *(_file_of(f"{module}.{name}") for name in re.findall(r"\w+", names)),
             ]
-    return text, tuple(dict.fromkeys(other for other in found if other is not None))
+    return text, tuple(dict.fromkeys(file for file in files if file is not None))
 
 
 def sources(module: str) -> list[Path]:
-    """Every source that can change the compiled code of a module, its own among them, in a fixed order.
+    """Return every source that can change the compiled code of a module, in a fixed order.
 
-    Of a module outside ``robot_ik`` (a user's, a test's) every source of the kernels.
+    For a module outside ``robot_ik`` it is every source of the kernels.
     """
-    own = _file_of(module.removeprefix("robot_ik.")) if module.startswith("robot_ik.") else None
-    todo = [own] if own else list((_PACKAGE / "kernels").glob("*.py"))
+    source = _file_of(module.removeprefix("robot_ik.")) if module.startswith("robot_ik.") else None
+    todo = [source] if source else list((_PACKAGE / "kernels").glob("*.py"))
     known: set[Path] = set()
     while todo:
         source = todo.pop()
@@ -141,13 +148,15 @@ def _user_cache() -> Path:
 
 @functools.cache
 def cache_folder(module: str = __name__) -> Path:
-    """Where a module's compiled code is kept: the user's cache, or a temporary folder if need be."""
+    """Return the folder of a module's compiled code: the user's cache, else a temporary folder."""
     digest = hashlib.sha256(f"{numba.__version__} {sys.version}".encode())
     for source in sources(module):
         digest.update(source.name.encode())
         digest.update(_imported(source)[0])
     name = Path("robot-ik") / "kernels" / digest.hexdigest()[:16]
-    candidates = [Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"]
+    candidates = [
+        Path(tempfile.gettempdir()) / f"robot-ik-{os.getuid() if hasattr(os, 'getuid') else 0}"
+    ]
     with contextlib.suppress(RuntimeError):  # no home folder at all
         candidates.insert(0, _user_cache())
     for base in candidates:
@@ -161,21 +170,21 @@ def cache_folder(module: str = __name__) -> Path:
     return Path(tempfile.mkdtemp(prefix="robot-ik-"))
 
 
-# Inner functions are kept as unoptimised LLVM code; an entry point links in all that it calls, optimises
-# it and makes machine code of it, once.  numba by itself does so for every function together with all that
-# lies below it: a function six calls deep would be optimised six times, which doubled a first compile.
+# Inner functions are kept as unoptimised LLVM code. An entry point links in all that it calls, and
+# LLVM optimises and compiles it once. numba alone optimises each function together with all its
+# callees, so a function six calls deep would be optimised six times, which doubled a first compile.
 
 
 class _NoEnvironment:
-    """What numba sees as an inner library's code generator: it has no machine code that could hold one."""
+    """The code generator of an inner library for numba. Inner functions have no environment."""
 
     @staticmethod
-    def set_env(name: str, environment: Any) -> None:
-        """Does nothing: an environment is for Python objects, and inner functions have none."""
+    def set_env(_name: str, _environment: Any) -> None:
+        """Do nothing. An environment is for Python objects."""
 
 
 class _InnerLibrary(JITCodeLibrary):
-    """LLVM code of a function that compiled code alone calls, to be linked into its callers."""
+    """LLVM code of a function that only compiled code calls. It is linked into its callers."""
 
     codegen = _NoEnvironment
 
@@ -187,8 +196,8 @@ class _InnerLibrary(JITCodeLibrary):
         self._verify_declare_only_symbols()
         self._finalized = True
 
-    def get_pointer_to_function(self, name: str) -> int:
-        # Where Python would enter: a TypeError in place of a crash.
+    def get_pointer_to_function(self, _name: str) -> int:
+        # A call from Python raises a TypeError, and does not crash.
         return ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value or 0
 
     def serialize_using_object_code(self) -> tuple[str, bytes]:
@@ -196,7 +205,7 @@ class _InnerLibrary(JITCodeLibrary):
 
     @classmethod
     def load(cls, codegen: Any, name: str, bitcode: bytes) -> _InnerLibrary:
-        """From what ``serialize_using_object_code`` gave."""
+        """Return the library of a result of ``serialize_using_object_code``."""
         library = cls(codegen, name)
         library._final_module = library._shared_module = llvm.parse_bitcode(bitcode)
         library._finalize_final_module()
@@ -210,7 +219,7 @@ class _InnerCompiler(KernelCompiler):
 
 
 class _InnerContext:
-    """A target context that makes inner libraries of what the cache holds."""
+    """A target context that loads inner libraries from the cache."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
@@ -227,7 +236,7 @@ class _InnerContext:
 
 class _InnerCacheImpl(CompileResultCacheImpl):
     def reduce(self, result: Any) -> Any:
-        # Without the listing of its types, which takes longer to write than all else.
+        # Without the listing of types, which takes longest to write.
         return super().reduce(result._replace(type_annotation=""))
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
@@ -240,11 +249,9 @@ class _InnerCache(FunctionCache):
 
 @contextlib.contextmanager
 def _cache_of(function: Any) -> Iterator[None]:
-    """What is compiled inside is cached in the folder of the function's module."""
-    previous, numba_config.CACHE_DIR = (
-        numba_config.CACHE_DIR,
-        str(cache_folder(function.__module__)),
-    )
+    """Cache the functions that are decorated inside in the folder of the function's module."""
+    previous = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
     try:
         yield
     finally:
@@ -266,9 +273,9 @@ def _compile_inner(function: F, **options: Any) -> F:
 
 
 def kernel(function: F) -> F:
-    """An entry point: compiled on its first call, cached between processes, the GIL released while it runs.
+    """Decorate an entry point. It is compiled on its first call and cached between processes.
 
-    Entry points may allocate; what loops calls ``inlined`` functions.
+    It releases the GIL and may allocate memory. Loops call ``inlined`` functions.
     """
     with _cache_of(function):
         compiled: F = numba.njit(**_OPTIONS, pipeline_class=KernelCompiler)(function)
@@ -276,43 +283,47 @@ def kernel(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Inner code: arrays in, arrays changed, nothing allocated, so nothing is reference-counted.
+    """Decorate inner code, which is inlined, allocates nothing and counts no references.
 
-    Without this, numba counts references at every array that passes through a tuple or a call: a solver
-    step then costs 4 µs instead of 0.5.  Such a function may be called from compiled code only.
+    numba would count references of every array in a tuple or a call, and a solver step would take
+    4 µs instead of 0.5 µs. Only compiled code may call such a function.
     """
     return _compile_inner(function, forceinline=True)
 
 
 def literal(function: F) -> F:
-    """Like ``inlined``, but sums are formed as they are written: where rounding errors shall cancel."""
+    """Decorate inlined code whose sums keep their order, so that rounding errors cancel."""
     return _compile_inner(function, forceinline=True, fastmath={"contract"})
 
 
 def outlined(function: F) -> F:
-    """Like ``inlined`` but never forced into its callers: what is large or called from several places.
+    """Decorate inner code that is not inlined by force: it is large or has several callers.
 
-    Stated explicitly, as a function first compiled for a forced one would inherit the force.
+    The option is explicit, because a function that is compiled for an inlined one would inherit
+    the force.
     """
     return _compile_inner(function, forceinline=False)
 
 
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """The compiled code of an entry point for such types: without numba's inspection of them, 0.1 µs each."""
+    """Return the compiled code of an entry point for the types of the arguments.
+
+    A call of it saves numba's inspection of the types, 0.1 µs each.
+    """
     types = tuple(numba.typeof(argument) for argument in arguments)
     try:
         function.compile(types)
     except RuntimeError as error:
         if "no compiled object yet" not in str(error):
             raise
-        # A signal came while LLVM made machine code: ctypes dropped what its handler raised.
+        # A signal came while LLVM compiled, and ctypes dropped the exception of its handler.
         raise KeyboardInterrupt from error
-    found: Callable[..., Any] = function.overloads[types].entry_point
-    return found
+    entry_point: Callable[..., Any] = function.overloads[types].entry_point
+    return entry_point
 
 
 def compiled(function: Any) -> bool:
-    """Whether an entry point has been compiled on this machine, from these sources."""
+    """Return whether an entry point has been compiled on this machine from these sources."""
     return any(cache_folder(function.__module__).rglob(f"*.{function.__name__}-*.nbi"))
 
 
@@ -320,7 +331,7 @@ _announced: set[tuple[str, str]] = set()
 
 
 def announce(function: Any, what: str) -> None:
-    """Logs one line if calling ``function`` now means compiling it (some seconds, once per machine)."""
+    """Log one line if a call of ``function`` would compile it, which takes some seconds."""
     key = function.__module__, function.__name__
     if key in _announced:
         return

@@ -136,18 +136,29 @@ def normal_equations(jacobian, residual, normal, gradient):
     """Write JᵀJ to the lower triangle of ``normal`` and Jᵀr to ``gradient``."""
     rows, n = jacobian.shape
     if rows == 6:  # one pose: no loop over the rows
-        r0, r1, r2, r3, r4, r5 = (
-            residual[0], residual[1], residual[2], residual[3], residual[4], residual[5],
-        )  # fmt: skip
+        r0 = residual[0]
+        r1 = residual[1]
+        r2 = residual[2]
+        r3 = residual[3]
+        r4 = residual[4]
+        r5 = residual[5]
         for i in range(n):
-            a0, a1, a2 = jacobian[0, i], jacobian[1, i], jacobian[2, i]
-            a3, a4, a5 = jacobian[3, i], jacobian[4, i], jacobian[5, i]
+            a0 = jacobian[0, i]
+            a1 = jacobian[1, i]
+            a2 = jacobian[2, i]
+            a3 = jacobian[3, i]
+            a4 = jacobian[4, i]
+            a5 = jacobian[5, i]
             gradient[i] = a0 * r0 + a1 * r1 + a2 * r2 + a3 * r3 + a4 * r4 + a5 * r5
             for j in range(i + 1):
                 normal[i, j] = (
-                    a0 * jacobian[0, j] + a1 * jacobian[1, j] + a2 * jacobian[2, j]
-                    + a3 * jacobian[3, j] + a4 * jacobian[4, j] + a5 * jacobian[5, j]
-                )  # fmt: skip
+                    a0 * jacobian[0, j]
+                    + a1 * jacobian[1, j]
+                    + a2 * jacobian[2, j]
+                    + a3 * jacobian[3, j]
+                    + a4 * jacobian[4, j]
+                    + a5 * jacobian[5, j]
+                )
         return
     for i in range(n):
         gradient[i] = 0.0

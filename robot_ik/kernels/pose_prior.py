@@ -147,7 +147,10 @@ def feature_rate(kind, q, a, axis):
 @inlined
 def world_up(q, a):
     """Return the world's z axis in the axes of the base with the quaternion q[a : a + 4]."""
-    w, x, y, z = q[a], q[a + 1], q[a + 2], q[a + 3]
+    w = q[a]
+    x = q[a + 1]
+    y = q[a + 2]
+    z = q[a + 3]
     return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
 
 

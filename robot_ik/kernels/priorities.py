@@ -1,4 +1,4 @@
-"""``lm`` for goals of several priorities: each level is served without cost to the levels before it.
+"""``lm`` for goals of several priorities: no level costs the levels before it anything.
 
 A level is all goals of one priority. Soft goals form the last levels: they are served, but they do
 not decide whether the solve has converged, and nothing is searched for them.
@@ -164,7 +164,7 @@ open_run = RUN.open
 
 @outlined
 def measure_levels(tree, goals, search, work):
-    """Measure q with the pose prior, and write the cost of each level; return whether all are met."""
+    """Measure q with the prior, and write the cost of each level; return whether all are met."""
     within = measure(tree, goals, search)
     rows = search.residual.shape[0]
     if goals.prior_goal >= 0:
@@ -187,7 +187,7 @@ def write_jacobian(tree, goals, search, work):
 
 @outlined
 def level_met(goals, search, level, tolerances):
-    """Return whether the goals of a level are within so many tolerances. Soft levels are never met."""
+    """Return whether a level is within a multiple of its tolerances. Soft levels are never met."""
     for g in range(goals.row.shape[0]):
         if goals.level[g] != level:
             continue

@@ -1,11 +1,12 @@
-"""``Tree``: a kinematic tree as flat arrays.  ``model.py`` makes one of an ``MjModel``.
+"""``Tree``: a kinematic tree as flat arrays. ``model.py`` builds it from an ``MjModel``.
 
-Every active joint is a *node*.  With ``X_k`` the pose of node k in the world,
+Every active joint is a *node*. With ``X_k`` the pose of node k in the world,
 
     X_k = X_parent(k) · C_k · J_k(q),      frame = X_node · L
 
-where ``C_k`` is constant and ``J_k`` is a rotation about z (hinge), a shift along z (slide), a rotation
-(ball) or the whole pose (free).  Poses are rows of twelve: position, then the rotation matrix row by row.
+where ``C_k`` is constant. ``J_k`` is a rotation about z (hinge), a shift along z (slide), a
+rotation (ball) or the whole pose (free). Poses are rows of twelve numbers: the position, then the
+rotation matrix row by row.
 """
 
 from __future__ import annotations
@@ -21,8 +22,13 @@ from robot_ik.kernels.block import Block, Layout
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-HINGE, SLIDE, BALL, FREE = 0, 1, 2, 3
+# Kinds of joints.
+HINGE = 0
+SLIDE = 1
+BALL = 2
+FREE = 3
 
+# Numbers of a joint in q and in dq.
 Q_WIDTH = {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}
 V_WIDTH = {HINGE: 1, SLIDE: 1, BALL: 3, FREE: 6}
 
@@ -30,25 +36,25 @@ V_WIDTH = {HINGE: 1, SLIDE: 1, BALL: 3, FREE: 6}
 TREE = Layout(
     "Tree",
     kind="ints",  # (n,) HINGE, SLIDE, BALL, FREE
-    parent="ints",  # (n,) node, -1 = world; parents come first
+    parent="ints",  # (n,) node, -1 for the world; parents come first
     qadr="ints",  # (n,) where the node's numbers start in q
-    vadr="ints",  # (n,) … and in dq
+    vadr="ints",  # (n,) where they start in dq
     constant="table",  # (n, 12) C_k
     lower="floats",  # (nv,) -inf where unlimited
-    upper="floats",  # (nv,) ball: cone angle in each of its three entries
-    low="floats",  # (nv,) finite range for drawing random starts
-    high="floats",  # (nv,)
+    upper="floats",  # (nv,) inf where unlimited; a ball has its cone angle three times
+    sample_lower="floats",  # (nv,) finite range of random starts
+    sample_upper="floats",  # (nv,)
     dof_node="ints",  # (nv,) node of each degree of freedom
     every="ints",  # (n,) 0, 1, …: the list of all nodes
-    coupled="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``couplings``
-    law="table",  # (c, 7) q₀ of the two, a₀ … a₄
+    coupled="int_table",  # (c, 2) follower and leader (-1: none); see ``couplings``
+    law="table",  # (c, 7) q₀ of both, a₀ … a₄
 )
 open_tree = TREE.open
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree:
-    """Arrays of a kinematic tree (``TREE``), read-only, and ``block``, the same for compiled code."""
+    """Read-only arrays of a kinematic tree (``TREE``). ``block`` has them for compiled code."""
 
     joint_ids: tuple[int, ...]  # (n,) MuJoCo joint of each node
     kind: Ints
@@ -58,8 +64,8 @@ class Tree:
     constant: Array
     lower: Array
     upper: Array
-    low: Array
-    high: Array
+    sample_lower: Array
+    sample_upper: Array
     nq: int
     nv: int
     coupled: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
@@ -81,7 +87,7 @@ class Tree:
         object.__setattr__(self, "block", TREE.allocate(given=arrays))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # A copy has arrays of its own, and so needs a table of its own.
+        # A copy has other arrays and so needs another block.
         return Tree, tuple(getattr(self, item.name) for item in fields(self) if item.init)
 
     def __repr__(self) -> str:
@@ -93,15 +99,18 @@ class Tree:
         return len(self.kind)
 
     def ancestors(self, node: int) -> list[int]:
-        """Nodes that move ``node``, root first, itself included; empty for the world."""
-        found: list[int] = []
+        """Return the nodes that move ``node``, itself included, root first; none for the world."""
+        nodes: list[int] = []
         while node >= 0:
-            found.append(node)
+            nodes.append(node)
             node = int(self.parent[node])
-        return found[::-1]
+        return nodes[::-1]
 
     def reach(self, node: int, local: Array) -> tuple[Array, float] | None:
-        """A ball that a point (``local``, seen from ``node``) can never leave, as ``Robot.reach`` has it."""
+        """Return centre and radius of a ball that a frame ``local`` (12,) on ``node`` cannot leave.
+
+        It is None if the base floats or a slide is unlimited.
+        """
         chain = self.ancestors(node)
         if not chain or self.kind[chain[0]] == FREE:
             return None
@@ -115,7 +124,13 @@ class Tree:
         return (self.constant[chain[0], :3].copy(), radius) if np.isfinite(radius) else None
 
     def with_limits(self, lower: Array, upper: Array) -> Tree:
-        """The same tree inside other limits (nv,)."""
-        low = np.where(np.isfinite(lower), lower, self.low)
-        high = np.where(np.isfinite(upper), upper, self.high)
-        return replace(self, lower=lower, upper=upper, low=low, high=np.maximum(low, high))
+        """Return the same tree with other limits (nv,)."""
+        sample_lower = np.where(np.isfinite(lower), lower, self.sample_lower)
+        sample_upper = np.where(np.isfinite(upper), upper, self.sample_upper)
+        return replace(
+            self,
+            lower=lower,
+            upper=upper,
+            sample_lower=sample_lower,
+            sample_upper=np.maximum(sample_lower, sample_upper),
+        )

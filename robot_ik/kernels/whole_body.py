@@ -387,7 +387,7 @@ def bounded_step(tree, body, q):
 
 @outlined
 def continue_motion(tree, body, q):
-    """Move q, which is the frame before, as far as the body moved in that frame, inside the limits."""
+    """Repeat the displacement of the last frame on q in place, inside the limits."""
     for k in range(tree.kind.shape[0]):
         if tree.kind[k] in (HINGE, SLIDE):
             a = tree.qadr[k]

@@ -103,7 +103,7 @@ class KeyPoses:
         if len(poses) < 2 or wrong_count or not all(seconds > 0.0 for seconds in durations):
             raise TrajectoryError(
                 f"motion {name!r} got {len(poses)} poses and the durations {list(durations)}",
-                hint=f"give two or more poses, and no durations or {max(segments, 1)}, each above 0 s",
+                hint=f"give two or more poses, and no durations or {max(segments, 1)} above 0 s",
             )
         self.motions[name] = KeySequence(
             tuple(poses), tuple(float(d) for d in durations), bool(loop)

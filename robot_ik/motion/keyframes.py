@@ -148,9 +148,9 @@ def _heading(wxyz: Array) -> float:
 class Keyframes:
     """A smooth motion through joint vectors at given times, without solving between them.
 
-    It starts and ends at rest, or runs as a loop. Hinges and slides stay between the two keys beside
-    them, and balls stay in their cone. If the last key of a loop differs from the first in position
-    and heading of the free base, each round starts where the last one ended: a walk.
+    It starts and ends at rest, or runs as a loop. Hinges and slides stay between the two keys
+    beside them, and balls stay in their cone. If the last key of a loop differs from the first in
+    position and heading of the free base, each round starts where the last one ended: a walk.
 
     Attributes:
         robot: The robot.
@@ -286,7 +286,9 @@ class Keyframes:
 
         For a rotation it is the bound |J_r(h) h'| <= |h'| for all three numbers together.
         """
-        third, second, first = self._cubic[:, 0], self._cubic[:, 1], self._cubic[:, 2]
+        third = self._cubic[:, 0]
+        second = self._cubic[:, 1]
+        first = self._cubic[:, 2]
         ends = np.maximum(np.abs(first), np.abs(first + 2.0 * second + 3.0 * third))
         with np.errstate(divide="ignore", invalid="ignore"):
             where = -second / (3.0 * third)
@@ -400,7 +402,7 @@ class Keyframes:
             self._cubic = self._coefficients(changes, gaps, slopes)
 
     def _slopes(self, speeds: Array, gaps: Array) -> Array:
-        """Return the speed (n, nv) at every key. It is 0 at the ends and where a joint turns back."""
+        """Return the speed (n, nv) at every key: 0 at the ends and where a joint reverses."""
         slopes = np.zeros((len(gaps) + 1, self.robot.nv))
         slopes[1:-1] = monotone_slope(speeds[:-1], speeds[1:], gaps[:-1, None], gaps[1:, None])
         if self.loop and len(gaps):
@@ -445,7 +447,7 @@ class Keyframes:
         return outside
 
     def _ball_angles(self) -> Iterator[tuple[int, Array]]:
-        """Yield the index in dq and the angles (n,) from the axis, rad, of each ball with a cone."""
+        """Yield index in dq and angles (n,) from the axis, rad, of each ball with a cone."""
         tree = self.robot.tree
         for kind, a, v in zip(tree.kind, tree.qadr, tree.vadr, strict=True):
             if kind == BALL and np.isfinite(self.robot.upper[v]):
@@ -473,7 +475,7 @@ def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> t
             raise TrajectoryError(key + problems)
     if loop and not _closed(robot, rows[0], rows[-1]):
         raise TrajectoryError(
-            "the last key of a loop must equal the first, except for position and heading of a free base",
+            "the last key of a loop must equal the first, except position and heading of a base",
             hint="repeat the first key at the end, or use Keyframes.through(…, loop=True)",
         )
     t = t - t[0]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
 
 LONGEST_STEP = 0.005
-"""Metres. Longest step of the trace: short for any arm, so the nearest solution is the same branch."""
+"""Metres. Longest step of the trace. The nearest solution of a short step is the same branch."""
 
 LARGEST_STEP_ANGLE = 0.03
 """rad. Largest rotation in a step of the trace."""
@@ -69,8 +69,8 @@ COUNT_ROUNDING = 1e-12
 """Rounding error of a number of samples."""
 
 POINT_TOLERANCE = 1e-7
-"""m and rad of each sample. At 100 Hz an error of 1e-5 rad looks like an acceleration of 0.4 rad/s²,
-which no timing can remove; 1e-7 rad look like 4e-3 rad/s². So it is not an option."""
+"""m and rad of each sample. At 100 Hz an error of 1e-5 rad is an acceleration of 0.4 rad/s², which
+no timing can remove. 1e-7 rad are 4e-3 rad/s². Therefore it is not an option."""
 
 
 @dataclass(frozen=True)

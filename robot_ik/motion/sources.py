@@ -38,7 +38,7 @@ class ManualSource:
         """Set a new goal. None means: keep the position."""
         self._goal = goal
 
-    def poll(self, now: float) -> Goals | None:
+    def poll(self, now: float) -> Goals | None:  # noqa: ARG002  # the interface of all sources
         """Return the latest goal, None before the first."""
         return self._goal
 
@@ -47,8 +47,8 @@ class ScriptSource:
     """Goals at given times.
 
     Args:
-        steps: Pairs of time and goal in any order. Times are seconds since the first poll. A goal of
-            None means: keep the position, as before the first time. The last goal stays.
+        steps: Pairs of time and goal in any order. Times are seconds since the first poll. A goal
+            of None means: keep the position, as before the first time. The last goal stays.
 
     Raises:
         InvalidGoalError: There are no steps, or a time is negative, not finite or repeated.
@@ -80,8 +80,8 @@ class CurveSource:
 
     Args:
         frame: The frame that follows, such as "gripper".
-        curve: Maps seconds since the first poll to a ``Pose`` in the world, or to a position (3,) in
-            metres if the orientation is free.
+        curve: Maps seconds since the first poll to a ``Pose`` in the world, or to a position (3,)
+            in metres if the orientation is free.
     """
 
     def __init__(self, frame: str, curve: Callable[[float], Pose | ArrayLike]) -> None:

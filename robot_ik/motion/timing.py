@@ -129,8 +129,8 @@ def fastest_timing(
     With x = (ds/dt)² and u = d²s/dt², the velocity of a joint is q' sqrt(x) and its acceleration is
     q' u + q'' x, both linear in (x, u). A backward pass finds the largest x at each knot from which
     the joints can still brake in time. A forward pass accelerates below it as much as allowed
-    (Bobrow 1985; Pham & Pham 2018, "TOPP-RA", equations 8-12). The bounds hold at the knots. Between
-    the knots they hold only as well as the knots are dense, so the caller must check the samples.
+    (Bobrow 1985; Pham & Pham 2018, "TOPP-RA", equations 8-12). The bounds hold at the knots. Dense
+    knots approximate them between the knots, so the caller must check the samples.
 
     Args:
         s: Increasing knots (n,) from 0 to 1, n >= 2.

@@ -1,6 +1,7 @@
-"""``SOLVERS``: one row for each method, the only place of registration; ``auto`` is the default.
+"""``SOLVERS``: the registry of methods, with one row for each method. ``auto`` is the default.
 
-CLI, docs table, tests and benchmarks are made from it.  It imports no method, nor their base: both know it.
+The command line, the table of the docs, the tests and the benchmarks are generated from it. It
+imports a method when the method is first used.
 """
 
 from __future__ import annotations
@@ -42,8 +43,11 @@ class _Solvers(Mapping[str, "type[Solver]"]):
         row = _ROWS.get(name)
         if row is None:
             raise UnknownSolverError(name, _ROWS)
-        found: type[Solver] = getattr(importlib.import_module(f"robot_ik.solvers.{row[0]}"), row[1])
-        return found
+        module, class_name = row
+        solver: type[Solver] = getattr(
+            importlib.import_module(f"robot_ik.solvers.{module}"), class_name
+        )
+        return solver
 
     def __iter__(self) -> Iterator[str]:
         return iter(_ROWS)
@@ -55,9 +59,8 @@ class _Solvers(Mapping[str, "type[Solver]"]):
         return f"SOLVERS({', '.join(_ROWS)})"
 
     def __contains__(self, name: object) -> bool:
-        return (
-            name in _ROWS
-        )  # Mapping's own would let UnknownSolverError through, which is no KeyError
+        # The default of Mapping expects a KeyError, which UnknownSolverError is not.
+        return name in _ROWS
 
 
 SOLVERS: Mapping[str, type[Solver]] = _Solvers()
@@ -96,16 +99,17 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
     return kind(**options)
 
 
-def solver_name(asked: str, file: RobotFile) -> str:
-    """The method that is asked for, else that of ``robot.toml``, else ``auto``.
+def solver_name(given: str, file: RobotFile) -> str:
+    """Return the name that was given, else that of ``robot.toml``, else ``auto``.
 
     Raises:
-        UnknownSolverError: With the close names, and with the file if the name is from there.
+        UnknownSolverError: There is no such solver. The message lists close names, and the file if
+            it has the name.
     """
-    name = asked or file.solver or "auto"
+    name = given or file.solver or "auto"
     if name not in SOLVERS:
         raise UnknownSolverError(
-            name, SOLVERS, hint="" if asked else f"named by solver of {file.path}"
+            name, SOLVERS, hint="" if given else f"named by solver of {file.path}"
         )
     return name
 

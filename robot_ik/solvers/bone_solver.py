@@ -28,7 +28,7 @@ class BoneSolver(IterativeSolver):
     joint_kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
     several_goals: ClassVar[bool] = False
     # A pass has no length that could be shortened: after an undo it would be the same pass.
-    checks_steps: ClassVar[bool] = True
+    polish_undoes_steps: ClassVar[bool] = False
 
     def unsupported(self, problem: Problem) -> str:
         if unsupported := super().unsupported(problem):

@@ -65,7 +65,7 @@ class CyclicCoordinateDescent(IterativeSolver):
     default_restarts: ClassVar[int] = 20
     goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal, OrientationGoal, PoseGoal)
     # A sweep has no length that could be shortened: after an undo it would be the same sweep.
-    checks_steps: ClassVar[bool] = True
+    polish_undoes_steps: ClassVar[bool] = False
 
 
 OPTIONS = options_layout(CyclicCoordinateDescent)

@@ -45,8 +45,10 @@ if TYPE_CHECKING:
 _MIN_CURVATURE = 1e-8
 # Points tried along one direction before it is given up.
 _TRIALS = 30
-# Smallest and largest factor by which the line search shortens a step.
-_MIN_SHORTENING, _MAX_SHORTENING = 0.1, 0.5
+# Smallest factor by which the line search shortens a step.
+_MIN_SHORTENING = 0.1
+# Largest factor by which the line search shortens a step.
+_MAX_SHORTENING = 0.5
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ class Minimization(IterativeSolver):
     partial_goals: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
     default_restarts: ClassVar[int] = 200
-    checks_steps: ClassVar[bool] = True
+    polish_undoes_steps: ClassVar[bool] = False
 
     def unsupported(self, problem: Problem) -> str:
         if unsupported := super().unsupported(problem):

@@ -220,7 +220,7 @@ def pseudoinverse_step(tree, goals, search, work, options):
 def halve(tree, goals, search, work, share, halvings):
     """Halve search.step until it ends near its subgoal. Leaves q unchanged.
 
-    ``share`` is the step's part of the full step. The subgoal removes the same part of the residual.
+    ``share`` is the part of the full step. The subgoal removes the same part of the residual.
     After the last halving the step is taken if it leads downhill.
     """
     step = search.step

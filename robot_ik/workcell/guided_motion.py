@@ -1,7 +1,7 @@
 """Motions that a person has shown by guiding an arm, prepared so that the arm can repeat them.
 
 Ticks are read at uneven times, so a recording has steps that the person did not make. A person also
-does not keep the velocity caps of the arm. A recording is therefore smoothed, clipped and slowed down.
+does not keep the velocity caps of the arm. A recording is therefore smoothed, clipped and slowed.
 """
 
 from __future__ import annotations

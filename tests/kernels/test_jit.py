@@ -50,6 +50,18 @@ def again(x):
 """
 
 
+LITERALS = """
+import numpy as np
+from robot_ik.kernels.jit import inlined, kernel
+@inlined
+def entry(x, i, negative):
+    return -x[i] if negative else x[i]
+@kernel
+def mixed(x, i):
+    return entry(x, 0, True) + 10 * entry(x, 1, False) + 100 * entry(x, i, i > 1)
+"""
+
+
 # An editable install has a finder of its own, which comes before sys.path.
 USE_COPY = """
 import os, sys
@@ -262,3 +274,13 @@ def test_scipy_is_loaded_only_by_code_that_asks_for_its_linear_algebra() -> None
         "\nprint(product(2.0 * np.eye(2))[1, 1], 'scipy.linalg' in sys.modules)"
     )
     assert done.stdout.split() == ["False", "4.0", "True"], done.stderr
+
+
+def test_a_callee_is_compiled_once_for_all_literal_arguments(tmp_path: Path) -> None:
+    (tmp_path / "literals.py").write_text(LITERALS)
+    script = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import literals, numpy;"
+        "print(literals.mixed(numpy.array([1.0, 2.0, 3.0]), 2), len(literals.entry.signatures))"
+    )
+    done = run(script, XDG_CACHE_HOME=tmp_path / "cache")
+    assert done.stdout.split() == ["-281.0", "1"], done.stderr

@@ -14,7 +14,8 @@ RUN = Layout("Draws", tree=TREE, goals=GOALS, search=SEARCH)
 open_run = RUN.open
 
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
-<body name="a"><joint name="hinge" range="0.2 0.9"/><joint name="slide" type="slide" range="-0.3 0.1"/>
+<body name="a"><joint name="hinge" range="0.2 0.9"/>
+ <joint name="slide" type="slide" range="-0.3 0.1"/>
  <geom size="0.1"/>
  <body name="b"><joint name="ball" type="ball" range="0 0.7" limited="true"/><geom size="0.1"/>
   <body name="c"><joint name="still" range="-1 1"/><joint name="endless"/><geom size="0.1"/></body>

@@ -192,7 +192,8 @@ def test_following_goals_of_every_kind(robots, name, kind):
     recorder = RecorderSink(robot.joints)
     goals = [goals_near(robot, seed)[kind] for seed in (0, 1)]
     report = follow(
-        robot, ScriptSource([(0.0, goals[0]), (0.8, goals[1])]), sinks=[recorder], solver=name, clock=VirtualClock(),
+        robot, ScriptSource([(0.0, goals[0]), (0.8, goals[1])]), sinks=[recorder], solver=name,
+        clock=VirtualClock(),
         start=robot.home, duration=1.6, rate=50.0, tolerance=TOLERANCE,
     )  # fmt: skip
     path = recorder.trajectory()

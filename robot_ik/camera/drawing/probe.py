@@ -1,8 +1,8 @@
 """Checks of OpenGL and of the display in a child process.
 
 Everything that can hang, abort or print to the terminal runs in a child process with a time limit.
-With MuJoCo 4.0.0, ``import mujoco`` fails if ``MUJOCO_GL`` names a back end whose library is missing,
-and ``mujoco.viewer.launch_passive`` hangs without a display.
+With MuJoCo 4.0.0, ``import mujoco`` fails if ``MUJOCO_GL`` names a back end whose library is
+missing, and ``mujoco.viewer.launch_passive`` hangs without a display.
 """
 
 from __future__ import annotations
@@ -64,9 +64,14 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
         done = subprocess.run(
             # -P: the current folder must not shadow a package.
             [sys.executable, "-P", "-c", code],
-            check=False, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
-            timeout=timeout, env=environment,
-        )  # fmt: skip
+            check=False,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=timeout,
+            env=environment,
+        )
     except subprocess.TimeoutExpired as stopped:
         # On POSIX the output of a killed child arrives as bytes even in text mode.
         raw: object = stopped.stdout
@@ -84,7 +89,7 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
 
 
 def probe_gl(backend: str, *, timeout: float = 6.0) -> Probe:
-    """Draws one picture with ``MUJOCO_GL=backend`` in a child process; the text names the renderer."""
+    """Draw a picture with ``MUJOCO_GL=backend`` in a child process; the text names the renderer."""
     environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"}
     environment["MUJOCO_GL"] = backend
     return run_probe(_RENDER_CODE, timeout=timeout, environment=environment)

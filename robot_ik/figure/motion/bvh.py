@@ -1,15 +1,19 @@
-"""BVH, the text format of motion capture: read and written; motions of our robots as BVH, and back.
+"""BVH, the text format of motion capture: reading, writing, and conversion of robot motions.
 
-Facts of the format (Meredith & Maddock, Motion Capture File Formats Explained, Sheffield 2001): offsets are
-bone vectors in the parent's axes; each joint lists its own channels in its own order, and its rotation is
-their product in that order; angles are degrees, lengths in any unit; y points up by custom; an
-End Site has no channels; the frame time is rounded.  Numbers are kept as they stand in the file, so that
-what is written again is the same.
+Facts of the format (Meredith & Maddock, Motion Capture File Formats Explained, Sheffield 2001):
 
-``export_bvh`` writes a robot's motion: a BVH joint for each point about which hinges or a ball rotate a body.
-Where hinges stand along the axes, their angles are the channels themselves, in the order of the hinges, and
-come back to rounding; a tilted hinge goes through a rotation matrix.  Motions of other skeletons are taken
-over by ``robot_ik.figure.motion.retarget``.
+* Offsets are bone vectors in the axes of the parent joint.
+* Each joint lists its channels in an order of its own. Its rotation is their product in that order.
+* Angles are in degrees. Lengths have any unit. By custom y points up.
+* An End Site has no channels.
+* The frame time is rounded.
+
+The reader keeps the numbers of the file unchanged, so a file that is read and written is the same.
+
+``export_bvh`` writes the motion of a robot, with one BVH joint for each point about which hinges
+or a ball rotate a body. Hinges along the axes are written as channels, in the order of the hinges,
+and are read back up to rounding. Tilted hinges are converted through a rotation matrix.
+``robot_ik.figure.motion.retarget`` converts motions of other skeletons.
 """
 
 from __future__ import annotations
@@ -34,11 +38,15 @@ from robot_ik.robot import Robot
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
 POSITION = CHANNELS[:3]
-# A frame time stands for the whole rate from which it differs by less than this part: 0.00833 means 120 Hz.
+# Largest relative difference between a rate and the whole number that it stands for: a frame time
+# of 0.00833 s means 120 Hz.
 _RATE_ROUNDING = 2e-3
-# Where the numbers begin; without it so much of a file is searched for what is wrong.
-_FRAME_TIME, _LONGEST_HEAD = re.compile(r"Frame\s+Time:\s*\S+", re.IGNORECASE), 1 << 20
-_MOST_FRAMES = 10_000_000
+# The last line before the numbers.
+_FRAME_TIME = re.compile(r"Frame\s+Time:\s*\S+", re.IGNORECASE)
+# Characters that are searched for the error in a file without such a line.
+_HEAD_SIZE = 1 << 20
+# Largest number of frames that a file may announce.
+_MAX_FRAMES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -46,11 +54,11 @@ class BvhJoint:
     """One joint of a BVH file.
 
     Attributes:
-        name: As in the file.
-        parent: Its index in the file's order; -1: the root.
-        offset: Bone vector from the parent, the file's units.
-        channels: Names of ``CHANNELS``, in the file's order.
-        end: Offset of its End Site; None: it has none.
+        name: Name in the file.
+        parent: Index of the parent in the order of the file; -1 for the root.
+        offset: Bone vector from the parent, in the units of the file.
+        channels: Names of ``CHANNELS``, in the order of the file.
+        end: Offset of the End Site; None without one.
     """
 
     name: str
@@ -65,9 +73,9 @@ class Bvh:
     """A BVH file.
 
     Attributes:
-        joints: Each behind its parent and what hangs on earlier children of it, as the file nests them.
+        joints: Joints in the order of the file: depth first, each parent before its children.
         frame_time: Seconds, as in the file.
-        values: (n, channels) as in the file: degrees, the file's units.
+        values: (n, channels) as in the file, in degrees and in the units of the file.
     """
 
     joints: tuple[BvhJoint, ...]
@@ -88,12 +96,12 @@ class Bvh:
 
     @property
     def rate(self) -> float:
-        """Frames a second: the whole number that the rounded frame time stands for, if there is one."""
+        """Frames a second. A rounded frame time gives the whole number that it stands for."""
         rate = 1.0 / self.frame_time
         return float(round(rate)) if abs(rate - round(rate)) < _RATE_ROUNDING * rate else rate
 
     def named(self, name: str) -> int:
-        """The index of the joint of that name, in any case; -1: there is none."""
+        """Return the index of a joint, whatever the case of its name; -1 if there is none."""
         lower = name.lower()
         for j, joint in enumerate(self.joints):
             if joint.name.lower() in (lower, f"{self.prefix}{lower}"):
@@ -102,19 +110,20 @@ class Bvh:
 
     @property
     def prefix(self) -> str:
-        """What all names begin with up to a colon ("mixamorig:"), in small letters."""
-        found = {joint.name.lower().rpartition(":")[0] for joint in self.joints}
-        return f"{found.pop()}:" if len(found) == 1 and "" not in found else ""
+        """The common prefix of all names up to a colon ("mixamorig:"), in lower case."""
+        prefixes = {joint.name.lower().rpartition(":")[0] for joint in self.joints}
+        return f"{prefixes.pop()}:" if len(prefixes) == 1 and "" not in prefixes else ""
 
     def channel(self, joint: int, name: str) -> Array | None:
-        """(n,) numbers of one channel of a joint; None: it has none."""
+        """Return the numbers (n,) of one channel of a joint; None if the joint lacks it."""
         try:
-            return self.values[:, self._first[joint] + self.joints[joint].channels.index(name)]
+            channel = self.joints[joint].channels.index(name)
         except ValueError:
             return None
+        return self.values[:, self._first[joint] + channel]
 
     def rotation(self, joint: int) -> Array:
-        """(n, 3, 3) rotation of a joint against its parent: the product of its channels in their order."""
+        """Return the rotations (n, 3, 3) of a joint in its parent: the product of its channels."""
         total = np.broadcast_to(np.eye(3), (len(self.values), 3, 3))
         for k, name in enumerate(self.joints[joint].channels):
             if name.endswith("rotation"):
@@ -123,7 +132,10 @@ class Bvh:
         return np.asarray(total)
 
     def poses(self) -> tuple[Array, Array]:
-        """Positions (n, joints, 3), and rotations (n, joints, 3, 3), in the file's units and world."""
+        """Return positions (n, joints, 3) and rotations (n, joints, 3, 3).
+
+        Both are in the units and the world axes of the file.
+        """
         count = len(self.values)
         positions = np.zeros((count, len(self.joints), 3))
         rotations = np.zeros((count, len(self.joints), 3, 3))
@@ -135,15 +147,16 @@ class Bvh:
                     offset[:, axis] = moved
             rotation = self.rotation(j)
             if joint.parent < 0:
-                positions[:, j], rotations[:, j] = offset, rotation
+                positions[:, j] = offset
+                rotations[:, j] = rotation
                 continue
-            above = rotations[:, joint.parent]
-            positions[:, j] = positions[:, joint.parent] + np.einsum("nij,nj->ni", above, offset)
-            rotations[:, j] = above @ rotation
+            parent = rotations[:, joint.parent]
+            positions[:, j] = positions[:, joint.parent] + np.einsum("nij,nj->ni", parent, offset)
+            rotations[:, j] = parent @ rotation
         return positions, rotations
 
     def rest(self) -> Bvh:
-        """One frame of the skeleton as its offsets draw it, all angles zero, the root at its offset."""
+        """Return one frame with all angles zero, as the offsets define the skeleton."""
         values = np.zeros((1, self.values.shape[1]))
         for j, joint in enumerate(self.joints):
             for k, name in enumerate(joint.channels):
@@ -152,12 +165,13 @@ class Bvh:
         return Bvh(self.joints, self.frame_time, values)
 
     def save(self, path: Path | str) -> None:
-        """Writes the file, numbers in full precision.
+        """Write the file, with numbers in full precision.
 
         Raises:
             OutputError: The folder is missing or not writable.
         """
-        lines, open_joints = ["HIERARCHY"], list[int]()
+        lines = ["HIERARCHY"]
+        open_joints: list[int] = []
         for j, joint in enumerate(self.joints):
             while open_joints and open_joints[-1] != joint.parent:
                 open_joints.pop()
@@ -165,16 +179,11 @@ class Bvh:
             tab = "  " * len(open_joints)
             lines += [f"{tab}{'JOINT' if open_joints else 'ROOT'} {joint.name}", f"{tab}{{"]
             lines.append(f"{tab}  OFFSET {_numbers(joint.offset)}")
-            lines.append(
-                f"{tab}  CHANNELS {len(joint.channels)} {' '.join(joint.channels)}".rstrip()
-            )
+            channels = " ".join(joint.channels)
+            lines.append(f"{tab}  CHANNELS {len(joint.channels)} {channels}".rstrip())
             if joint.end is not None:
-                lines += [
-                    f"{tab}  End Site",
-                    f"{tab}  {{",
-                    f"{tab}    OFFSET {_numbers(joint.end)}",
-                ]
-                lines.append(f"{tab}  }}")
+                lines += [f"{tab}  End Site", f"{tab}  {{"]
+                lines += [f"{tab}    OFFSET {_numbers(joint.end)}", f"{tab}  }}"]
             open_joints.append(j)
         lines += ["  " * depth + "}" for depth in reversed(range(len(open_joints)))]
         lines += ["MOTION", f"Frames: {len(self.values)}", f"Frame Time: {self.frame_time!r}"]
@@ -183,35 +192,36 @@ class Bvh:
 
     @classmethod
     def load(cls, path: Path | str) -> Bvh:
-        """Reads a BVH file.
+        """Read a BVH file.
 
         Raises:
-            ConfigError: It is not there or no BVH; names the line and what should stand there.
+            ConfigError: The file does not exist or is not BVH. The error names the line and what
+                is allowed there.
         """
         file = Path(path)
         return _Reader(file, read_text(file, "the BVH file", errors="replace")).read()
 
 
 class _Reader:
-    """Reads a BVH text token by token; no recursion, so that no file is nested too deep."""
+    """Reader of a BVH text, token by token. It does not recurse, so the nesting has no limit."""
 
     def __init__(self, file: Path, text: str) -> None:
         self.file = file
         time = _FRAME_TIME.search(text)
-        end = time.end() if time else _LONGEST_HEAD
+        end = time.end() if time else _HEAD_SIZE
         self.rest = text[end:]
         head = text[:end].splitlines()
         self.tokens = [(token, k) for k, line in enumerate(head, 1) for token in line.split()]
         self.next = 0
 
     def error(self, problem: str, allowed: str = "") -> ConfigError:
-        line = (
-            self.tokens[min(max(self.next - 1, 0), len(self.tokens) - 1)][1] if self.tokens else 1
-        )
+        line = 1
+        if self.tokens:
+            line = self.tokens[min(max(self.next - 1, 0), len(self.tokens) - 1)][1]
         return ConfigError(problem, file=self.file, key=f"line {line}", allowed=allowed)
 
     def token(self, *allowed: str) -> str:
-        """The next token, one of ``allowed`` in any case if there are some."""
+        """Return the next token, one of ``allowed`` in any case unless ``allowed`` is empty."""
         self.next += 1
         if self.next > len(self.tokens):
             raise self.error("the file ends too early", " or ".join(allowed))
@@ -230,10 +240,10 @@ class _Reader:
             raise self.error(f"got {shown(token)}", "a finite number")
         return value
 
-    def count(self, most: int) -> int:
+    def count(self, limit: int) -> int:
         value = self.number()
-        if not (value == int(value) and 0 <= value <= most):
-            raise self.error(f"got {value:g}", f"a whole number, 0 … {most}")
+        if not (value == int(value) and 0 <= value <= limit):
+            raise self.error(f"got {value:g}", f"a whole number, 0 … {limit}")
         return int(value)
 
     def vector(self) -> tuple[float, float, float]:
@@ -244,13 +254,14 @@ class _Reader:
         joints = self.hierarchy()
         self.token("MOTION")
         self.token("Frames:")
-        frames = self.count(_MOST_FRAMES)
+        frames = self.count(_MAX_FRAMES)
         self.token("Frame")
         self.token("Time:")
         frame_time = self.number()
         if not frame_time > 0.0:
             raise self.error(f"a frame time of {frame_time:g} s", "above zero")
-        values, width = self.numbers(), sum(len(joint.channels) for joint in joints)
+        values = self.numbers()
+        width = sum(len(joint.channels) for joint in joints)
         if len(values) != frames * width:
             raise self.error(
                 f"{len(values)} numbers for {frames} frames",
@@ -259,7 +270,10 @@ class _Reader:
         return Bvh(tuple(joints), frame_time, values.reshape(frames, width))
 
     def numbers(self) -> Array:
-        """All that comes after the frame time, at once: takes may have millions of numbers."""
+        """Return the numbers after the frame time.
+
+        They are parsed in one call, because a motion may have millions of numbers.
+        """
         try:
             values = np.array(self.rest.split(), dtype=float)
         except ValueError:
@@ -268,35 +282,36 @@ class _Reader:
             return values
         first = self.tokens[-1][1]
         for k, line in enumerate(self.rest.splitlines(), first):
-            self.tokens, self.next = [(token, k) for token in line.split()], 0
+            self.tokens = [(token, k) for token in line.split()]
+            self.next = 0
             while self.next < len(self.tokens):
                 self.number()
         raise self.error("a number that is not finite")
 
     def hierarchy(self) -> list[BvhJoint]:
         joints: list[BvhJoint] = []
-        above: list[int] = []
+        open_joints: list[int] = []
         self.token("ROOT")
         while True:
-            joints.append(self.joint(above[-1] if above else -1))
-            above.append(len(joints) - 1)
+            joints.append(self.joint(open_joints[-1] if open_joints else -1))
+            open_joints.append(len(joints) - 1)
             while (token := self.token("JOINT", "End", "}").upper()) != "JOINT":
                 if token == "END":
                     self.token("Site")
                     self.token("{")
                     self.token("OFFSET")
-                    joints[above[-1]] = replace(joints[above[-1]], end=self.vector())
+                    last = open_joints[-1]
+                    joints[last] = replace(joints[last], end=self.vector())
                     self.token("}")
                     continue
-                above.pop()
-                if not above:
+                open_joints.pop()
+                if not open_joints:
                     return joints
 
     def joint(self, parent: int) -> BvhJoint:
         name = self.token()
-        while (
-            self.next < len(self.tokens) and self.tokens[self.next][0] != "{"
-        ):  # names may have blanks
+        # A name may contain blanks.
+        while self.next < len(self.tokens) and self.tokens[self.next][0] != "{":
             name += " " + self.token()
         self.token("{")
         self.token("OFFSET")
@@ -316,74 +331,79 @@ def _numbers(values: Sequence[float]) -> str:
     return " ".join(map(repr, values))
 
 
-# ------------------------------------------------------------------------------------------
-# Motions of our robots.
-
-
-# Our x (forward), y (left), z (up) in BVH's custom: X left, Y up, Z forward.
+# From the robot's axes, x forward, y left, z up, to the custom of BVH: X left, Y up, Z forward.
 BVH_AXES = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 CENTIMETRES = 100.0
 _EULER = ("Zrotation", "Xrotation", "Yrotation")
-# Of a unit vector: so far from an axis it still lies along it.
-_ALONG = 1e-9
-# Least-squares steps from a rotation to the angles of its hinges, and the angle that may be left, rad.
-_HINGE_STEPS, _HINGE_LEFT = 30, 1e-6
-# m: End Site of a body that carries no site.
-_END = 0.05
+# Largest deviation from 1 of the largest entry of a unit vector along an axis.
+_AXIS_TOLERANCE = 1e-9
+# Gauss-Newton steps from a rotation to the angles of its hinges.
+_HINGE_STEPS = 30
+# Largest rotation that these angles may leave, rad.
+_HINGE_TOLERANCE = 1e-6
+# Length of the End Site of a body without sites, m.
+_END_LENGTH = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class _Node:
-    """Where a robot rotates: joints of one body about one point."""
+    """Joints of one body that rotate about one point."""
 
     name: str
-    parent: int  # -1: none
+    parent: int  # -1 for none
     position: Array  # (3,) at qpos0, BVH axes, metres
-    joints: tuple[int, ...]  # ids of MuJoCo's, in order
+    joints: tuple[int, ...]  # MuJoCo ids, in order
     axes: Array  # (k, 3) of hinges at qpos0, BVH axes
-    kind: int  # of its joints (MuJoCo's); -1: the still root of a robot that stands fast
+    kind: int  # MuJoCo's type of the joints; -1 for the root of a fixed base
     body: int
 
     @property
     def along(self) -> tuple[str, ...] | None:
-        """Channels that are the hinges themselves; None: some hinge is tilted, or no hinges."""
+        """The channel of each hinge; None if a hinge is tilted or a joint is not a hinge."""
         if self.kind != mujoco.mjtJoint.mjJNT_HINGE or len(self.joints) > 3:
             return None
-        most = np.abs(self.axes).argmax(axis=1)
-        straight = (np.abs(self.axes).max(axis=1) > 1.0 - _ALONG).all() and len(set(most)) == len(
-            most
-        )
-        return tuple(f"{'XYZ'[a]}rotation" for a in most) if straight else None
+        axes = np.abs(self.axes).argmax(axis=1)
+        aligned = (np.abs(self.axes).max(axis=1) > 1.0 - _AXIS_TOLERANCE).all()
+        if not aligned or len(set(axes)) < len(axes):
+            return None
+        return tuple(f"{'XYZ'[axis]}rotation" for axis in axes)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """All three rotations, for readers that expect them: behind those of the hinges come zeros."""
-        position_channels, rotations = POSITION if self.parent < 0 else (), self.along or ()
-        return (*position_channels, *rotations, *(name for name in _EULER if name not in rotations))
+        """Channels of the node.
+
+        All three rotations are listed, because readers expect them. Those without a hinge are zero.
+        """
+        position_channels = POSITION if self.parent < 0 else ()
+        rotations = self.along or ()
+        unused = tuple(name for name in _EULER if name not in rotations)
+        return (*position_channels, *rotations, *unused)
 
 
 def data_at_rest(model: mujoco.MjModel) -> mujoco.MjData:
-    """MuJoCo's kinematics at qpos0."""
+    """Return MuJoCo's data with the kinematics at qpos0."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return data
 
 
 def _nodes(robot: Robot) -> list[_Node]:
-    """Where the robot rotates, parents first.
+    """Return the nodes of a robot, parents first.
 
     Raises:
-        UnsupportedJointError: A slide, or joints of several kinds about one point.
+        UnsupportedJointError: The robot has a slide.
     """
-    model, data = robot.model, data_at_rest(robot.model)
+    model = robot.model
+    data = data_at_rest(model)
     nodes: list[_Node] = []
-    last: dict[int, int] = {0: -1}  # body -> the last node at or above it
+    last: dict[int, int] = {0: -1}  # body -> the last node of the body or of its ancestors
     if not model.njnt or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
         nodes.append(_Node("base", -1, np.zeros(3), (), np.zeros((0, 3)), -1, 0))
         last[0] = 0
     for body in range(1, model.nbody):
-        above = last[int(model.body_parentid[body])]
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        parent = last[int(model.body_parentid[body])]
+        first = int(model.body_jntadr[body])
+        count = int(model.body_jntnum[body])
         groups: list[list[int]] = []
         for j in range(first, first + count):
             if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE:
@@ -391,41 +411,45 @@ def _nodes(robot: Robot) -> list[_Node]:
                     f"joint {model.joint(j).name!r} slides, and BVH has rotational joints only",
                     hint="write CSV: Keyframes.save_csv",
                 )
-            same = groups and np.abs(data.xanchor[j] - data.xanchor[groups[-1][0]]).max() < 1e-9
-            if same and model.jnt_type[j] == model.jnt_type[groups[-1][0]]:
+            same_point = groups and np.allclose(
+                data.xanchor[j], data.xanchor[groups[-1][0]], rtol=0.0, atol=1e-9
+            )
+            if same_point and model.jnt_type[j] == model.jnt_type[groups[-1][0]]:
                 groups[-1].append(j)
             else:
                 groups.append([j])
         for k, group in enumerate(groups):
             name = model.body(body).name or f"body_{body}"
             name = name if k == len(groups) - 1 else f"{name}_{k}"
-            at, axes = BVH_AXES @ data.xanchor[group[0]], data.xaxis[group] @ BVH_AXES.T
-            nodes.append(
-                _Node(name, above, at, tuple(group), axes, int(model.jnt_type[group[0]]), body)
-            )
-            above = len(nodes) - 1
-        last[body] = above
+            position = BVH_AXES @ data.xanchor[group[0]]
+            axes = data.xaxis[group] @ BVH_AXES.T
+            kind = int(model.jnt_type[group[0]])
+            nodes.append(_Node(name, parent, position, tuple(group), axes, kind, body))
+            parent = len(nodes) - 1
+        last[body] = parent
     return nodes
 
 
 def export_bvh(motion: Keyframes, rate: float = 60.0) -> Bvh:
-    """A motion as BVH: y up, z forward, centimetres; our joints' names are the bodies'.
+    """Return a motion as BVH, with y up, z forward, lengths in centimetres, joints named by body.
 
     Args:
-        motion: Of any robot without slides.
+        motion: Motion of a robot without slides.
         rate: Frames a second.
 
     Raises:
-        UnsupportedJointError: The robot has slides, which BVH does not know.
+        UnsupportedJointError: The robot has a slide, which BVH cannot describe.
         TrajectoryError: ``rate`` is not above zero.
     """
-    robot, nodes = motion.robot, _nodes(motion.robot)
+    robot = motion.robot
+    nodes = _nodes(robot)
     frames = motion.sampled(rate)
     qpos = np.array([robot.qpos(q) for q in frames.q])
-    joints, columns = [], []
+    joints = []
+    columns = []
     for n, node in enumerate(nodes):
-        above = nodes[node.parent if node.parent >= 0 else n].position  # the root has no offset
-        x, y, z = (CENTIMETRES * (node.position - above)).tolist()
+        origin = nodes[node.parent if node.parent >= 0 else n].position  # the root has no offset
+        x, y, z = (CENTIMETRES * (node.position - origin)).tolist()
         ends = None if any(other.parent == n for other in nodes) else _end_of(robot, node)
         joints.append(BvhJoint(node.name, node.parent, (x, y, z), node.channels, ends))
         columns.append(_channels_of(robot, node, qpos))
@@ -433,17 +457,19 @@ def export_bvh(motion: Keyframes, rate: float = 60.0) -> Bvh:
 
 
 def _end_of(robot: Robot, node: _Node) -> tuple[float, float, float]:
-    """End Site of a last body: the farthest of its sites."""
+    """Return the End Site of a body without children: the farthest of its sites, cm."""
     model = robot.model
     offsets = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == node.body]
-    far = max(offsets, key=lambda p: float(np.linalg.norm(p)), default=np.array([0.0, 0.0, -_END]))
-    x, y, z = (CENTIMETRES * (BVH_AXES @ far)).tolist()
+    default = np.array([0.0, 0.0, -_END_LENGTH])
+    end = max(offsets, key=lambda p: float(np.linalg.norm(p)), default=default)
+    x, y, z = (CENTIMETRES * (BVH_AXES @ end)).tolist()
     return x, y, z
 
 
 def _channels_of(robot: Robot, node: _Node, qpos: Array) -> Array:
-    """(n, channels) of one node."""
-    model, count = robot.model, len(qpos)
+    """Return the channels (n, channels) of one node."""
+    model = robot.model
+    count = len(qpos)
     free = node.kind == mujoco.mjtJoint.mjJNT_FREE
     positions = np.zeros((count, 3 if node.parent < 0 else 0))
     if not node.joints:
@@ -460,7 +486,7 @@ def _channels_of(robot: Robot, node: _Node, qpos: Array) -> Array:
 
 
 def _rotation_of(model: mujoco.MjModel, node: _Node, qpos: Array) -> Array:
-    """(n, 3, 3) rotation of a node from qpos0 against the one above, BVH axes."""
+    """Return the rotations (n, 3, 3) of a node since qpos0, in its parent, in BVH axes."""
     total = np.broadcast_to(np.eye(3), (len(qpos), 3, 3))
     for axis, j in zip(node.axes, node.joints, strict=True):
         a = int(model.jnt_qposadr[j])
@@ -470,34 +496,39 @@ def _rotation_of(model: mujoco.MjModel, node: _Node, qpos: Array) -> Array:
         a += 3 if node.kind == mujoco.mjtJoint.mjJNT_FREE else 0
         rest = BVH_AXES @ _rest_rotation(model, node.body)
         matrices = _matrices(qpos[:, a : a + 4]) @ _matrices(model.qpos0[None, a : a + 4])[0].T
-        # In the body's axes at rest, seen in BVH's: a ball rotates about axes that the body carries.
-        total = total @ (rest @ matrices @ rest.T if node.kind == mujoco.mjtJoint.mjJNT_BALL else
-                         BVH_AXES @ matrices @ BVH_AXES.T)  # fmt: skip
+        # A ball rotates about the axes of its body at rest, a free joint about those of the world.
+        axes = rest if node.kind == mujoco.mjtJoint.mjJNT_BALL else BVH_AXES
+        total = total @ (axes @ matrices @ axes.T)
     return np.asarray(total)
 
 
 def _rest_rotation(model: mujoco.MjModel, body: int) -> Array:
-    """(3, 3) the axes at qpos0 in which a ball's quaternion is: the body's without its joint."""
+    """Return the axes (3, 3) of a ball's quaternion: those of the body without its joint."""
     data = data_at_rest(model)
     parent = data.xmat[model.body_parentid[body]].reshape(3, 3)
     return np.asarray(parent @ _matrices(model.body_quat[None, body])[0])
 
 
 def _matrices(wxyz: Array) -> Array:
-    """(n, 3, 3) of quaternions (n, 4)."""
-    return np.array([quat_to_matrix(one) for one in wxyz]).reshape(-1, 3, 3)
+    """Return the matrices (n, 3, 3) of quaternions (n, 4)."""
+    return np.array([quat_to_matrix(row) for row in wxyz]).reshape(-1, 3, 3)
 
 
 def _rotations_about(axis: Array, angle: Array) -> Array:
-    """(n, 3, 3) rotations about one axis (Rodrigues)."""
+    """Return rotations (n, 3, 3) about one axis (Rodrigues)."""
     x, y, z = axis.tolist()
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
+    sine = np.sin(angle)[:, None, None]
+    versine = 1.0 - np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
 def _euler(rotations: Array) -> Array:
-    """(n, 3) degrees of Z, X, Y channels, each frame's the nearer of the two forms, without jumps of 360."""
+    """Return the Z, X, Y channels (n, 3) in degrees.
+
+    Of the two triples for a rotation, each frame takes the one that is nearer to the frame before.
+    Angles never jump by 360 degrees.
+    """
     x = np.arcsin(np.clip(rotations[:, 2, 1], -1.0, 1.0))
     z = np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1])
     y = np.arctan2(-rotations[:, 2, 0], rotations[:, 2, 2])
@@ -514,14 +545,15 @@ def _euler(rotations: Array) -> Array:
 
 
 def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
-    """The motion in a file of ``export_bvh``: the same skeleton, joint for joint.
+    """Return the motion in a file of ``export_bvh``, which has the skeleton of the robot.
 
     Args:
         bvh: Read from such a file.
-        robot: The robot that was written.
+        robot: The robot whose motion was written.
 
     Raises:
-        TrajectoryError: Another skeleton, a rotation that the hinges cannot make, a joint outside its limits.
+        TrajectoryError: The file has another skeleton, a rotation that the hinges cannot produce,
+            or a joint outside its limits.
     """
     nodes = _nodes(robot)
     if [node.name for node in nodes] != [joint.name for joint in bvh.joints]:
@@ -539,9 +571,7 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
             for a, axis, name in zip(address, node.axes, node.along, strict=True):
                 angle = bvh.channel(n, name)
                 if angle is None:
-                    raise RuntimeError(
-                        "a joint of the file has no channel of the axis that it turns about"
-                    )
+                    raise RuntimeError(f"joint {node.name!r} of the file has no channel {name}")
                 qpos[:, a] = model.qpos0[a] + np.radians(angle) * np.sign(
                     axis[np.abs(axis).argmax()]
                 )
@@ -554,21 +584,23 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
 
 
 def _only_rotations(bvh: Bvh, joint: int, along: tuple[str, ...]) -> bool:
-    """Whether a joint rotates about its hinges in their order, and about nothing else."""
+    """Return whether a joint rotates only about its hinges, in their order."""
     rotations = [name for name in bvh.joints[joint].channels if name.endswith("rotation")]
-    spare = [bvh.channel(joint, name) for name in rotations[len(along) :]]
-    return tuple(rotations[: len(along)]) == along and not any(np.any(values) for values in spare)
+    unused = [bvh.channel(joint, name) for name in rotations[len(along) :]]
+    return tuple(rotations[: len(along)]) == along and not any(np.any(values) for values in unused)
 
 
 def _put_quaternions(bvh: Bvh, n: int, model: mujoco.MjModel, node: _Node, qpos: Array) -> None:
-    """The numbers of a ball or free joint, from the file's rotations."""
-    a, rotations = int(model.jnt_qposadr[node.joints[0]]), bvh.rotation(n)
+    """Write the numbers of a ball or free joint to ``qpos`` (n, nq), from the file's rotations."""
+    a = int(model.jnt_qposadr[node.joints[0]])
+    rotations = bvh.rotation(n)
     if node.kind == mujoco.mjtJoint.mjJNT_FREE:
         for axis, name in enumerate(POSITION):
             moved = bvh.channel(n, name)
             if moved is not None:
                 qpos[:, a + int(np.argmax(BVH_AXES[axis]))] = moved / CENTIMETRES
-        a, axes = a + 3, BVH_AXES
+        a += 3
+        axes = BVH_AXES
     else:
         axes = BVH_AXES @ _rest_rotation(model, node.body)
     matrices = axes.T @ rotations @ axes @ _matrices(model.qpos0[None, a : a + 4])[0]
@@ -576,30 +608,32 @@ def _put_quaternions(bvh: Bvh, n: int, model: mujoco.MjModel, node: _Node, qpos:
 
 
 def _hinge_angles(node: _Node, rotations: Array) -> Array:
-    """(n, k) angles of hinges with any axes whose product is ``rotations`` (n, 3, 3), by Gauss-Newton.
+    """Return the angles (n, k) of hinges with any axes for ``rotations`` (n, 3, 3).
+
+    Gauss-Newton solves for the product of the hinge rotations.
 
     Raises:
-        TrajectoryError: There are none.
+        TrajectoryError: The hinges cannot produce one of the rotations.
     """
     angles = np.zeros((len(rotations), len(node.axes)))
     error = np.zeros((len(rotations), 3))
     for _ in range(_HINGE_STEPS):
-        made = np.broadcast_to(np.eye(3), rotations.shape)
+        product = np.broadcast_to(np.eye(3), rotations.shape)
         columns = []
         for k, axis in enumerate(node.axes):
-            columns.append(made @ axis)
-            made = made @ _rotations_about(axis, angles[:, k])
-        left = rotations @ made.transpose(0, 2, 1)
-        error = np.array([rotation_log(matrix_to_quat(matrix)) for matrix in left]).reshape(-1, 3)
+            columns.append(product @ axis)
+            product = product @ _rotations_about(axis, angles[:, k])
+        rest = rotations @ product.transpose(0, 2, 1)
+        error = np.array([rotation_log(matrix_to_quat(matrix)) for matrix in rest]).reshape(-1, 3)
         if np.abs(error).max(initial=0.0) < 1e-15:
             break
         jacobian = np.stack(columns, axis=2)
         angles += np.einsum("nij,nj->ni", np.linalg.pinv(jacobian), error)
-    if np.abs(error).max(initial=0.0) > _HINGE_LEFT:
+    if np.abs(error).max(initial=0.0) > _HINGE_TOLERANCE:
         k = int(np.abs(error).max(axis=1).argmax())
         raise TrajectoryError(
-            f"frame {k}: {node.name!r} is rotated as its hinges cannot rotate it "
-            f"({np.degrees(np.abs(error[k]).max()):.2g} degrees are left)",
+            f"frame {k}: the hinges of {node.name!r} cannot produce its rotation "
+            f"({np.degrees(np.abs(error[k]).max()):.2g} degrees remain)",
             hint="motions of other skeletons: robot_ik.figure.motion.retarget",
         )
     return angles

@@ -1,9 +1,11 @@
-"""Drag any body of a robot; any others stay pinned; both may change while it runs, without a jump.
+"""``Drag``: drag a body of a robot while other bodies stay pinned.
 
-TrueSpace and Jack let one take hold of any link of a figure, and the rest follows; in A00 the support may
-change during an animation.  Here pins are needed goals: whole poses, where the frames are when pinned.
-The dragged frame is a soft goal that goes as far as pins and limits allow, and what is left stays as it is.
-Every step keeps the joints' speed limits: where the hand is faster, the figure comes after it.
+TrueSpace and Jack let the user grab any link of a figure, and the rest follows. In Aho (2000) the
+support may change during an animation. Pins are hard goals for the whole poses that the frames had
+when they were pinned. The dragged frame is a soft goal, which goes as far as pins and limits allow.
+The remaining freedom keeps the posture. Frames may be pinned, released and dragged at any time
+without a jump. Each step keeps the speed limits of the joints, so the figure follows a fast hand
+with a delay.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ from robot_ik.robot import Robot
 _BUDGET = Budget(iterations=20, restarts=0)
 # m. Largest distance of the target from the frame: a target out of reach does not pull harder.
 _LEASH = 0.06
-# Joints that leave the position of their own anchor as it is.
-_TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
+# MuJoCo types of the joints that do not move their own anchor.
+_ROTATIONAL = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
 # Halvings of a step that is too fast, before the robot rests for a tick.
 _HALVINGS = 8
 
@@ -83,13 +85,12 @@ class Drag:
         require_positive("speed", speed, "times the limits")
         self.robot = robot
         self.rate = float(rate)
-        self._most = speed * robot.velocity_limits / rate
+        self._largest_step = speed * robot.velocity_limits / rate
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
-        self._grip: tuple[str, Array] | None = (
-            None  # a frame of the grabbed body, the offset of its point
-        )
+        # A frame of the grabbed body, and the offset of the grabbed point from it.
+        self._grip: tuple[str, Array] | None = None
         self.dragged: str | None = None
         self.place(robot.home if start is None else start)
         for frame in pinned:
@@ -99,7 +100,8 @@ class Drag:
         self.balance(balance)
 
     def __repr__(self) -> str:
-        return f"Drag({self.robot.name!r}, {self.dragged!r}, pinned {', '.join(self._pins) or 'nowhere'})"
+        pins = ", ".join(self._pins) or "nowhere"
+        return f"Drag({self.robot.name!r}, {self.dragged!r}, pinned {pins})"
 
     @property
     def pinned(self) -> tuple[str, ...]:
@@ -112,7 +114,7 @@ class Drag:
         self._pins = {
             frame: PoseGoal.at(frame, self.robot.measure(self.q, frame)) for frame in self._pins
         }
-        self._moved()
+        self._reset_point()
 
     def take(self, frame: str | None) -> None:
         """Drag another frame. None stops dragging.
@@ -125,8 +127,9 @@ class Drag:
             self.robot.frame(frame)
             if frame in self._pins:
                 raise InvalidGoalError(f"{frame!r} is pinned", hint=f"release({frame!r}) first")
-        self.dragged, self._grip = frame, None
-        self._moved()
+        self.dragged = frame
+        self._grip = None
+        self._reset_point()
 
     def grab(self, body: str, grip: ArrayLike) -> None:
         """Drag a point of a body. ``step`` brings it to a position.
@@ -140,18 +143,19 @@ class Drag:
             InvalidGoalError: That part is pinned.
         """
         index = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, body)
-        index, point = index if index >= 0 else self.robot.frame(body).body, vector(grip, 3, "grip")
+        index = index if index >= 0 else self.robot.frame(body).body
+        point = vector(grip, 3, "grip")
         frame, origin = frame_near(self.robot, index, point)
         self.take(frame)
-        own, local = _frames_of_bodies(self.robot)[index]
-        self._grip = own, local.rotation.T @ (point - origin)
+        body_frame, local = _frames_of_bodies(self.robot)[index]
+        self._grip = (body_frame, local.rotation.T @ (point - origin))
 
     def pin(self, frame: str) -> None:
-        """Keeps a frame where it is now.
+        """Pin a frame at its current pose.
 
         Raises:
-            UnknownFrameError: With the close names.
-            InvalidGoalError: It is dragged.
+            UnknownFrameError: The robot has no such frame.
+            InvalidGoalError: The frame is dragged.
         """
         self.robot.frame(frame)
         if frame == self.dragged:
@@ -159,31 +163,32 @@ class Drag:
                 f"{frame!r} is dragged", hint="take(None) or another frame first"
             )
         self._pins[frame] = PoseGoal.at(frame, self.robot.measure(self.q, frame))
-        self._moved()
+        self._reset_point()
 
     def release(self, frame: str) -> None:
-        """Lets a pinned frame go.
+        """Release a pinned frame.
 
         Raises:
-            UnknownFrameError: It is not pinned.
+            UnknownFrameError: The frame is not pinned.
         """
         if frame not in self._pins:
             raise UnknownFrameError(frame, list(self._pins))
         del self._pins[frame]
-        self._moved()
+        self._reset_point()
 
     def balance(self, on: bool) -> None:
-        """Keeps the centre of mass over the point where it is now, or no longer."""
+        """Keep the centre of mass above its current point, or stop keeping it there."""
         self._mass = self.robot.center_of_mass(self.q) if on else None
-        self._moved()
+        self._reset_point()
 
     def step(self, target: ArrayLike | None = None) -> Array:
-        """One tick: what is dragged towards ``target`` (3,), world, metres; None: stay.
+        """Move the dragged frame, or the grabbed point, towards a target for one tick.
 
-        That is the frame, or the point that was grabbed while its body is oriented as now.
+        Args:
+            target: Position (3,) in the world, m; None to keep the current point.
 
         Returns:
-            (nq,) the new joint vector, no farther from the last than the speed limits allow.
+            (nq,) the new joint angles. No joint moves faster than its speed limit.
         """
         wanted = self._point
         if target is not None and self.dragged is not None:
@@ -198,16 +203,17 @@ class Drag:
         return np.array(self._towards(wanted, self._mass))
 
     def shift_weight(self, onto: str | Sequence[str], seconds: float = 1.0) -> Iterator[Array]:
-        """Frames in which the centre of mass goes over the middle of some pinned frames, and stays there.
+        """Yield joint angles that bring the centre of mass above the middle of pinned frames.
 
-        Minimum jerk; afterwards another pin can be released without a fall.
+        The motion has minimum jerk, and the centre of mass stays there. Another pin can then be
+        released without a fall.
 
         Args:
             onto: Pinned frames.
-            seconds: How long it takes; longer where the joints' speed limits say so.
+            seconds: Duration. The speed limits of the joints may extend it.
 
         Raises:
-            UnknownFrameError: One of them is not pinned.
+            UnknownFrameError: A frame is not pinned.
         """
         frames = [onto] if isinstance(onto, str) else list(onto)
         for frame in frames:
@@ -220,53 +226,55 @@ class Drag:
         begin = self.robot.center_of_mass(self.q)
         displacement = np.append((np.mean(positions, axis=0) - begin)[:2], 0.0)
         self._mass = begin
-        self._moved()
+        self._reset_point()
         square = float(displacement @ displacement)
-        share, x, pace = 0.0, np.zeros(()), 1.0 / max(1, round(seconds * self.rate))
+        share = 0.0
+        x = np.zeros(())
+        pace = 1.0 / max(1, round(seconds * self.rate))
         while share < 1.0 - 1e-9:
             x = np.minimum(1.0, x + pace)
             before = np.array(self._mass)
             q = self._towards(self._point, begin + minimum_jerk(x) * displacement)
-            share = (
-                float((self._mass - begin) @ displacement / max(square, 1e-12))
-                if square > 0.0
-                else 1.0
-            )
+            share = 1.0
+            if square > 0.0:
+                share = float((self._mass - begin) @ displacement / max(square, 1e-12))
             yield np.array(q)
             if x >= 1.0 and not np.abs(self._mass - before).max() > 0.0:
-                return  # it goes no farther: pins and limits
+                return  # pins and limits allow no further motion
 
-    # --------------------------------------------------------------------------- solving
-
-    def _moved(self) -> None:
-        """What is wanted has changed: from now on the dragged point is where its frame is."""
+    def _reset_point(self) -> None:
+        """Set the dragged point to the current position of its frame."""
         if self.dragged is not None:
             self._point = self.robot.measure(self.q, self.dragged).position
 
-    def _solved(self, point: Array, mass: Array | None) -> Array | None:
-        """The pose for these; None where pins would not hold."""
+    def _solve(self, point: Array, mass: Array | None) -> Array | None:
+        """Return joint angles for a point and a centre of mass; None if the pins do not hold."""
         goals: list[Goal] = list(self._pins.values())
         if mass is not None:
             goals.append(CenterOfMassGoal(None, mass, axes="xy"))
         if self.dragged is not None:
             goals.append(PositionGoal(self.dragged, point, soft=True))
         goals.append(PostureGoal(self.q, soft=True, priority=1))
-        found = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
-        holds = found.converged or all(goal.soft for goal in goals)
-        return np.array(found.q) if holds and np.isfinite(found.q).all() else None
+        solution = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
+        holds = solution.converged or all(goal.soft for goal in goals)
+        return np.array(solution.q) if holds and np.isfinite(solution.q).all() else None
 
     def _towards(self, point: Array, mass: Array | None) -> Array:
-        """One tick towards a dragged point and a centre of mass, as far as the speed limits allow."""
+        """Move for one tick towards a point and a centre of mass, within the speed limits."""
         share = 1.0
         start = self._mass if self._mass is not None else mass
         for _ in range(_HALVINGS):
             part = self._point + share * (point - self._point)
             centre = None if mass is None or start is None else start + share * (mass - start)
-            q = self._solved(part, centre)
-            if q is not None and (np.abs(self.robot.difference(self.q, q)) <= self._most).all():
+            q = self._solve(part, centre)
+            if (
+                q is not None
+                and (np.abs(self.robot.difference(self.q, q)) <= self._largest_step).all()
+            ):
                 self.q = q
                 self.q.flags.writeable = False
-                self._point, self._mass = part, centre
+                self._point = part
+                self._mass = centre
                 return self.q
             share *= 0.5
         return self.q
@@ -282,23 +290,24 @@ def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:
 
 
 def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
-    """The frame with its origin fixed to a body, nearest to a point of it; where that origin is in the body.
+    """Return the frame nearest to a point of a body, and the origin of that frame in the body.
 
-    The origin of a link often lies on the axis that moves it, where it cannot be dragged anywhere.  Where its
-    joints rotate about its origin, a child's origin is as fixed to the body, and usually at its other end.
+    The origin of a link often lies on the axis that moves it, so it cannot be dragged. The origin
+    of a child whose joints rotate about it is fixed to the body too, usually at the other end.
 
     Raises:
-        UnknownFrameError: The body has no name and no frame on it.
+        UnknownFrameError: The body has no name and no frame.
     """
-    frames, model = _frames_of_bodies(robot), robot.model
+    frames = _frames_of_bodies(robot)
+    model = robot.model
     if body not in frames:
         robot.frame(model.body(body).name or f"body {body}")
-    found = [(frames[body][0], frames[body][1].position)]
+    candidates = [(frames[body][0], frames[body][1].position)]
     for child in map(int, np.flatnonzero(model.body_parentid == body)):
         joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
         rotates = all(
-            int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints
+            int(model.jnt_type[j]) in _ROTATIONAL and not model.jnt_pos[j].any() for j in joints
         )
         if rotates and child in frames and not frames[child][1].position.any():
-            found.append((frames[child][0], model.body_pos[child]))
-    return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))
+            candidates.append((frames[child][0], model.body_pos[child]))
+    return min(candidates, key=lambda item: float(np.linalg.norm(item[1] - grip)))

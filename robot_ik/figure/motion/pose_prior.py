@@ -37,10 +37,10 @@ EM_GAIN = 1e-5
 CONTOUR = 0.99
 """Share of the learned poses inside the contour."""
 
-MOST_POSES = 3000
+MAX_POSES = 3000
 """Poses that are kept: those that differ most."""
 
-FEWEST_POSES = 10
+MIN_POSES = 10
 """Poses for each part of the mixture."""
 
 SAME_AXIS = 1e-6
@@ -61,7 +61,8 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
     mujoco.mj_kinematics(robot.model, data)
     flip = np.array([-1.0, 1.0, -1.0])  # a rotation vector in a mirror across y
     for k, joint in enumerate(robot.joints):
-        kind, to = int(robot.tree.kind[k]), int(robot.tree.qadr[k])
+        kind = int(robot.tree.kind[k])
+        to = int(robot.tree.qadr[k])
         fellow = other_side(joint)
         if fellow not in robot.joints:
             raise InvalidGoalError(
@@ -128,17 +129,22 @@ def fit_pose_prior(
         rows = np.concatenate([rows, mirrored(robot, rows)])
     chosen = feature_names(robot)
     plain = PosePrior(
-        chosen, np.zeros(len(chosen)), np.ones(len(chosen)), np.ones(1), np.zeros((1, len(chosen))),
+        chosen,
+        np.zeros(len(chosen)),
+        np.ones(len(chosen)),
+        np.ones(1),
+        np.zeros((1, len(chosen))),
         np.eye(len(chosen))[None],
-    )  # fmt: skip
+    )
     x = plain.features(robot, rows)
     spread = np.maximum(x.std(axis=0), SMALLEST_SPREAD)
-    x = x[thinned(x / spread, MOST_POSES)]
-    if len(x) < FEWEST_POSES * parts:
+    x = x[thinned(x / spread, MAX_POSES)]
+    if len(x) < MIN_POSES * parts:
         raise InvalidGoalError(
             f"{len(x)} poses are too few for {parts} parts", hint="ten poses a part at least"
         )
-    middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), SMALLEST_SPREAD)
+    middle = x.mean(axis=0)
+    spread = np.maximum(x.std(axis=0), SMALLEST_SPREAD)
     x = (x - middle) / spread
     weights, means, covariances = _mixture(x, parts)
     prior = PosePrior(chosen, middle, spread, weights, means, covariances)
@@ -147,7 +153,7 @@ def fit_pose_prior(
 
 
 def _mixture(x: Array, parts: int) -> tuple[Array, Array, Array]:
-    """Weights, means and shrunk covariances of a Gaussian mixture, by expectation-maximisation."""
+    """Return weights, means and shrunk covariances, by expectation-maximisation."""
     shares = np.eye(parts)[_clusters(x, parts)]
     last = -np.inf
     weights, means, covariances = _m_step(x, shares)
@@ -170,8 +176,8 @@ def _m_step(x: Array, shares: Array) -> tuple[Array, Array, Array]:
     means = shares.T @ x / counts[:, None]
     covariances = np.empty((len(counts), n, n))
     for k, count in enumerate(counts):
-        off = x - means[k]
-        covariance = (shares[:, k, None] * off).T @ off / count
+        deviation = x - means[k]
+        covariance = (shares[:, k, None] * deviation).T @ deviation / count
         even = max(float(np.trace(covariance)) / n, SMALLEST_DEVIATION**2)
         covariances[k] = (1.0 - SHRINKAGE) * covariance + SHRINKAGE * even * np.eye(n)
         covariances[k] += SMALLEST_DEVIATION**2 * np.eye(n)
@@ -179,7 +185,7 @@ def _m_step(x: Array, shares: Array) -> tuple[Array, Array, Array]:
 
 
 def _part_logs(x: Array, weights: Array, means: Array, covariances: Array) -> Array:
-    """(m, k) log w_k N(x; …), up to the constant that all parts share."""
+    """Return (m, k) log w_k N(x; …), up to the constant that all parts share."""
     logs = np.empty((len(x), len(weights)))
     for k, covariance in enumerate(covariances):
         factor = np.linalg.cholesky(covariance)
@@ -191,7 +197,7 @@ def _part_logs(x: Array, weights: Array, means: Array, covariances: Array) -> Ar
 
 
 def _clusters(x: Array, count: int) -> NDArray[np.int64]:
-    """(m,) cluster of each row: k-means from k-means++ (Arthur & Vassilvitskii 2007)."""
+    """Return the cluster (m,) of each row: k-means from k-means++ (Arthur & Vassilvitskii 2007)."""
     rng = np.random.default_rng(0)
     centres = [x[rng.integers(len(x))]]
     for _ in range(count - 1):

@@ -1,9 +1,10 @@
-"""Motion capture onto a figure of other proportions: by inverse kinematics, never by copying angles.
+"""Retargeting: motion capture for a figure of other proportions, by inverse kinematics.
 
-Lengths are taken from the two skeletons: the root's path and steps scale with the legs, the trunk with the
-trunk, arms with the arms; the lowest ankle of the take stands on our floor.  Feet are needed goals, pinned
-where they rest in the take; hands, elbows, pelvis and head are soft ones.  Rotations are those against the
-rest pose, in which the figure is taken to stand upright, toes forward.
+Joint angles are not copied. Lengths are scaled by the two skeletons: the path of the root and the
+steps with the legs, the trunk with the trunk, the arms with the arms. The lowest ankle of the
+motion stands on the floor. Feet are hard goals, pinned while they rest in the motion. Hands,
+elbows, pelvis and head are soft goals. Rotations are relative to the rest pose, in which the figure
+stands upright with its toes forward.
 """
 
 from __future__ import annotations
@@ -32,18 +33,24 @@ from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 SIDES = ("left", "right")
-ROLES = (
-    "pelvis", "head",
-    *(f"{side}_{part}" for side in SIDES for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")),
-)  # fmt: skip
-# A foot rests while its ankle is no higher than in the stand and this (m), and slower than this (m/s) …
-_REST_HEIGHT, _REST_SPEED = 0.03, 0.20
-# … for at least so long; the transition to and from where it is pinned takes so long (s).
-_REST_TIME, _PIN_BLEND = 0.10, 0.12
-# Part of all frames whose lowest ankle may lie under the floor: noise.
+PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+ROLES = ("pelvis", "head", *(f"{side}_{part}" for side in SIDES for part in PARTS))
+# Largest height of the ankle of a resting foot above its height in the stand, m.
+_REST_HEIGHT = 0.03
+# Largest speed of the ankle of a resting foot, m/s.
+_REST_SPEED = 0.20
+# Shortest rest of a foot, s.
+_REST_TIME = 0.10
+# Duration of the transition to and from the pinned pose of a foot, s.
+_PIN_BLEND = 0.12
+# Share of the frames whose lowest ankle may lie below the floor, because of noise.
 _FLOOR_SHARE = 0.02
-# Weights of the soft goals beside each other.
-_HAND, _PELVIS, _ELBOW, _HEAD, _POSTURE = 3.0, 2.0, 0.5, 0.5, 0.05
+# Weights of the soft goals.
+_HAND = 3.0
+_PELVIS = 2.0
+_ELBOW = 0.5
+_HEAD = 0.5
+_POSTURE = 0.05
 _FOOT_TOLERANCE = Tolerance(position=1e-4, angle=1e-3)
 _BUDGET = Budget(iterations=60, restarts=0)
 # The first frame may be far from home.
@@ -70,11 +77,12 @@ class _MapFile(Table):
 
 @dataclass(frozen=True)
 class SkeletonMap:
-    """Which joint of a file is which part of a figure.
+    """The joint of a file for each part of a figure.
 
     Attributes:
-        roles: By role (``ROLES``), our body and the names that a file may have for it, the likeliest first.
-        file: Where it comes from.
+        roles: For each of ``ROLES`` the body of the figure, and the names of the joint in files,
+            the likeliest first.
+        file: The file of the map.
     """
 
     roles: Mapping[str, _Role]
@@ -82,57 +90,60 @@ class SkeletonMap:
 
     @classmethod
     def load(cls, path: Path | str) -> SkeletonMap:
-        """Reads such a map; ``bvh.toml`` beside the humanoid is one.
+        """Read a map, such as ``bvh.toml`` beside the humanoid.
 
         Raises:
-            ConfigError: With file, key and what is allowed.
+            ConfigError: The file is missing or a key is wrong. The error names what is allowed.
         """
         file = Path(path)
         return cls(read_table(_MapFile, file, "the map of joints").roles, file)
 
     @classmethod
     def of(cls, robot: Robot) -> SkeletonMap:
-        """The map beside a robot's model.
+        """Return the map beside the model of a robot.
 
         Raises:
-            ModelError: There is none.
+            ModelError: The folder of the model has no map.
         """
         file = robot.folder / "bvh.toml"
         if not file.is_file():
             raise ModelError(
-                f"{robot.name!r} has no map of joints for motion capture", path=robot.path,
+                f"{robot.name!r} has no map of joints for motion capture",
+                path=robot.path,
                 hint=f"write {file.name} beside its model, as models/humanoid/bvh.toml",
-            )  # fmt: skip
+            )
         return cls.load(file)
 
     def find(self, bvh: Bvh) -> dict[str, int]:
-        """The joint of a file for each role.
+        """Return the joint index of a file for each role.
 
         Raises:
-            ConfigError: The file has none of the names of some role.
+            ConfigError: The file has no joint with one of the names of a role.
         """
-        found = {}
+        joints = {}
         for role in ROLES:
             indices = [index for index in map(bvh.named, self.roles[role].names) if index >= 0]
             if not indices:
                 known = ", ".join(joint.name for joint in bvh.joints[:30])
                 raise ConfigError(
-                    f"no name of {role} is in the BVH file", file=self.file, key=f"roles.{role}.names",
+                    f"no name of {role} is in the BVH file",
+                    file=self.file,
+                    key=f"roles.{role}.names",
                     allowed=f"one of {known}",
-                )  # fmt: skip
-            found[role] = indices[0]
-        return found
+                )
+            joints[role] = indices[0]
+        return joints
 
 
 @dataclass(frozen=True, eq=False)
 class Retargeted:
-    """A motion taken over, and how well.
+    """A retargeted motion and its quality.
 
     Attributes:
-        motion: Ours.
-        hand_error: (n, 2) metres between the left and right hand and where they should be.
+        motion: Motion of the figure.
+        hand_error: (n, 2) distance of the left and right hand from their targets, m.
         rests: (n, 2) whether the left and right foot is pinned.
-        scale: Our metres for a unit of the file, by the legs.
+        scale: Metres of the figure for a unit of the file, by the legs.
     """
 
     motion: Keyframes
@@ -142,7 +153,7 @@ class Retargeted:
 
 
 class _Measures:
-    """The figure's own lengths and frames, upright at qpos0."""
+    """Lengths and frames of the figure, which stands upright at qpos0."""
 
     def __init__(self, robot: Robot, bodies: Mapping[str, str]) -> None:
         data = data_at_rest(robot.model)
@@ -153,20 +164,23 @@ class _Measures:
         self.frames = bodies
         self.positions = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
         rest = robot.model.qpos0[qpos_addresses(robot.model, robot.tree)]
-        # A goal's frame of that name may be a site of the body: the palm, the sole.
+        # The frame of a goal may be a site with the name of the body: the palm, the sole.
         self.offsets = {
             role: robot.measure(rest, body).position - self.positions[role]
             for role, body in bodies.items()
         }
         self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
-        lowest = min(
-            float(robot.measure(rest, bodies[f"{side}_ankle"]).position[2]) for side in SIDES
-        )
+        feet = [robot.measure(rest, bodies[f"{side}_ankle"]).position for side in SIDES]
+        lowest = min(float(position[2]) for position in feet)
         self.ankle = float(_middle(self.positions, "ankle")[2] - lowest)
 
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
-        """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
-        model, foot = robot.model, robot.model.body(self.frames[role]).id
+        """Return the points (n, 3) that may touch the floor, from the foot frame.
+
+        They are the origin of the frame and the sites of the foot and of the bodies below it.
+        """
+        model = robot.model
+        foot = model.body(self.frames[role]).id
         below = [foot]
         for body in range(foot + 1, model.nbody):
             if int(model.body_parentid[body]) in below:
@@ -176,7 +190,7 @@ class _Measures:
 
 
 def _length(positions: Mapping[str, Array], *roles: str) -> float:
-    """Mean over both sides of the length along these parts of a limb."""
+    """Return the length along these parts of a limb, as the mean of both sides."""
     limbs = [[positions[f"{side}_{role}"] for role in roles] for side in SIDES]
     return float(np.linalg.norm(np.diff(limbs, axis=1), axis=2).sum()) / len(SIDES)
 
@@ -186,40 +200,38 @@ def _middle(positions: Mapping[str, Array], role: str) -> Array:
 
 
 def _lengths(positions: Mapping[str, Array]) -> Array:
-    """(4,) of a leg, an arm, the trunk, and from shoulder to shoulder."""
+    """Return the lengths (4,) of a leg, an arm, the trunk, and from shoulder to shoulder."""
     trunk = np.linalg.norm(_middle(positions, "shoulder") - _middle(positions, "hip"))
     girdle = np.linalg.norm(positions["left_shoulder"] - positions["right_shoulder"])
-    legs, arms = (
-        _length(positions, "hip", "knee", "ankle"),
-        _length(positions, "shoulder", "elbow", "wrist"),
-    )
+    legs = _length(positions, "hip", "knee", "ankle")
+    arms = _length(positions, "shoulder", "elbow", "wrist")
     return np.array([legs, arms, trunk, girdle])
 
 
 def _ratios(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> list[float]:
-    """Our metres for a unit of the file, by leg, arm, trunk and girdle.
+    """Return the metres of the figure for a unit of the file, by leg, arm, trunk and girdle.
 
     Raises:
-        TrajectoryError: The file's has no length.
+        TrajectoryError: A part has no length in the file.
     """
     lengths = _lengths(theirs)
     for length, part in zip(lengths, ("legs", "arms", "trunk", "girdle"), strict=True):
         if not length > 1e-9:
             raise TrajectoryError(
                 f"the {part} of the file's rest pose have no length",
-                hint="is some joint named for two roles? see the map of joints",
+                hint="use a joint for one role only in the map of joints",
             )
     return [float(ratio) for ratio in _lengths(ours) / lengths]
 
 
 def _alignment(rest: Mapping[str, Array], up: str) -> Array:
-    """(3, 3) from the file's axes to ours: up as said, left from hip to hip."""
+    """Return the rotation (3, 3) from the file's axes to the figure's, whose y is hip to hip."""
     z = np.eye(3)["xyz".index(up)]
     left = rest["left_hip"] - rest["right_hip"]
     left = left - z * float(left @ z)
     if not np.linalg.norm(left) > 1e-9:
         problem = "in the file's rest pose the hips are not beside each other"
-        raise TrajectoryError(problem, hint="another rest")
+        raise TrajectoryError(problem, hint="choose another rest_frame")
     y = left / np.linalg.norm(left)
     return np.stack([np.cross(y, z), y, z])
 
@@ -227,9 +239,10 @@ def _alignment(rest: Mapping[str, Array], up: str) -> Array:
 def _targets(
     bvh: Bvh, joints: Mapping[str, int], ours: _Measures, rest: Bvh, up: str
 ) -> tuple[dict[str, Any], NDArray[np.bool_], float]:
-    """What each role shall do frame by frame, when feet rest (n, 2), and our metres for a unit of the file.
+    """Return the path of each role, when the feet rest (n, 2), and the scale of the legs.
 
-    Poses of pelvis, head and ankles (the soles), positions (3,) of wrists and elbows, world.
+    A path has a pose for each frame for pelvis, head and ankles (the soles), and a position (3,)
+    for wrists and elbows, in the world.
     """
     still, rest_rotations = rest.poses()
     upright = {role: still[0, j] for role, j in joints.items()}
@@ -237,12 +250,13 @@ def _targets(
     moved, rotations = bvh.poses()
     positions = {role: moved[:, j] @ axes.T for role, j in joints.items()}
     deltas = {
-        r: axes @ rotations[:, j] @ rest_rotations[0, j].T @ axes.T for r, j in joints.items()
+        role: axes @ rotations[:, j] @ rest_rotations[0, j].T @ axes.T for role, j in joints.items()
     }
     legs, arms, trunk, girdle = _ratios(ours.positions, upright)
     lowest = np.minimum(positions["left_ankle"][:, 2], positions["right_ankle"][:, 2])
     floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
-    hips, chest = _middle(positions, "hip"), _middle(positions, "shoulder")
+    hips = _middle(positions, "hip")
+    chest = _middle(positions, "shoulder")
     pelvis = legs * (hips - floor)
     paths: dict[str, Any] = {
         "pelvis": list(map(Pose.from_rotation, deltas["pelvis"], pelvis)),
@@ -251,9 +265,8 @@ def _targets(
     rests = []
     for side in SIDES:
         shoulder = positions[f"{side}_shoulder"]
-        from_shoulder = (
-            pelvis + trunk * (chest - hips) + girdle * (shoulder - chest) - arms * shoulder
-        )
+        scaled_shoulder = pelvis + trunk * (chest - hips) + girdle * (shoulder - chest)
+        from_shoulder = scaled_shoulder - arms * shoulder
         paths[f"{side}_elbow"] = from_shoulder + arms * positions[f"{side}_elbow"]
         palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
         along = _hand_direction(bvh, joints, side, moved, rotations) @ axes.T
@@ -268,31 +281,31 @@ def _targets(
 def _hand_direction(
     bvh: Bvh, joints: Mapping[str, int], side: str, positions: Array, rotations: Array
 ) -> Array:
-    """(n, 3) unit vectors along the hand, the file's axes: to its first child or End Site."""
+    """Return unit vectors (n, 3) along the hand, to its first child or End Site, in file axes."""
     j = joints[f"{side}_wrist"]
     bone = next((np.array(other.offset) for other in bvh.joints if other.parent == j), None)
     bone = np.array(bvh.joints[j].end) if bone is None and bvh.joints[j].end is not None else bone
     along = rotations[:, j] @ (np.zeros(3) if bone is None else bone)
-    if not np.linalg.norm(along, axis=1).min() > 1e-9:  # none, or of no length: as the forearm
+    if not np.linalg.norm(along, axis=1).min() > 1e-9:  # a hand of no length points as the forearm
         along = positions[:, j] - positions[:, joints[f"{side}_elbow"]]
     return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
 
 
 def _rests(ankle: Array, height: float, rate: float) -> NDArray[np.bool_]:
-    """(n,) whether a foot rests: low and slow for long enough."""
+    """Return (n,) whether a foot rests: it is low and slow for long enough."""
     speed = np.zeros(len(ankle))
     if len(ankle) > 2:
         speed = np.linalg.norm(np.gradient(ankle, 1.0 / rate, axis=0), axis=1)
     calm = (ankle[:, 2] < height + _REST_HEIGHT) & (speed < _REST_SPEED)
-    least = max(1, round(_REST_TIME * rate))
+    shortest = max(1, round(_REST_TIME * rate))
     out = np.zeros(len(calm), dtype=bool)
     for first, end in _runs(calm):
-        out[first:end] = end - first >= min(least, len(calm))
+        out[first:end] = end - first >= min(shortest, len(calm))
     return out
 
 
 def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and end of every stretch of marks."""
+    """Return the first index of each run of marks, and the index after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -305,21 +318,20 @@ def _foot_path(
     rests: NDArray[np.bool_],
     rate: float,
 ) -> list[Pose]:
-    """The sole's pose in each frame: where it rests one pose, flat on the floor; smoothly there and back.
+    """Return the pose of the sole in each frame.
 
-    No end of it goes under the floor.
+    A resting sole has one pose, flat on the floor. The transition to and from that pose is smooth.
+    No point of the sole goes below the floor.
     """
     positions = ankle + rotations @ ours.offsets[f"{side}_ankle"]
-    lowest = (positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(
-        axis=1
-    )
+    sole = positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1)
+    lowest = sole[..., 2].min(axis=1)
     positions[:, 2] -= np.minimum(lowest, 0.0)
     path = list(map(Pose.from_rotation, rotations, positions))
     fade = max(1, round(_PIN_BLEND * rate))
     for first, end in _runs(rests):
-        half = 0.5 * math.atan2(
-            *rotations[first:end, 1::-1, 0].mean(axis=0).tolist()
-        )  # of its heading
+        heading = math.atan2(*rotations[first:end, 1::-1, 0].mean(axis=0).tolist())
+        half = 0.5 * heading
         position = positions[first:end].mean(axis=0)
         pin = Pose((position[0], position[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))
         path[first:end] = [pin] * (end - first)
@@ -341,23 +353,25 @@ def retarget(
     up: Literal["y", "z"] = "y",
     rest_frame: int | None = None,
 ) -> Retargeted:
-    """Takes a motion over onto a figure.
+    """Return a motion of another skeleton as a motion of a figure.
 
     Args:
-        bvh: The motion, of any skeleton with the roles of the map.
+        bvh: Motion of a skeleton with the roles of the map.
         robot: A figure with hands, feet and head.
-        joints: Which joint is what; None: the map beside the robot's model.
-        rate: Frames a second; None: as in the file.  Frames are left out, none are made up.
-        up: The file's axis that points up.
-        rest_frame: A frame in which the figure stands upright, toes forward; for files whose rest pose
-            does not.
+        joints: Map of the joints; None for the map beside the robot's model.
+        rate: Largest number of frames a second; None for the rate of the file. Frames are skipped,
+            never interpolated.
+        up: Axis of the file that points up.
+        rest_frame: Index of a frame in which the figure stands upright with its toes forward, for
+            files whose rest pose does not.
 
     Raises:
         ConfigError: The file lacks a joint of the map.
-        TrajectoryError: No frame at all, or a rest frame that is not there.
+        TrajectoryError: The file has no frames, or no frame ``rest_frame``.
     """
     joints = SkeletonMap.of(robot) if joints is None else joints
-    indices, bodies = joints.find(bvh), {role: row.body for role, row in joints.roles.items()}
+    indices = joints.find(bvh)
+    bodies = {role: row.body for role, row in joints.roles.items()}
     if not len(bvh.values):
         raise TrajectoryError("the BVH file has no frames")
     if rest_frame is not None and not 0 <= rest_frame < len(bvh.values):
@@ -373,14 +387,19 @@ def retarget(
 
 
 def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array) -> list[Goal]:
-    """Of one frame."""
+    """Return the goals of frame ``k``."""
     feet = [(bodies[f"{side}_ankle"], paths[f"{side}_ankle"][k]) for side in SIDES]
     goals: list[Goal] = [replace(PoseGoal.at(*foot), tolerance=_FOOT_TOLERANCE) for foot in feet]
     hips = paths["pelvis"][k]
     pelvis = PoseGoal(
-        bodies["pelvis"], hips.position, hips.wxyz, soft=True, position_weight=_PELVIS
+        bodies["pelvis"],
+        hips.position,
+        hips.wxyz,
+        soft=True,
+        position_weight=_PELVIS,
+        angle_weight=_PELVIS / 4,
     )
-    goals.append(replace(pelvis, angle_weight=_PELVIS / 4))
+    goals.append(pelvis)
     goals.append(OrientationGoal(bodies["head"], paths["head"][k].wxyz, weight=_HEAD, soft=True))
     for part, weight in (("wrist", _HAND), ("elbow", _ELBOW)):
         for role in (f"{side}_{part}" for side in SIDES):
@@ -391,9 +410,10 @@ def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array
 def _solve_frames(
     robot: Robot, bodies: Mapping[str, str], paths: Mapping[str, Any]
 ) -> tuple[list[Array], Array]:
-    """Joint vectors (n, nq) and the errors of the hands (n, 2)."""
+    """Return joint vectors (n, nq) and the position errors of the hands (n, 2), m."""
     rows: list[Array] = []
-    q, error = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
+    q = np.array(robot.home)
+    error = np.zeros((len(paths["pelvis"]), 2))
     base = free_base(robot)
     if base is not None:
         q[base][:3] += paths["pelvis"][0].position - robot.forward(q, bodies["pelvis"]).position

@@ -1,4 +1,4 @@
-"""``Branch``: one of the ways in which an arm can meet a goal."""
+"""``Branch``: one solution of a goal, for arms with a closed form."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from robot_ik.geometry import Array
 from robot_ik.robot import Robot
 from robot_ik.solution import short_numbers
 
-# Branches nearer than this in every joint (rad) are one.
+# Branches that differ by less than this in every joint, rad, are the same branch.
 _SAME = 1e-6
-# rad, m: so far beyond a limit a joint still counts as inside.
+# Distance beyond a limit at which a joint still counts as inside, rad or m.
 _SLACK = 1e-9
-# rad, m: so far beyond, it is brought back. At a singular pose (an arm stretched out, whose elbow
-# has its limit there) rounding moves a joint by its own square root, and far less what it carries.
+# Distance beyond a limit within which a joint is moved back to the limit, rad or m. At a singular
+# pose, such as a stretched elbow at its limit, a rounding error moves the joint by its square root,
+# which moves the frame far less.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One of the ways in which an arm can meet a goal.
+    """One solution of a goal.
 
     Attributes:
         name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the
-            start.
+        q: (nq,) joint angles. Multiples of 2π bring each into its limits, near the start.
         inside: Whether all joints are inside their limits.
         clearance: The nearest pair of parts, by MuJoCo; None without a condition on collisions.
         free: Whether the clearance is at least the margin; True without a condition on collisions.

@@ -76,7 +76,7 @@ def limb_block(limb: Limb, tree: Tree) -> Block:
 
 
 class PreparedProof:
-    """The proof made ready for one problem. A solve ends UNREACHABLE, or STALLED without a proof."""
+    """The proof for one problem. A solve ends UNREACHABLE, or STALLED without a proof."""
 
     name = "proof"
 
@@ -93,8 +93,8 @@ class PreparedProof:
         self._best = problem.search.arrays["best"]
         self._target = problem.search.arrays["target"].reshape(-1, 4, 4)
 
-    def run(self, problem: Problem, budget: Budget) -> Solution:
-        """Return the best point so far; its status says whether the goal is proven unreachable."""
+    def run(self, problem: Problem, _budget: Budget) -> Solution:
+        """Return the best point so far, UNREACHABLE if the proof succeeds."""
         began = time.perf_counter()
         status = Status.UNREACHABLE if self._prove(self._address) else Status.STALLED
         return Solution(
@@ -112,13 +112,13 @@ class PreparedProof:
 
     def run_many(
         self,
-        problem: Problem,
+        _problem: Problem,
         targets: Array,
-        starts: Array,
+        _starts: Array,
         results: BatchResult,
-        budget: Budget,
+        _budget: Budget,
     ) -> None:
-        """Write the status of each row, with an infinite error: a proof finds no point."""
+        """Write the status of each row, and an infinite error, because a proof finds no point."""
         results.error[...] = np.inf
         for row in range(len(targets)):
             self._target[0] = targets[row]

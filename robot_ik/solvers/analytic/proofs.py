@@ -1,9 +1,9 @@
 """Proofs that no joint angles inside the limits bring the frame within tolerance of its target.
 
-The formulas of the closed forms are followed with intervals in place of numbers: the
-wrist's centre is known to the tolerance of the position and what that of the angle makes of the tool's
-length.  Where every branch ends in an empty set or beyond a limit, nothing within tolerance can be reached.
-Near singular poses the intervals grow until nothing is proven; they never grow too little.
+The proofs follow the formulas of the closed forms with intervals in place of numbers. The centre
+of the wrist is known to the tolerance of the position, plus the tolerance of the angle times the
+length of the tool. If every branch ends in an empty set or beyond a limit, the goal is unreachable.
+Near singular poses the intervals grow until nothing can be proven. They are never too small.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -24,7 +24,7 @@ from robot_ik.solvers.analytic.six_axes import (
     relative_back,
     relative_rotation,
     same_way,
-)  # fmt: skip
+)
 from robot_ik.solvers.analytic.subproblems import (
     angle_between,
     height_terms,
@@ -33,11 +33,11 @@ from robot_ik.solvers.analytic.subproblems import (
     open_run,
 )
 
-# Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
-# An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:
-# the true set lies inside, so that an empty one is a proof.
+# An interval of angles is its middle and its radius. A radius of pi or more is the whole circle.
+# All bounds are outer bounds: the true set lies inside, so an empty interval is a proof.
 
-# Rounding allowed for: of angles (an arc cosine near 1 loses half the digits) and of metres or cosines.
+# Allowance for rounding, of angles (an arc cosine near 1 loses half the digits), and of metres or
+# cosines.
 _ANGLE_PAD = 1e-6
 PAD = 1e-9
 
@@ -55,7 +55,7 @@ def may_fit(middle, radius, lower, upper):
 
 @inlined
 def arc(low, high, amplitude):
-    """The half-angles h in [0, pi] with amplitude · cos h in [low, high]: middle, radius, whether any."""
+    """Return middle, radius and existence of h in [0, pi] with amplitude · cos h in [low, high]."""
     if amplitude <= PAD:
         return 0.5 * math.pi, 0.5 * math.pi, low <= 2.0 * PAD and high >= -2.0 * PAD
     if low > amplitude + PAD or high < -amplitude - PAD:
@@ -67,7 +67,10 @@ def arc(low, high, amplitude):
 
 @inlined
 def third_side(squares, far, error, amplitude):
-    """``arc`` of the angle between sides whose squares add up to that, where the third is far ± error."""
+    """Return ``arc`` of the angle between two sides, if the third side is far ± error.
+
+    ``squares`` is the sum of the squares of the two sides.
+    """
     near_side = max(0.0, far - error)
     far_side = far + error
     low = 0.5 * (squares - far_side * far_side)
@@ -83,13 +86,13 @@ def chord(angle, radius):
 
 @inlined
 def spread(error, length):
-    """How far the direction of a plane vector of that length may turn when its end errs by ``error``."""
+    """Return the largest rotation of a plane vector whose end moves by ``error``, rad."""
     return math.asin(error / length) if error < length else math.pi
 
 
 @inlined
 def azimuth_spread(error, polar):
-    """How far the azimuth of a direction at ``polar`` from the pole may turn when it errs by ``error``."""
+    """Return the largest change of azimuth of a direction ``polar`` from the pole, rad."""
     if error >= min(polar, math.pi - polar):
         return math.pi
     return math.asin(min(1.0, math.sin(error) / math.sin(polar)))
@@ -115,7 +118,7 @@ def centre_error(tolerance, lever):
 
 @inlined
 def heights(h, k, p, low, high):
-    """Angles θ about k with h · R(k, θ) p in [low, high] (padded): centre, half, radius, whether any."""
+    """Return centre, half, radius and existence of θ with h · R(k, θ) p in [low, high]."""
     constant, amplitude, middle = height_terms(h, k, p)
     half, radius, some = arc(low - constant, high - constant, amplitude)
     return middle, half, radius, some
@@ -144,7 +147,7 @@ def elbows(u, f, e, far, error):
 
 @inlined
 def first_link_range(u, f, e, elbow, radius, g, error):
-    """Angle of the first link that brings the end to g ± error, for an elbow ± radius; and its radius."""
+    """Return angle and radius of the first link for an end at g ± error and an elbow ± radius."""
     v = so3.subtract(so3.rotate(u, math.cos(elbow), math.sin(elbow), e), f)
     angle, _ = angle_between(u, v, g)
     return angle, spread(error, off_axis(u, g)) + spread(
@@ -154,7 +157,7 @@ def first_link_range(u, f, e, elbow, radius, g, error):
 
 @kernel
 def prove_planar(address):
-    """Whether no joint angles bring the form's target within tolerance: two parallel hinges, a position."""
+    """Return whether a position is out of reach of two parallel hinges, within tolerance."""
     run = open_run(address)
     form = run.form
     tolerance = run.goals.tolerance
@@ -184,7 +187,7 @@ def prove_planar(address):
 
 @outlined
 def wrist_may_fit(form, target, c, s, error):
-    """Whether joints 4 to 6 may make what rotation is left after joints 1 to 3, known to ``error`` rad."""
+    """Return whether joints 4 to 6 may produce the remaining rotation, known to ``error`` rad."""
     noinline()
     if error >= math.pi:
         return True

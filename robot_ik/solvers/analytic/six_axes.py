@@ -21,9 +21,10 @@ from robot_ik.solvers.analytic.subproblems import (
     split_inside,
 )
 
-# Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
+# Sine below which two axes count as parallel in a pose. Such a pose is singular, and the free angle
+# keeps its start.
 ALIGNED = 1e-7
-# Places at which a free angle is tried: the start, the joint's limits, and round the circle from the start.
+# Values that are tried for a free angle: the start, places around the circle, and the limits.
 _FREE_TRIES = 66
 
 
@@ -86,10 +87,10 @@ def same_way(u, axes, j):
 
 @inlined
 def elbow_angles(u, f, e, g):
-    """Angles a about u at which R(u, a) e − f is as far from the axis as g, as of ``angles_to_height``.
+    """Return the angles a about u at which R(u, a) e − f is as far from the axis as g.
 
-    Of two links that move across u: f and e lead from the elbow to the first axis and to the end, at a = 0;
-    g leads from the first axis to where the end is wanted.
+    The result has the form of ``angles_to_height``. Two links move across u. f and e lead from the
+    elbow to the first axis and to the end at a = 0. g leads from the first axis to the target.
     """
     fu = so3.dot(f, u)
     eu = so3.dot(e, u)
@@ -102,7 +103,7 @@ def elbow_angles(u, f, e, g):
 
 @inlined
 def first_link(u, f, e, c, s, g, kept):
-    """The first link's angle for an elbow of cosine c and sine s; ``kept`` where every angle will do."""
+    """Return the angle of the first link for the elbow (c, s); ``kept`` if every angle is right."""
     angle, weight = angle_between(u, so3.subtract(so3.rotate(u, c, s, e), f), g)
     return kept if weight < 1e-14 else angle
 
@@ -117,7 +118,7 @@ def one_of(first, middle, half, amplitude, kept):
 
 @inlined
 def free_place(k, start, lower, upper):
-    """Where a free angle is tried: at ``start``, ever farther off on both sides, at last at its limits."""
+    """Return try k of a free angle: outwards from ``start`` on both sides, then the limits."""
     if k < _FREE_TRIES - 2:
         side = 1.0 if k % 2 == 1 else -1.0
         return start + side * ((k + 1) // 2) * (2.0 * math.pi / (_FREE_TRIES - 2))
@@ -127,9 +128,9 @@ def free_place(k, start, lower, upper):
 
 @inlined
 def keep_branch(form, row, angles, free):
-    """Six angles as a branch, where a free one has no better place yet; whether no other is to be tried.
+    """Write six angles as a branch unless a better try exists; return whether to stop the tries.
 
-    The first place counts from which all angles have an image inside their limits, else the first of all.
+    The best try is the first whose angles all have an image inside their limits, else the first.
     """
     branches = form.branches
     fits = True
@@ -207,8 +208,8 @@ def spherical_wrist(form, target):
     middle1, half1, amplitude1, possible = angles_to_height(u, so3.scale(-1.0, h1), d, height)
     if not possible:
         return
-    # With the wrist's centre on axis 1 every q1 does: the place nearest to the start is taken from which all
-    # angles are inside their limits, for each branch by itself.
+    # If the centre of the wrist lies on axis 1, q1 is free. Each branch takes the value nearest to
+    # the start for which all angles are inside their limits.
     free = amplitude1 < 1e-12
     settled = 0
     for k in range(_FREE_TRIES if free else 2):
@@ -242,9 +243,10 @@ def spherical_wrist(form, target):
 
 @outlined
 def three_parallel(form):
-    """All branches of an arm whose axes 2, 3 and 4 are parallel and whose last two meet (Universal Robots).
+    """Find all branches of an arm with parallel axes 2, 3, 4 and intersecting axes 5, 6.
 
-    Fills ``form.branches`` (8, 6; cleared), row = 4·shoulder + 2·flip + elbow.
+    Universal Robots builds such arms. Fills ``form.branches`` (8, 6), which is cleared, with the
+    row 4·shoulder + 2·flip + elbow.
     """
     noinline()
     axes = form.axes
@@ -288,8 +290,8 @@ def three_parallel(form):
             theta, weight = angle_between(u, so3.rotate(h5, c5, s5, h6), a)  # R5 h6
             q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, u), held)  # R5ᵀ u
             q6 = -q6
-            # With axis 6 parallel to the three only θ ± q6 counts.  Taken is the place of q6 nearest to the
-            # start from which the elbow reaches and all angles are inside their limits, for each elbow.
+            # If axis 6 is parallel to the three, only θ ± q6 matters. Each elbow takes the q6
+            # nearest to the start for which the elbow reaches and all angles are inside limits.
             free = weight <= ALIGNED * ALIGNED
             settled = 0
             for k in range(_FREE_TRIES if free else 1):
@@ -321,10 +323,10 @@ def three_parallel(form):
 
 @outlined
 def planar_two_link(form, slack):
-    """Both elbows of a two-link arm for a position, into rows 0 and 1 of ``form.branches`` (cleared).
+    """Write both elbows of a two-link arm to rows 0 and 1 of ``form.branches``, which is cleared.
 
-    Row 0 of ``form.extra`` is the tool at q = 0.  ``slack`` (m): how far the target may lie off the plane in
-    which the tool moves.
+    Row 0 of ``form.extra`` is the tool at q = 0. ``slack`` is the allowed distance of the target
+    from the plane of the tool's motion, m.
     """
     noinline()
     axes = form.axes

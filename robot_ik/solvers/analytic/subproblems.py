@@ -1,7 +1,7 @@
-"""The small rotation problems that closed forms are made of, and the arrays that they share.
+"""Subproblems of rotation, of which the closed forms consist, and their shared arrays.
 
-After Paden (Kinematics and control of robot manipulators, 1986) and Elias & Wen (IK-Geo: unified robot
-inverse kinematics using subproblem decomposition, 2022, subproblems 1, 3 and 4).
+After Paden (Kinematics and control of robot manipulators, 1986) and Elias & Wen (IK-Geo: unified
+robot inverse kinematics using subproblem decomposition, 2022, subproblems 1, 3 and 4).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -47,10 +47,11 @@ def noinline(_typing: Any) -> Any:
 
 @inlined
 def angle_between(k, p, q):
-    """Subproblem 1: the angle about k that rotates p towards q, and the product of their distances from k.
+    """Subproblem 1: return the angle about k from p to q, and the product of their distances to k.
 
-    Where that product vanishes every angle does.  What lies along k is taken out first: of vectors that are
-    nearly parallel to it, as next to a singular pose, the differences of products would leave no digits.
+    If the product is zero, every angle is a solution. The parts along k are removed first.
+    Otherwise the products of vectors nearly parallel to k, as near a singular pose, would cancel
+    all digits.
     """
     p = so3.subtract(p, so3.scale(so3.dot(k, p), k))
     q = so3.subtract(q, so3.scale(so3.dot(k, q), k))
@@ -70,10 +71,10 @@ def height_terms(h, k, p):
 
 @inlined
 def angles_to_height(h, k, p, height):
-    """Subproblem 4: the angles θ about k with h · R(k, θ) p = height.
+    """Subproblem 4: return the angles θ about k with h · R(k, θ) p = height.
 
-    Returns (centre, half, amplitude, possible): θ = centre ± half.  Where the amplitude vanishes θ is free;
-    it is possible where the height is met to ``SLACK`` (same unit as h·p).
+    The result is (centre, half, amplitude, possible), with θ = centre ± half. If the amplitude is
+    zero, θ is free. It is possible if the height is met within ``SLACK``, in the unit of h·p.
     """
     constant, amplitude, middle = height_terms(h, k, p)
     rest = height - constant
@@ -88,7 +89,7 @@ def angles_to_height(h, k, p, height):
 
 @inlined
 def image(angle, start, lower, upper):
-    """The angle, modulo 2π, that is nearest to ``start`` inside the limits; and whether there is one."""
+    """Return the angle modulo 2π nearest to ``start`` inside the limits, and whether it exists."""
     whole = 2.0 * math.pi
     found = angle + whole * math.floor((start - angle) / whole + 0.5)
     if found > upper + 1e-9:
@@ -148,13 +149,14 @@ FORM = Layout(
 RUN = Layout("ClosedFormRun", tree=TREE, goals=GOALS, search=SEARCH, form=FORM)
 open_run = RUN.open
 
-# What a run is for: the solution; every branch, even for a start at the goal; only measuring the start.
+# Modes of a run: find the solution; find every branch, even for a start at the goal; only measure
+# the start.
 SOLVE, EVERY, START_ONLY = range(3)
 
 
 @outlined
 def measure_start(tree, goals, search, form, mode):
-    """Measure the start, which is the solution if it is at the goal; return whether there is more to do."""
+    """Measure the start; return whether it is no solution, so the closed form is needed."""
     count_all_goals(goals, search)
     search.iterations = 0
     copy(search.start, search.q)
@@ -214,10 +216,10 @@ def clear(branches):
 
 @outlined
 def nearest(form):
-    """The branch inside the limits nearest to the start (least squares of the angles), into ``form.best``.
+    """Write the branch inside the limits nearest to the start, by squared angles, to ``form.best``.
 
-    Each angle is first moved by multiples of 2π, in ``form.branches`` too.  Returns whether a branch is
-    inside the limits, and whether there is any.
+    Multiples of 2π move each angle first, in ``form.branches`` too. Returns whether a branch is
+    inside the limits, and whether any branch exists.
     """
     branches = form.branches
     start = form.start

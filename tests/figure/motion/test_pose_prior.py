@@ -30,10 +30,7 @@ Array = NDArray[np.float64]
 def some_poses(robot: rik.Robot, count: int, size: float = 0.25) -> Array:
     rng = np.random.default_rng(0)
     return np.array(
-        [
-            robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv)))
-            for _ in range(count)
-        ]
+        [robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv))) for _ in range(count)]
     )
 
 
@@ -52,14 +49,12 @@ def prior(robot: rik.Robot) -> PosePrior:
     return fit_pose_prior(robot, some_poses(robot, 80), parts=3, mirror=False)
 
 
-def test_the_rows_are_the_energy_and_their_slope_its_gradient(
-    robot: rik.Robot, prior: PosePrior
-) -> None:
+def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, prior: PosePrior) -> None:
     weight = 0.7
     problem = Problem(robot, PosePriorGoal(prior=prior, weight=weight))
     for q in some_poses(robot, 3, size=0.4):
         rows = rows_at(problem, q)
-        energy = prior.energy(robot, q) - prior.least
+        energy = prior.energy(robot, q) - prior.min_energy
         assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
         assert rows.cost / weight**2 == pytest.approx(energy, rel=1e-9, abs=1e-9)
         gradient = np.zeros(robot.nv)
@@ -73,9 +68,7 @@ def test_the_rows_are_the_energy_and_their_slope_its_gradient(
         np.testing.assert_allclose(gradient, numeric, atol=1e-6 * max(1.0, np.abs(numeric).max()))
 
 
-def test_gauss_newton_steps_never_make_a_pose_less_likely(
-    robot: rik.Robot, prior: PosePrior
-) -> None:
+def test_gauss_newton_steps_never_make_a_pose_less_likely(robot: rik.Robot, prior: PosePrior) -> None:
     problem = Problem(robot, PosePriorGoal(prior=prior))
     for q in some_poses(robot, 3, size=0.5):
         energies = [prior.energy(robot, q)]
@@ -87,7 +80,7 @@ def test_gauss_newton_steps_never_make_a_pose_less_likely(
             energies.append(prior.energy(robot, q))
         # Leans and balls are no linear features: a little is left to them while steps are long.
         assert (np.diff(energies) < 1e-2 * max(1.0, energies[0] - energies[-1])).all()
-        assert energies[-1] < energies[0] and energies[-1] >= prior.least - 1e-9
+        assert energies[-1] < energies[0] and energies[-1] >= prior.min_energy - 1e-9
 
 
 def test_place_and_heading_say_nothing(humanoid: rik.Robot) -> None:
@@ -166,9 +159,7 @@ def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik
         assert prior.energy(humanoid, likely.q) < prior.energy(humanoid, plain.q)
         inside.append(prior.energy(humanoid, likely.q) < prior.contour)
         # Tracked from there it stays: the solution is a minimum.
-        again = rik.solve(
-            humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm", start=likely.q
-        )
+        again = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm", start=likely.q)
         assert np.abs(humanoid.difference(likely.q, again.q)).max() < 0.05
     assert sum(inside) >= 3
 
@@ -228,12 +219,11 @@ def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
             row["rms of elbows and spine, degrees"], row["inside the 99 % contour"], row["nearest pose"],
             row["largest error of the hand, mm"],
         )  # fmt: skip
-        line = f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
+        line = (
+            f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
+        )
         assert line.replace("%", " %") in page
     assert f"Held out were {found['held out']} of {found['motions']} motions" in page
     assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
     with_prior, plain = found["rows"]["with the prior"], found["rows"]["goals alone"]
-    assert (
-        with_prior["rms of elbows and spine, degrees"]
-        < 0.6 * plain["rms of elbows and spine, degrees"]
-    )
+    assert with_prior["rms of elbows and spine, degrees"] < 0.6 * plain["rms of elbows and spine, degrees"]
