@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from robot_ik.branches import solve_all
     from robot_ik.budget import Budget
     from robot_ik.chain import DHRow, from_dh, make_chain
+    from robot_ik.collision.avoidance import CollisionAvoidance
+    from robot_ik.collision.obstacles import Box, Capsule, Cylinder, Mesh, Plane, Sphere
+    from robot_ik.collision.scene import Clearance, Scene, load_scene
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -52,6 +55,9 @@ _HOME = {
     "robot_ik.batch": ("solve_batch",),
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("DHRow", "from_dh", "make_chain"),
+    "robot_ik.collision.avoidance": ("CollisionAvoidance",),
+    "robot_ik.collision.obstacles": ("Box", "Capsule", "Cylinder", "Mesh", "Plane", "Sphere"),
+    "robot_ik.collision.scene": ("Clearance", "Scene", "load_scene"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -86,15 +92,22 @@ _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 __all__ = [
     "SOLVERS",
     "AimGoal",
+    "Box",
     "Budget",
+    "Capsule",
     "CenterOfMassGoal",
+    "Clearance",
+    "CollisionAvoidance",
+    "Cylinder",
     "DHRow",
     "Deviation",
     "Goal",
     "HalfSpaceGoal",
     "LineGoal",
+    "Mesh",
     "NotConvergedError",
     "OrientationGoal",
+    "Plane",
     "PlaneGoal",
     "Pose",
     "PoseGoal",
@@ -106,7 +119,9 @@ __all__ = [
     "RealClock",
     "Robot",
     "RobotIkError",
+    "Scene",
     "Solution",
+    "Sphere",
     "Status",
     "Tolerance",
     "Trajectory",
@@ -119,6 +134,7 @@ __all__ = [
     "joint_move",
     "line_move",
     "load_robot",
+    "load_scene",
     "make_chain",
     "make_solver",
     "solve",

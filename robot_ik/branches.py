@@ -2,51 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from robot_ik.collision.avoidance import CollisionAvoidance, require_same_robot
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, require_robot
-from robot_ik.solution import short_numbers
 from robot_ik.solvers.analytic import SERVED
-
-# Branches that differ by less than this in every joint, rad, are the same branch.
-_SAME = 1e-6
-# Branches whose angles differ by less than this, rad, are ordered by their distance from the start.
-_EQUAL_ANGLE = 1.5e-4
-# Distance beyond a limit at which a joint still counts as inside, rad or m.
-_SLACK = 1e-9
-# Distance beyond a limit within which a joint is moved back to the limit, rad or m. At a singular
-# pose, such as a stretched elbow at its limit, a rounding error moves the joint by its square root,
-# which moves the frame far less.
-_ROUNDING = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Branch:
-    """One solution of a goal.
-
-    Attributes:
-        name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles. Multiples of 2π bring each into its limits, near the start.
-        inside: Whether all joints are inside their limits.
-        angle: Radians between its orientation and the wanted one. 0 except for five joints.
-        angle_bound: No configuration of this branch has a smaller angle.
-    """
-
-    name: str
-    q: NDArray[np.float64]
-    inside: bool
-    angle: float = 0.0
-    angle_bound: float = 0.0
-
-    def __repr__(self) -> str:
-        return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
+from robot_ik.solvers.analytic.branch import Branch, listed_branches
 
 
 def solve_all(
@@ -55,6 +22,7 @@ def solve_all(
     *,
     start: ArrayLike | None = None,
     limits: bool = True,
+    collisions: CollisionAvoidance | None = None,
 ) -> tuple[Branch, ...]:
     """Return every branch with which the closed form meets a goal, nearest to ``start`` first.
 
@@ -73,11 +41,15 @@ def solve_all(
             position (3,) is a goal of the tool.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
+        collisions: Measure the clearance of each branch. Free branches come first; the others are
+            kept, with the pair of parts that touches in ``branch.clearance``.
 
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
     """
     require_robot(robot)
+    if collisions is not None:
+        require_same_robot(robot, collisions)
     origin = robot.home if start is None else robot.check_q(start, "start")
     try:
         problem = Problem(robot, goal, solver="analytic")
@@ -85,24 +57,12 @@ def solve_all(
         error.able = ()
         error.hint = f"solve_all serves {SERVED}; solve(…) finds one solution for any arm"
         raise
-    branches = problem.branches(origin)
-    if not branches:
-        return ()
-    qs = np.array([branch.q for branch in branches])
-    same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
-    far = ((qs - origin) ** 2).sum(axis=1).tolist()
-    first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
-    hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
-    ends = (
-        np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
-    )
-    off = np.abs(ends - qs)
-    if off.max() > _SLACK:
-        qs = np.where(off <= _ROUNDING, ends, qs)
-    inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
-    first.sort(key=lambda k: (not inside[k], round(branches[k].angle / _EQUAL_ANGLE), far[k]))
-    return tuple(
-        Branch(branches[k].name, qs[k], inside[k], branches[k].angle, branches[k].angle_bound)
-        for k in first
-        if inside[k] or not limits
-    )
+    branches = listed_branches(robot, problem.branches(origin), origin, limits=limits)
+    if collisions is None:
+        return branches
+    measured = []
+    for branch in branches:
+        clearance = collisions.clearance(branch.q)
+        free = clearance.distance >= collisions.margin
+        measured.append(replace(branch, clearance=clearance, free=free))
+    return tuple(sorted(measured, key=lambda branch: (not branch.inside, not branch.free)))

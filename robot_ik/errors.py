@@ -490,6 +490,43 @@ class UnsupportedJointError(ModelError):
     """A joint exists but cannot be used for the requested purpose."""
 
 
+class CollisionError(RobotIkError):
+    """Root of the errors of scenes, obstacles and collision checks."""
+
+
+class InvalidObstacleError(CollisionError, ValueError):
+    """An obstacle is malformed: a size that is not positive, a name that exists already, NaN."""
+
+
+class UnknownObstacleError(_UnknownName, CollisionError):
+    """The scene has no obstacle of this name."""
+
+    kind = "obstacle"
+
+
+class UnknownPartError(_UnknownName, CollisionError):
+    """The scene has no body or geom of this name."""
+
+    kind = "body or geom"
+
+
+class UnsupportedGeomError(CollisionError):
+    """A geom that takes part in collisions has a type whose distance is not exact.
+
+    Attributes:
+        geom: Name of the geom.
+        type: Its type: height field or signed distance function.
+    """
+
+    def __init__(self, geom: str, type: str) -> None:
+        self.geom = geom
+        self.type = type
+        super().__init__(
+            f"geom {geom!r} is a {type}, whose distances are not exact",
+            hint="replace it by boxes or meshes, or set contype and conaffinity of the geom to 0",
+        )
+
+
 class GoalError(RobotIkError, ValueError):
     """Root of the errors of goals."""
 
@@ -545,6 +582,40 @@ class NotConvergedError(RobotIkError):
 
 class TrajectoryError(RobotIkError):
     """No path within the limits connects the given configurations or poses."""
+
+
+class MotionBlockedError(TrajectoryError, CollisionError):
+    """A motion would touch, or come nearer than the margin.
+
+    Attributes:
+        time: Seconds from the start of the motion.
+        pair: Names of the two parts.
+        distance: Least distance of the two parts that was found on the motion, m; negative: the
+            depth of their contact.
+        margin: Distance that was asked for, m.
+        q: Joint angles (nq,) at ``time``.
+    """
+
+    def __init__(
+        self, time: float, pair: tuple[str, str], distance: float, margin: float, q: object
+    ) -> None:
+        self.time = time
+        self.pair = pair
+        self.distance = distance
+        self.margin = margin
+        self.q = q
+        first, second = pair
+        if distance < 0.0:
+            what = f"{first} would touch {second} by {-1e3 * distance:.1f} mm"
+        else:
+            what = (
+                f"{first} would come within {1e3 * distance:.1f} mm of {second} "
+                f"(margin {1e3 * margin:.1f} mm)"
+            )
+        super().__init__(
+            f"{what} at {time:.2f} s",
+            hint="move round it, or give the pair as ignore if they may touch",
+        )
 
 
 NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)

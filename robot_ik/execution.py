@@ -25,7 +25,9 @@ from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, 
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
 
 if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.goals import Tolerance
+    from robot_ik.motion.limited_step import LimitedStep
     from robot_ik.problem import Problem
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
@@ -377,6 +379,7 @@ def follow(
     until: Callable[[FollowTick], bool] | None = None,
     source: JointSource | None = None,
     on_tick: Callable[[FollowTick], None] | None = None,
+    collisions: CollisionAvoidance | None = None,
     **options: Any,
 ) -> FollowReport:
     """Poll a goal, solve it from the last command and send the result, ``rate`` times a second.
@@ -388,6 +391,12 @@ def follow(
 
     An arm with five joints stays on its branch while the branch goes on, even if another branch
     has a better orientation. ``FollowTick.better`` tells where that is.
+
+    With ``collisions`` each tick is one step of differential inverse kinematics that keeps the
+    margin: the joints slow down in front of an obstacle and slide along it, and give way to an
+    obstacle that comes nearer (``scene.move``). ``solver`` is not used then. The status of a tick
+    is ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
+    hold every step back.
 
     The first goal of another kind or frame than the one before builds a new problem, which compiles
     its method once on a machine. ``warm_up`` beforehand keeps that out of the loop.
@@ -406,6 +415,7 @@ def follow(
         until: Called after each tick; True ends the loop.
         source: Usually the arm: read after every tick.
         on_tick: Called after each tick; must be quick.
+        collisions: Condition that every command must keep.
         **options: Options of the solver by name.
 
     Raises:
@@ -433,7 +443,7 @@ def follow(
     if duration is not None:
         count = max(1, int(np.ceil(duration * rate - COUNT_ROUNDING)))
     largest_step = motion_limits(robot, speed)[0] / rate
-    following = _FollowState(robot, method, tolerance, first, largest_step, rate)
+    following = _FollowState(robot, method, tolerance, first, largest_step, rate, collisions)
     report = following.report
     schedule = Schedule(clock)
     begin = schedule.origin
@@ -469,8 +479,16 @@ class _FollowState:
         start: Array,
         step: Array,
         rate: float,
+        collisions: CollisionAvoidance | None,
     ) -> None:
         self._robot = robot
+        self._collisions = collisions
+        self._limited: LimitedStep | None = None
+        if collisions is not None:
+            # Here, because it loads the kernels of collision checks.
+            from robot_ik.collision.avoidance import require_same_robot
+
+            require_same_robot(robot, collisions)
         self._solver = solver
         self._tolerance = tolerance
         self._largest_allowed = step
@@ -504,6 +522,11 @@ class _FollowState:
                 self._robot, goals, solver=self._solver, tolerance=self._tolerance, budget=budget
             )
         self._kinds = kinds
+        if self._collisions is not None:
+            # Here, because it loads the kernels of collision checks.
+            from robot_ik.motion.limited_step import LimitedStep
+
+            self._limited = LimitedStep(self._problem, self._collisions, self._largest_allowed)
         return self._problem
 
     def step(self, goal: Goals | None) -> tuple[Solution | None, bool]:
@@ -514,7 +537,10 @@ class _FollowState:
             report.held += 1
             return None, False
         problem = self.problem_for([goal] if isinstance(goal, Goal) else list(goal))
-        solution = problem.solve(report.q)
+        if self._limited is not None:
+            solution = self._limited.solve(report.q)
+        else:
+            solution = problem.solve(report.q)
         report.last = solution
         report.statuses[solution.status.name] += 1
         difference = solution.q - report.q

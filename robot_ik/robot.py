@@ -67,6 +67,8 @@ class Robot:
         frozen_qpos: Values (model.nq,) of the joints that do not move.
         file: Content of ``robot.toml``.
         couplings: Joints of the model that follow another joint.
+        source: What the model was read from: a file, or the text of an MJCF or URDF. None for a
+            robot that was loaded from an ``MjModel``.
         missing_meshes: Mesh files of a URDF that are missing, or are neither STL nor OBJ, by their
             names in the URDF.
     """
@@ -84,6 +86,7 @@ class Robot:
     frozen_qpos: Array
     file: RobotFile
     couplings: tuple[Coupling, ...]
+    source: Path | str | None
     missing_meshes: tuple[str, ...]
     _frames: dict[str, mjcf.ModelFrame] = field(repr=False)
     _bodies: tuple[mjcf.Attachment, ...] = field(repr=False)
@@ -469,6 +472,7 @@ def load_robot(
         frozen_qpos=home_qpos,
         file=file,
         couplings=tuple(couplings),
+        source=_source_of(name, path),
         missing_meshes=missing_meshes,
         _frames=frames,
         _bodies=bodies,
@@ -489,6 +493,21 @@ def _read_model(
     file = RobotFile(name=model_name)
     # This folder cannot exist, so no file is ever found beside the model.
     return Path(f"<memory>/{model_name}"), file, model, velocity_limits, missing_meshes
+
+
+def _source_of(
+    name: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel, path: Path
+) -> Path | str | None:
+    """Return what the model can be read from again; None for an ``MjModel``."""
+    if isinstance(name, mujoco.MjModel):
+        return None
+    if isinstance(name, mujoco.MjSpec):
+        spec = name.copy()
+        mjcf.compiled(spec)
+        return str(spec.to_xml())
+    if isinstance(name, str) and name.lstrip().startswith("<"):
+        return name
+    return path
 
 
 def _default_frame(

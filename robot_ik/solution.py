@@ -17,6 +17,8 @@ from robot_ik.goals import Goal, at_matrix
 from robot_ik.kernels import search
 
 if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
+    from robot_ik.collision.scene import Clearance
     from robot_ik.robot import Robot
 
 
@@ -30,6 +32,8 @@ class Status(enum.IntEnum):
     UNREACHABLE = search.UNREACHABLE
     BLOCKED_BY_LIMITS = search.BLOCKED
     NUMERICAL = search.NUMERICAL
+    BLOCKED_BY_COLLISION = search.BLOCKED_BY_COLLISION
+    NO_FREE_BRANCH = search.NO_FREE_BRANCH
 
     @property
     def meaning(self) -> str:
@@ -58,7 +62,10 @@ _CAUSE = {
     Status.UNREACHABLE: "proven out of reach",
     Status.BLOCKED_BY_LIMITS: "joint limits hold it back",
     Status.NUMERICAL: "numbers left the finite range",
+    Status.BLOCKED_BY_COLLISION: "collisions are in the way of every solution that was found",
+    Status.NO_FREE_BRANCH: "proven: every branch of the closed form collides",
 }
+_COLLIDING = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
 
 
 @dataclass(frozen=True)
@@ -99,6 +106,7 @@ class Solution:
         solver: Name of the method that found q.
         given: The goals as given to the problem.
         targets: The matrices (g, 4, 4) of their parts in this solve. ``goals`` joins the two.
+        avoidance: The condition on collisions, if there was one.
         angle_bound: Radians, or None if nothing is proven. No configuration inside the limits with
             the position of this one has a smaller angle to the wanted orientation.
     """
@@ -113,6 +121,7 @@ class Solution:
     given: tuple[Goal, ...]
     targets: Array
     trace_rows: Array | None = None
+    avoidance: CollisionAvoidance | None = None
     angle_bound: float | None = None
 
     @property
@@ -144,6 +153,20 @@ class Solution:
             position=max((error.position for error in needed), default=0.0),
             angle=max((error.angle for error in needed), default=0.0),
         )
+
+    @cached_property
+    def clearance(self) -> Clearance:
+        """The nearest pair of parts at q, measured by MuJoCo on first access.
+
+        Without a condition on collisions these are the robot's own parts, and the geoms that its
+        model fixes to the world.
+        """
+        if self.avoidance is not None:
+            return self.avoidance.clearance(self.q)
+        # Here, because it loads the kernels of collision checks, 50 ms.
+        from robot_ik.collision.scene import Scene
+
+        return Scene(self.robot).clearance(self.q)
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:
@@ -178,6 +201,9 @@ class Solution:
         if self.converged:
             return self
         distance = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
+        if self.status in _COLLIDING and self.clearance.pair is not None:
+            first, second = self.clearance.pair
+            distance += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.meaning}); "
             f"nearest: {distance} after {self.iterations} steps",

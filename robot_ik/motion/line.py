@@ -9,6 +9,7 @@ result. If the sampling breaks a bound, slow down and sample again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,10 +18,19 @@ from robot_ik.errors import InvalidGoalError, TrajectoryError, distinct_texts
 from robot_ik.geometry import Array, Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.motion.timing import Timing, fastest_timing
-from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
+from robot_ik.motion.trajectory import (
+    Trajectory,
+    certified_trajectory,
+    joint_vector,
+    motion_limits,
+    require_positive,
+)
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers.base import Solver
+
+if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
 
 LONGEST_STEP = 0.005
 """Metres. Longest step of the trace. The nearest solution of a short step is the same branch."""
@@ -111,6 +121,7 @@ def line_move(
     deviation: float = 1e-4,
     velocity_limits: ArrayLike | None = None,
     acceleration_limits: ArrayLike | None = None,
+    collisions: CollisionAvoidance | None = None,
 ) -> Trajectory:
     """Return a motion of ``frame`` on a straight line to ``goal_pose``, with an even rotation.
 
@@ -131,8 +142,11 @@ def line_move(
         velocity_limits: Further limits (nq,), such as those of an arm file, rad/s or m/s. The lower
             limit counts.
         acceleration_limits: Further limits (nq,), rad/s² or m/s².
+        collisions: Condition that the whole motion must keep. ``trajectory.certified`` says whether
+            that is proven.
 
     Raises:
+        MotionBlockedError: The motion would touch: when, which pair, how deep.
         TrajectoryError: A point on the line cannot be reached, or only by a jump of a joint. The
             message says how far the line is possible and which joint is the cause.
         UnsupportedJointError: The robot has ball or free joints.
@@ -157,7 +171,7 @@ def line_move(
     name = robot.tool if frame is None else frame
     line = _Line.between(robot.forward(first, name), goal_pose)
     if line.length <= POINT_TOLERANCE and line.angle <= POINT_TOLERANCE:
-        return Trajectory([0.0], [first], robot.joints)
+        return certified_trajectory(Trajectory([0.0], [first], robot.joints), robot, collisions)
     tolerance = Tolerance(POINT_TOLERANCE, POINT_TOLERANCE)
     problem = Problem(robot, PoseGoal.at(name, Pose()), solver=solver, tolerance=tolerance)
     tracer = _Tracer(robot, name, line, problem)
@@ -166,7 +180,8 @@ def line_move(
         by_length = np.divide(linear_speed, line.length)
         by_angle = np.divide(angular_speed, line.angle)
     timing = fastest_timing(knots, path, *limits, float(min(by_length, by_angle)))
-    return _sampled(tracer, timing, path, limits, rate, deviation)
+    trajectory = _sampled(tracer, timing, path, limits, rate, deviation)
+    return certified_trajectory(trajectory, robot, collisions)
 
 
 @dataclass(frozen=True)

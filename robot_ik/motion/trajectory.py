@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +20,9 @@ from robot_ik.files import write_atomically
 from robot_ik.geometry import Array, is_real, numbers
 from robot_ik.motion.timing import PROFILES
 from robot_ik.robot import Robot, require_robot
+
+if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
 
 LIMIT_ROUNDING = 1e-9
 """rad or m. By rounding, a solution at a limit may be this far beyond it."""
@@ -166,6 +170,8 @@ class Trajectory:
         times: Seconds (n,), strictly increasing, n >= 1. Read-only.
         q: Joint angles (n, nq), rad or m for slides. Read-only.
         joints: Names of the nq columns.
+        certified: Whether the motion is proven free of collisions, also between the samples.
+        clearance: Distance that is proven for the whole motion, m. None if it is not certified.
 
     Raises:
         TrajectoryError: Shapes do not fit, times do not increase, or a number is not finite.
@@ -174,8 +180,17 @@ class Trajectory:
     times: Array
     q: Array
     joints: tuple[str, ...]
+    certified: bool
+    clearance: float | None
 
-    def __init__(self, times: ArrayLike, q: ArrayLike, joints: Iterable[str]) -> None:
+    def __init__(
+        self,
+        times: ArrayLike,
+        q: ArrayLike,
+        joints: Iterable[str],
+        *,
+        clearance: float | None = None,
+    ) -> None:
         given: object = joints
         is_list = isinstance(given, Iterable) and not isinstance(given, str)
         names = tuple(joints) if is_list else (joints,)
@@ -189,6 +204,8 @@ class Trajectory:
         object.__setattr__(self, "times", checked_times)
         object.__setattr__(self, "q", checked_q)
         object.__setattr__(self, "joints", names)
+        object.__setattr__(self, "certified", clearance is not None)
+        object.__setattr__(self, "clearance", clearance)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -350,6 +367,7 @@ def joint_move(
     profile: str = "trapezoid",
     velocity_limits: ArrayLike | None = None,
     acceleration_limits: ArrayLike | None = None,
+    collisions: CollisionAvoidance | None = None,
 ) -> Trajectory:
     """Return a straight line in joint space on which all joints start and stop together.
 
@@ -365,9 +383,12 @@ def joint_move(
         velocity_limits: Further limits (nq,), such as those of an arm file, rad/s or m/s. The lower
             limit counts.
         acceleration_limits: Further limits (nq,), rad/s² or m/s².
+        collisions: Condition that the whole motion must keep. ``trajectory.certified`` says whether
+            that is proven.
 
     Raises:
         TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
+        MotionBlockedError: The motion would touch: when, which pair, how deep.
         UnsupportedJointError: The robot has ball or free joints.
     """
     first = joint_vector(robot, start, "start")
@@ -380,11 +401,12 @@ def joint_move(
     distance = np.abs(last - first)
     moving = distance > 0.0
     if not moving.any():
-        return Trajectory([0.0], [first], robot.joints)
+        return certified_trajectory(Trajectory([0.0], [first], robot.joints), robot, collisions)
     with np.errstate(over="ignore"):  # for a distance of 1e-300 rad the bounds are infinite
         velocity, acceleration = (np.min(side[moving] / distance[moving]) for side in limits)
     if not np.isfinite(acceleration):
-        return Trajectory([0.0, 1.0 / rate], [first, last], robot.joints)
+        still = Trajectory([0.0, 1.0 / rate], [first, last], robot.joints)
+        return certified_trajectory(still, robot, collisions)
     plan = PROFILES[profile](float(velocity), float(acceleration))
     if not plan.duration * rate <= MOST_SAMPLES:
         samples = plan.duration * rate
@@ -395,7 +417,32 @@ def joint_move(
     count = max(1, sample_count(plan.duration, rate))
     progress = plan.progress(np.arange(count + 1) / count)[:, None]
     q = first * (1.0 - progress) + last * progress
-    return Trajectory(np.arange(count + 1) / rate, q, robot.joints)
+    trajectory = Trajectory(np.arange(count + 1) / rate, q, robot.joints)
+    return certified_trajectory(trajectory, robot, collisions)
+
+
+def certified_trajectory(
+    trajectory: Trajectory, robot: Robot, collisions: CollisionAvoidance | None
+) -> Trajectory:
+    """Return a trajectory with its certificate; without a condition the trajectory as it is.
+
+    Raises:
+        MotionBlockedError: The motion would touch.
+        OptionError: The condition is for another robot.
+    """
+    if collisions is None:
+        return trajectory
+    # Here, because they load the kernels of collision checks, 50 ms.
+    from robot_ik.collision.avoidance import require_same_robot
+    from robot_ik.motion.certificate import certify
+
+    require_same_robot(robot, collisions)
+    certificate = certify(trajectory.q, collisions, trajectory.times)
+    if not certificate.certified:
+        return trajectory
+    return Trajectory(
+        trajectory.times, trajectory.q, trajectory.joints, clearance=certificate.clearance
+    )
 
 
 def _require_inside(robot: Robot, q: Array) -> None:

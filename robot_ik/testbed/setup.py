@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robot_ik.branches import Branch, solve_all
+from robot_ik.branches import solve_all
 from robot_ik.budget import Budget
 from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.figure.abilities import Abilities, load_abilities
@@ -39,6 +39,7 @@ from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
+from robot_ik.solvers.analytic.branch import Branch
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed import commands
 from robot_ik.testbed.gallery_scene import gallery_scene

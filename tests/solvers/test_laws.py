@@ -1,10 +1,14 @@
-"""The ten laws that every solver keeps, on every robot of the contract."""
+"""The laws that every solver keeps, on every robot of the contract."""
 
 import numpy as np
 import pytest
 
 from robot_ik.budget import Budget
+from robot_ik.collision.avoidance import CollisionAvoidance
+from robot_ik.collision.obstacles import Sphere
+from robot_ik.collision.scene import Scene
 from robot_ik.compiled_goals import length_scale
+from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
@@ -224,6 +228,31 @@ def test_law_10_solve_rate(name, robot_name, kind, robots, reachable):
         problem.retarget(goal.target)
         solved += problem.solve().converged
     assert solved / len(goals) >= floor, f"{solved} of {len(goals)}"
+
+
+@cases("pose", "position")
+def test_law_11_converged_means_free_of_collisions(name, robot_name, kind, robots, reachable):
+    """Two balls stand where the robot likes to be: some goals cannot be met freely."""
+    robot = robots(robot_name)
+    places = [robot.forward(q).position for q in reachable(robot, 12)[10:]]
+    balls = [Sphere(f"ball {k}", radius=0.05, pose=Pose(p)) for k, p in enumerate(places)]
+    avoid = CollisionAvoidance(Scene(robot, balls), margin=0.01)
+    budget = Budget(iterations=2000, restarts=20)
+    for q in reachable(robot, 12):
+        goal = goal_of(robot, q, kind)
+        problem = Problem(
+            robot, goal, solver=name, collisions=avoid, tolerance=TOLERANCE, budget=budget
+        )
+        solution = problem.solve()
+        clearance = avoid.scene.clearance(solution.q).distance
+        assert solution.clearance.distance == clearance
+        if solution.converged:
+            assert clearance >= avoid.margin - 1e-6
+        if solution.status in (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH):
+            metres, radians = measured(robot, solution.q, goal)
+            assert metres <= TOLERANCE.position and radians <= TOLERANCE.angle
+            assert clearance < avoid.margin + 1e-6
+
 
 
 def test_law_10_floors_can_be_missed_and_low_ones_have_a_reason():

@@ -1,0 +1,1 @@
+"""Collisions: scenes, distances and the condition that a posture must be free."""

@@ -1,0 +1,164 @@
+"""One step of differential inverse kinematics that keeps away from collisions.
+
+    minimise ½ |J d − r|² + ½ λ |d|²    with    low ≤ d ≤ high
+    and for each near pair    g · d ≥ −gain (distance − margin)
+
+g is the change of the pair's distance per unit of d (Faverjon & Tournassoud 1987). A pair that is
+nearer than the margin must not come nearer; if the joints allow it, it is led out.
+"""
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
+
+import math
+
+from robot_ik.kernels.block import Layout
+from robot_ik.kernels.collision import RUN as COLLISION
+from robot_ik.kernels.collision import list_near
+from robot_ik.kernels.jit import inlined, kernel, outlined
+from robot_ik.kernels.linalg import normal_equations
+from robot_ik.kernels.quadratic_program import PROGRAM, solve_program
+from robot_ik.kernels.residuals import GOALS, goal_jacobian
+from robot_ik.kernels.search import (
+    SEARCH,
+    apply_step,
+    copy,
+    count_all_goals,
+    measure,
+    step_bounds,
+)
+from robot_ik.kernels.tree import TREE
+
+# Outcomes of a step.
+MOVED, AT_GOAL, BLOCKED, NOT_FINITE = range(4)
+
+# A step that leads below this share of the margin is shortened, unless it leads out.
+_HELD_SHARE = 0.9
+# m. A pair that touches may come nearer by this in a step, through rounding.
+_ROUNDING = 1e-6
+_MOST_HALVINGS = 6
+# A step shorter than this, rad or m, moves nothing.
+_NO_STEP = 1e-7
+
+# With m rows of the residual, u columns, nq.
+STEP = Layout(
+    "LimitedStep",
+    margin="float",  # m
+    detection="float",  # m, distance from which pairs have a row
+    gain="float",  # share of the distance beyond the margin that a step may use up
+    way_out="float",  # m, distance that a step may lead out of the margin
+    damping="float",
+    damping_per_cost="float",  # a goal that cannot be met must not make the joints oscillate
+    halvings="int",  # of the last step
+    pressed="int",  # rows of collisions that hold the last step back
+    largest="floats u",  # largest change of each column in a step
+    jacobian="table m u",
+    normal_matrix="table u u",
+    before="floats nq",
+    program=PROGRAM,
+)
+RUN = Layout(
+    "LimitedStepRun", tree=TREE, goals=GOALS, search=SEARCH, collision=COLLISION, step=STEP
+)
+open_run = RUN.open
+
+
+@inlined
+def write_rows(run, way_out):
+    """Write the rows of all near pairs; ``way_out`` is how far touching pairs must be led out."""
+    check = run.collision.check
+    step = run.step
+    program = step.program
+    program.row_count = check.near_count
+    for c in range(check.near_count):
+        room = check.near_distance[c] - step.margin
+        if room >= 0.0:
+            program.bounds[c] = -step.gain * room
+        else:
+            program.bounds[c] = min(-step.gain * room, way_out)
+        for u in range(run.goals.dofs.shape[0]):
+            rate = check.near_rows[c, run.goals.dofs[u]]
+            program.rows[c, u] = run.goals.joint_scale[u] * rate
+
+
+@outlined
+def write_objective(run):
+    """Write Hessian, gradient and bounds of the step at search.q, which was just measured."""
+    step = run.step
+    program = step.program
+    columns = run.goals.dofs.shape[0]
+    damping = step.damping + step.damping_per_cost * run.search.cost
+    for i in range(step.jacobian.shape[0]):
+        for u in range(columns):
+            step.jacobian[i, u] = 0.0
+    goal_jacobian(run.tree, run.goals, run.search, False, step.jacobian)
+    normal_equations(step.jacobian, run.search.residual, step.normal_matrix, program.gradient)
+    for i in range(columns):
+        for j in range(i + 1):
+            program.hessian[i, j] = step.normal_matrix[i, j]
+            program.hessian[j, i] = step.normal_matrix[i, j]
+        program.hessian[i, i] += damping
+    step_bounds(run.tree, run.goals, run.search.q, program.low, program.high)
+    for u in range(columns):
+        longest = step.largest[u] / run.goals.joint_scale[u]
+        program.low[u] = max(program.low[u], -longest)
+        program.high[u] = min(program.high[u], longest)
+
+
+@kernel
+def limited_step(address):
+    """Take one step from search.start to search.best; return MOVED, AT_GOAL or BLOCKED.
+
+    AT_GOAL: the posture is within tolerance and keeps the margin. BLOCKED: collisions hold every
+    step back.
+    """
+    run = open_run(address)
+    search = run.search
+    step = run.step
+    check = run.collision.check
+    count_all_goals(run.goals, search)
+    copy(search.start, search.q)
+    copy(search.start, search.best)
+    within = measure(run.tree, run.goals, search)
+    if not search.cost < math.inf:
+        return NOT_FINITE
+    list_near(run.collision, search.q, step.detection)
+    least = check.least
+    cost = search.cost
+    step.pressed = 0
+    step.halvings = 0
+    if within and least >= step.margin:
+        return AT_GOAL
+    write_objective(run)
+    write_rows(run, step.way_out)
+    possible = solve_program(step.program)
+    if not possible:
+        write_rows(run, 0.0)
+        possible = solve_program(step.program)
+    if not possible:
+        return BLOCKED
+    for a in range(step.program.active):
+        if step.program.chosen[a] < step.program.row_count:
+            step.pressed += 1
+    copy(step.program.solution, search.step)
+    copy(search.q, step.before)
+    allowed = min(_HELD_SHARE * step.margin, least - _ROUNDING)
+    for halving in range(_MOST_HALVINGS):
+        apply_step(run.tree, run.goals, search)
+        list_near(run.collision, search.q, step.detection)
+        within = measure(run.tree, run.goals, search)
+        # Of two flat parts the nearest points jump from edge to edge. So that the joints do not
+        # follow them to and fro, a step must bring the goal nearer, unless it leads out.
+        useful = search.cost < cost or least < _HELD_SHARE * step.margin
+        if useful and check.least >= allowed:
+            copy(search.q, search.best)
+            if within and check.least >= step.margin:
+                return AT_GOAL
+            square = 0.0
+            for u in range(search.step.shape[0]):
+                square += search.step[u] * search.step[u]
+            return MOVED if square > _NO_STEP * _NO_STEP or step.pressed == 0 else BLOCKED
+        copy(step.before, search.q)
+        for u in range(search.step.shape[0]):
+            search.step[u] *= 0.5
+        step.halvings = halving + 1
+    measure(run.tree, run.goals, search)
+    return BLOCKED

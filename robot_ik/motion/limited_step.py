@@ -1,0 +1,103 @@
+"""``LimitedStep``: a step of differential inverse kinematics that keeps away from collisions."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.collision.avoidance import CollisionAvoidance
+from robot_ik.collision.distances import MOST_NEAR_PAIRS
+from robot_ik.geometry import Array
+from robot_ik.kernels import jit, limited_step
+from robot_ik.problem import Problem
+from robot_ik.solution import Solution, Status
+
+DETECTION = 0.05
+"""m. Pairs nearer than this beyond the margin have a row in the step."""
+
+GAIN = 0.85
+"""Share of the distance beyond the margin that a step may use up."""
+
+WAY_OUT = 0.002
+"""m. A step leads a pair that is nearer than the margin out by this at most."""
+
+DAMPING = 1e-4
+"""Damping of the step, in the units of the residual (rad)."""
+
+DAMPING_PER_COST = 0.5
+"""Further damping per unit of cost, rad²: half the squared residual."""
+
+_STATUS = {
+    limited_step.MOVED: Status.ITERATION_LIMIT,
+    limited_step.AT_GOAL: Status.CONVERGED,
+    limited_step.BLOCKED: Status.BLOCKED_BY_COLLISION,
+    limited_step.NOT_FINITE: Status.NUMERICAL,
+}
+
+
+class LimitedStep:
+    """A problem that is followed step by step, away from collisions.
+
+    Goals of different priorities count by their weights only.
+    """
+
+    name = "limited step"
+
+    def __init__(
+        self, problem: Problem, collisions: CollisionAvoidance, largest_step: ArrayLike
+    ) -> None:
+        """Prepare the kernel.
+
+        Args:
+            problem: Its goals are followed. Its present targets count in each step.
+            collisions: The condition.
+            largest_step: Largest change (nv,) of each degree of freedom in a step, rad or m.
+        """
+        self._problem = problem
+        self._collisions = collisions
+        goals = problem.compiled.block
+        sizes = {**problem.sizes, "r": MOST_NEAR_PAIRS, "s": problem.sizes["u"] + 1}
+        self._step = limited_step.STEP.allocate(sizes)
+        self._step["margin"] = collisions.margin
+        self._step["detection"] = collisions.margin + DETECTION
+        self._step["gain"] = GAIN
+        self._step["way_out"] = WAY_OUT
+        self._step["damping"] = DAMPING
+        self._step["damping_per_cost"] = DAMPING_PER_COST
+        largest = np.broadcast_to(np.asarray(largest_step, dtype=float), problem.robot.nv)
+        self._step.arrays["largest"][...] = largest[goals.arrays["dofs"]]
+        self._run = limited_step.RUN.allocate(
+            given={
+                "tree": problem.robot.tree.block,
+                "goals": goals,
+                "search": problem.search,
+                "collision": collisions.memory(),
+                "step": self._step,
+            }
+        )
+        self._address = self._run.address
+        jit.announce(limited_step.limited_step, "steps away from collisions")
+        self._entry = jit.entry(limited_step.limited_step, self._address)
+        self._start = problem.search.arrays["start"]
+        self._best = problem.search.arrays["best"]
+        self._target = problem.search.arrays["target"].reshape(-1, 4, 4)
+
+    def solve(self, q: Array) -> Solution:
+        """Return the posture (nq,) after one step from ``q`` (nq,)."""
+        began = time.perf_counter()
+        self._start[...] = q
+        outcome = self._entry(self._address)
+        return Solution(
+            self._best.copy(),
+            _STATUS[outcome],
+            1,
+            0,
+            time.perf_counter() - began,
+            self.name,
+            self._problem.robot,
+            self._problem.given,
+            self._target.copy(),
+            avoidance=self._collisions,
+        )

@@ -1,0 +1,213 @@
+"""Certified motions: dense sampling by MuJoCo finds no contact, and refuted ones have one."""
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import robot_ik as rik
+from robot_ik.errors import MotionBlockedError, OptionError
+from robot_ik.motion.certificate import certify
+
+STEP = 0.002
+"""rad or m. Distance of the samples that judge a certificate."""
+
+
+def hall(robot, rng):
+    """Thin plates with slots between them, around a robot; none that is always in its way."""
+    samples = np.array([robot.sample(rng) for _ in range(50)])
+    bare = rik.Scene(robot).free(samples).mean()
+    plates = []
+    while len(plates) < 6:
+        position = rng.normal(size=3) * 0.35 + (0.0, 0.0, 0.5)
+        size = (0.002, *rng.uniform(0.1, 0.6, 2))
+        pose = rik.Pose(position, rng.normal(size=4))
+        plate = rik.Box(f"plate {len(plates)}", size=size, pose=pose)
+        if rik.Scene(robot, [plate]).free(samples).mean() > 0.7 * bare:
+            plates.append(plate)
+    return plates
+
+
+def dense(robot, first, last):
+    """Postures (n, nq) on the line between two postures."""
+    change = robot.difference(first, last)
+    count = int(np.linalg.norm(change) / STEP) + 2
+    return np.array([robot.integrate(first, s * change) for s in np.linspace(0.0, 1.0, count)])
+
+
+@pytest.mark.parametrize("name", ["puma560", "panda", "ur5e", "humanoid", "omx_f"])
+def test_certified_edges_have_no_contact_and_refuted_ones_have_one(name):
+    rng = np.random.default_rng(7)
+    robot = rik.load_robot(name)
+    scene = rik.Scene(robot, hall(robot, rng))
+    avoid = rik.CollisionAvoidance(scene, margin=0.001)
+    certified = 0
+    refuted = 0
+    for _ in range(120):
+        first = robot.sample(rng)
+        last = robot.integrate(first, rng.normal(size=robot.nv) * rng.choice([0.02, 0.1, 0.4]))
+        try:
+            certificate = certify([first, last], avoid)
+        except MotionBlockedError as error:
+            refuted += 1
+            assert scene.clearance(error.q).distance < avoid.margin
+            assert 0.0 <= error.time <= 1.0
+            assert error.distance < avoid.margin
+            continue
+        if certificate.certified:
+            certified += 1
+            assert certificate.clearance == avoid.margin
+            assert avoid.free(dense(robot, first, last)).all()
+    assert certified > 10
+    assert refuted > 10
+    assert certified + refuted >= 115
+
+
+def test_a_plate_between_two_samples_is_found():
+    """The arm passes a plate of 0.2 mm between two postures that are both free."""
+    robot = rik.load_robot("puma560")
+    first = robot.home.copy()
+    last = first.copy()
+    last[0] += 1.0
+    middle = robot.forward(0.5 * (first + last)).position
+    azimuth = float(np.arctan2(middle[1], middle[0]))
+    plate = rik.Box(
+        "plate",
+        size=(0.02, 0.0002, 0.02),
+        pose=rik.Pose(middle, (np.cos(azimuth / 2), 0.0, 0.0, np.sin(azimuth / 2))),
+    )
+    scene = rik.Scene(robot, [plate])
+    assert scene.free(np.array([first, last])).all()
+    avoid = rik.CollisionAvoidance(scene, margin=0.0)
+    with pytest.raises(MotionBlockedError, match="plate"):
+        rik.joint_move(robot, first, last, collisions=avoid)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["puma560", "humanoid", "lion", "panda"]))
+def test_no_point_of_a_link_moves_farther_than_the_bound(seed, name):
+    """Displacement of the links relative to each other, measured by MuJoCo's kinematics."""
+    from robot_ik.kernels import certificate
+
+    rng = np.random.default_rng(seed)
+    robot = rik.load_robot(name)
+    scene = rik.Scene(robot)
+    avoid = rik.CollisionAvoidance(scene)
+    memory = avoid.memory()
+    tables = memory.nested["shapes"].arrays
+    sizes = {"nq": robot.nq, "nv": robot.nv, "l": len(tables["node"]), "n": robot.tree.size, "h": 4}
+    proof = certificate.PROOF.allocate(sizes, {"collision": memory})
+    middle = robot.sample(rng)
+    change = rng.normal(size=robot.nv) * 10.0 ** rng.uniform(-3, 0.3)
+    certificate.bound_of_motion(proof.address, middle, change, 0.5)
+    motion = memory.nested["check"].arrays["motion"]
+    links = memory.nested["pairs"].arrays["links"]
+    first = {
+        int(tables["link"][g]): int(scene._tables.geoms[g]) for g in range(len(tables["link"]))
+    }
+    before = poses(scene, middle)
+    for share in (-0.5, 0.5):
+        after = poses(scene, robot.integrate(middle, share * change))
+        for k, (a, b) in enumerate(links):
+            geom_a, geom_b = first[int(a)], first[int(b)]
+            # A point of a, seen from b: it moves no farther than both bounds together.
+            point = before[geom_a].inverse().apply(before[geom_a].position)
+            seen_before = before[geom_b].inverse().apply(before[geom_a].apply(point))
+            seen_after = after[geom_b].inverse().apply(after[geom_a].apply(point))
+            distances = np.linalg.norm(seen_before), np.linalg.norm(seen_after)
+            assert abs(distances[0] - distances[1]) <= motion[k]
+
+
+def poses(scene, q):
+    data = scene.data_at(q)
+    wxyz = np.zeros(4)
+    found = []
+    for geom in range(scene.model.ngeom):
+        mujoco.mju_mat2Quat(wxyz, data.geom_xmat[geom])
+        found.append(rik.Pose(data.geom_xpos[geom], wxyz.copy()))
+    return found
+
+
+def test_joint_moves_are_certified_or_refused_with_time_pair_and_depth():
+    robot = rik.load_robot("puma560")
+    scene = rik.Scene(robot, [rik.Box("post", size=(0.05, 0.05, 3.0), pose=rik.Pose((0, 0.5, 0)))])
+    avoid = rik.CollisionAvoidance(scene, margin=0.005)
+    rng = np.random.default_rng(4)
+    free = np.array([robot.sample(rng) for _ in range(400)])
+    free = free[avoid.free(free)]
+    outcomes = {True: 0, False: 0}
+    for first, last in zip(free[:60:2], free[1:60:2], strict=True):
+        plain = rik.joint_move(robot, first, last)
+        assert not plain.certified
+        assert plain.clearance is None
+        try:
+            move = rik.joint_move(robot, first, last, collisions=avoid)
+        except MotionBlockedError as error:
+            outcomes[False] += 1
+            at = plain.at(error.time)
+            assert np.abs(at - error.q).max() < 1e-6
+            assert scene.clearance(error.q).distance < avoid.margin
+            assert error.pair == scene.clearance(error.q).pair
+            assert f"at {error.time:.2f} s" in str(error)
+            continue
+        assert np.array_equal(move.q, plain.q)
+        if move.certified:
+            outcomes[True] += 1
+            assert move.clearance >= avoid.margin
+            assert avoid.free(dense(robot, first, last)).all()
+    assert outcomes[True] > 3
+    assert outcomes[False] > 3
+
+
+def test_line_moves_are_certified_or_refused():
+    robot = rik.load_robot("ur5e")
+    start = np.array([0.0, -1.6, 1.8, -1.7, -1.57, 0.0])
+    tool = robot.forward(start)
+    goal = rik.Pose(tool.position + np.array((0.0, 0.25, 0.0)), tool.wxyz)
+    scene = rik.Scene(robot)
+    move = rik.line_move(robot, start, goal, collisions=rik.CollisionAvoidance(scene))
+    assert move.certified
+    wall = rik.Box(
+        "wall", size=(0.2, 0.02, 0.2), pose=rik.Pose(tool.position + np.array((0, 0.2, 0)))
+    )
+    blocked = rik.CollisionAvoidance(rik.Scene(robot, [wall]))
+    with pytest.raises(MotionBlockedError, match="wall") as caught:
+        rik.line_move(robot, start, goal, collisions=blocked)
+    assert 0.0 < caught.value.time < move.duration
+
+
+def test_a_motion_that_starts_in_contact_is_blocked_at_its_start():
+    robot = rik.load_robot("puma560")
+    scene = rik.Scene(robot, [rik.Box("hall", size=(9, 9, 9))])
+    with pytest.raises(MotionBlockedError) as caught:
+        rik.joint_move(
+            robot, robot.home, robot.home + 0.1, collisions=rik.CollisionAvoidance(scene)
+        )
+    assert caught.value.time == 0.0
+
+
+def test_a_free_base_and_balls_are_certified():
+    text = """<mujoco><worldbody>
+      <geom name="gate" type="box" size=".01 1 1" pos="1 0 0"/>
+      <body name="a"><freejoint/><geom size=".1"/>
+        <body name="b" pos=".3 0 0"><joint name="j" type="ball"/>
+          <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/></body></body>
+      </worldbody></mujoco>"""
+    robot = rik.load_robot(text)
+    avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=0.001)
+    start = robot.home
+    aside = start.copy()
+    aside[1] = 0.5
+    assert certify([start, aside], avoid).certified
+    beyond = start.copy()
+    beyond[0] = 3.0
+    assert avoid.free(beyond)
+    with pytest.raises(MotionBlockedError, match="gate"):
+        certify([start, beyond], avoid)
+
+
+def test_conditions_on_other_robots_are_refused():
+    robot = rik.load_robot("puma560")
+    other = rik.CollisionAvoidance(rik.Scene(rik.load_robot("ur5e")))
+    with pytest.raises(OptionError):
+        rik.joint_move(robot, robot.home, robot.home, collisions=other)
