@@ -240,19 +240,28 @@ class ReachEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, float(reward), False, False, info
 
     def compute_reward(
-        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: object
+        self,
+        achieved_goal: ArrayLike,
+        desired_goal: ArrayLike,
+        info: object,  # noqa: ARG002  # of Gymnasium's interface
     ) -> Any:
         """Return the reward of one position (3,) or of several (n, 3), for HER."""
         return self.model.reward(achieved_goal, desired_goal)
 
     def compute_terminated(
-        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: object
+        self,
+        achieved_goal: ArrayLike,  # noqa: ARG002  # of Gymnasium's interface
+        desired_goal: ArrayLike,  # noqa: ARG002
+        info: object,  # noqa: ARG002
     ) -> bool:
         """Return False: an episode ends only by its length."""
         return False
 
     def compute_truncated(
-        self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: object
+        self,
+        achieved_goal: ArrayLike,  # noqa: ARG002  # of Gymnasium's interface
+        desired_goal: ArrayLike,  # noqa: ARG002
+        info: object,  # noqa: ARG002
     ) -> bool:
         """Return False: the time limit is a wrapper of Gymnasium."""
         return False
@@ -323,7 +332,10 @@ class ReachVectorEnv(VectorEnv[Observation, NDArray[np.float32], Any]):
         self._age = np.zeros(num_envs, dtype=int)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: dict[str, Any] | None = None,  # noqa: ARG002  # of Gymnasium's interface
     ) -> tuple[Observation, dict[str, Any]]:
         """Start all arms at home with random goals."""
         super().reset(seed=seed if isinstance(seed, int) else None)

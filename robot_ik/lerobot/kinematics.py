@@ -105,7 +105,7 @@ class Kinematics:
         self,
         current_joint_pos: ArrayLike,
         desired_ee_pose: ArrayLike,
-        position_weight: float = 1.0,
+        position_weight: float = 1.0,  # noqa: ARG002  # of LeRobot's interface
         orientation_weight: float = 0.01,
     ) -> Array:
         """Return joint values in degrees that bring the frame to a pose, inside the joint limits.

@@ -123,7 +123,8 @@ def _time_of(rows: Array, seconds: Array, corners: Ints, segment: int, share: fl
     """Return the time of a share of a line between two corners."""
     if len(corners) < 2:
         return float(seconds[0])
-    first, last = int(corners[segment]), int(corners[segment + 1])
+    first = int(corners[segment])
+    last = int(corners[segment + 1])
     part = rows[first : last + 1]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(part, axis=0), axis=1))])
     if along[-1] == 0.0:

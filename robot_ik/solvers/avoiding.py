@@ -26,6 +26,7 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.analytic import Analytic, PreparedClosedForm
 from robot_ik.solvers.analytic.branch import listed_branches
+from robot_ik.solvers.analytic.five_joint import PreparedFiveJoint
 from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared
 
 if TYPE_CHECKING:
@@ -55,9 +56,10 @@ class PreparedAvoiding:
 
     def __init__(self, method: Prepared, problem: Problem, collisions: CollisionAvoidance) -> None:
         self.name = method.name
+        self.proves_best = method.proves_best
         self.method = method
         self.collisions = collisions
-        self._closed_form: PreparedClosedForm | None = None
+        self._closed_form: PreparedClosedForm | PreparedFiveJoint | None = None
         if problem.solver.name in _WITH_BRANCHES and not Analytic().unsupported(problem):
             self._closed_form = Analytic().prepare(problem)
         self._memory = collisions.memory()

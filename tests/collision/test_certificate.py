@@ -109,7 +109,8 @@ def test_no_point_of_a_link_moves_farther_than_the_bound(seed, name):
     for share in (-0.5, 0.5):
         after = poses(scene, robot.integrate(middle, share * change))
         for k, (a, b) in enumerate(links):
-            geom_a, geom_b = first[int(a)], first[int(b)]
+            geom_a = first[int(a)]
+            geom_b = first[int(b)]
             # A point of a, seen from b: it moves no farther than both bounds together.
             point = before[geom_a].inverse().apply(before[geom_a].position)
             seen_before = before[geom_b].inverse().apply(before[geom_a].apply(point))

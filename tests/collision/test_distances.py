@@ -104,7 +104,8 @@ def test_containers_contain_surface_points(name):
     tables = scene._tables.block.arrays
     rng = np.random.default_rng(1)
     for link in range(len(tables["node"])):
-        first, last = tables["capsule"][link, :3], tables["capsule"][link, 3:6]
+        first = tables["capsule"][link, :3]
+        last = tables["capsule"][link, 3:6]
         along = last - first
         for g in range(*tables["geom_start"][link : link + 2]):
             if tables["kind"][g] == mujoco.mjtGeom.mjGEOM_PLANE:

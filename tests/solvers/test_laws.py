@@ -240,9 +240,7 @@ def test_law_11_converged_means_free_of_collisions(name, robot_name, kind, robot
     budget = Budget(iterations=2000, restarts=20)
     for q in reachable(robot, 12):
         goal = goal_of(robot, q, kind)
-        problem = Problem(
-            robot, goal, solver=name, collisions=avoid, tolerance=TOLERANCE, budget=budget
-        )
+        problem = Problem(robot, goal, solver=name, collisions=avoid, tolerance=TOLERANCE, budget=budget)
         solution = problem.solve()
         clearance = avoid.scene.clearance(solution.q).distance
         assert solution.clearance.distance == clearance
@@ -252,7 +250,6 @@ def test_law_11_converged_means_free_of_collisions(name, robot_name, kind, robot
             metres, radians = measured(robot, solution.q, goal)
             assert metres <= TOLERANCE.position and radians <= TOLERANCE.angle
             assert clearance < avoid.margin + 1e-6
-
 
 
 def test_law_10_floors_can_be_missed_and_low_ones_have_a_reason():

@@ -131,7 +131,7 @@ def variants_of(count):
 
 
 @outlined
-def plane_distance(arm, nearest, choices, pieces, point):
+def plane_distance(arm, nearest, choices, point):
     """Return the distance from ``point`` for the directions in nearest.plane; inf outside limits.
 
     Overwrites nearest.plane: directions of the free pieces become joint angles.
@@ -180,7 +180,7 @@ def solve_plane(arm, nearest, point, tool):
             nearest.plane[0] = one
             nearest.plane[1] = two
             nearest.plane[2] = three
-            distance = plane_distance(arm, nearest, choices, pieces, point)
+            distance = plane_distance(arm, nearest, choices, point)
             if distance < best:
                 best = distance
                 for k in range(3):
@@ -288,7 +288,7 @@ def solve_nearest_locally(arm, target, nearest, start):
 
 @outlined
 def refine_turn(arm, target, nearest, best, best_turn, step, last_step):
-    """Improve nearest.q by smaller and smaller steps of the turn; return the distance and the turn."""
+    """Improve nearest.q by ever smaller steps of the turn; return the distance and the turn."""
     low = arm.lower[4] + arm.turn_zero
     high = arm.upper[4] + arm.turn_zero
     step *= _STEP_FACTOR

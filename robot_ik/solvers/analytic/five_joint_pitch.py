@@ -155,7 +155,10 @@ def point_at_bearing(arm, target, bearing):
 
 @inlined
 def elbow_bend(arm, sign, distance):
-    """Return exp(i bend) of the elbow for a shoulder-wrist distance, stretched or folded if need be."""
+    """Return exp(i bend) of the elbow for a distance from shoulder to wrist.
+
+    An elbow that cannot reach the distance is stretched or folded.
+    """
     squares = arm.upper_length * arm.upper_length + arm.fore_length * arm.fore_length
     cosine = (distance * distance - squares) / (2.0 * arm.upper_length * arm.fore_length)
     cosine = min(1.0, max(-1.0, cosine))

@@ -67,7 +67,8 @@ _TRACK_WINDOW = 0.15
 _AT_WINDOW_END = 1e-4
 # rad: a joint that would move farther in one step of ``track`` jumps.
 _LONGEST_STEP = 1.0
-# Pieces of one branch, cuts of the parameter, and branches: two of the pan, up to four of the elbow.
+# Pieces of one branch, cuts of the parameter, and branches: two of the pan, up to four of the
+# elbow.
 _PIECES = 64
 _BRANCHES = 8
 
@@ -143,7 +144,7 @@ def cosine_spread(first, middle, last):
 
 
 @inlined
-def write_corners(arm, target, search, pan, pan_half, roll, roll_half):
+def write_corners(target, search, pan, pan_half, roll, roll_half):
     """Write the objective at the corners of a box to search.corners; return their number."""
     corners = search.corners
     count = 0
@@ -233,7 +234,7 @@ def box_bound(arm, target, search, first, last, enough, position_slack):
         if half < math.pi and abs(wrap(turn - middle)) > half:
             return math.inf
     corners = search.corners
-    count = write_corners(arm, target, search, pan, bearing_half, turn - arm.turn_zero, turn_half)
+    count = write_corners(target, search, pan, bearing_half, turn - arm.turn_zero, turn_half)
     corner = highest_corner(corners, count)
     angle = angle_of_objective(corners[corner, 3], target.kind)
     if angle >= enough:
@@ -681,7 +682,7 @@ def is_out_of_reach(arm, target, search, distance, angle):
 
 @inlined
 def push_whole_range(arm, target, search):
-    """Push the whole range of the parameter, cut at multiples of π/2; return the number of boxes."""
+    """Push the whole range of the parameter, cut at multiples of π/2; return the box count."""
     if target.by_turn:
         low = arm.lower[4] + arm.turn_zero
         high = arm.upper[4] + arm.turn_zero

@@ -101,7 +101,7 @@ def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
 
 
 def is_five_joint(axes: Array) -> bool:
-    """Return whether axes (5, 6) are pan, three parallel pitch axes perpendicular to it, and roll."""
+    """Return whether axes (5, 6) are pan, three parallel pitch axes across it, and roll."""
     if len(axes) != 5 or not (_parallel(axes, 1, 2) and _parallel(axes, 1, 3)):
         return False
     pitch = axes[1, :3]
