@@ -136,11 +136,11 @@ print(*(name for name in sys.modules if name.startswith("robot_ik.")))
 
 
 def test_a_solve_loads_only_the_core() -> None:
-    """No URDF reader, no goal of the whole body, no other method, no camera, no hardware."""
+    """No goal of the whole body, no other method, no camera, no hardware."""
     command = [sys.executable, "-c", ONE_SOLVE]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    unneeded = ("urdf", "body_goals", "batch", "solvers.damped_least_squares", "solvers.combined")
+    unneeded = ("body_goals", "batch", "solvers.damped_least_squares", "solvers.combined")
     unneeded += ("camera", "hardware", "figure", "motion", "testbed", "jobs", "cli")
     assert "robot_ik.solvers.levenberg_marquardt" in loaded
     assert sorted(loaded & {f"robot_ik.{name}" for name in unneeded}) == []
