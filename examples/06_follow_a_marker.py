@@ -40,7 +40,7 @@ def main(late: bool = False) -> None:
         arm.enable()
         begin = arm.clock.now()
         synthetic = scene.synthetic(robot).with_marker(scene.marker_id, pose=marker)
-        camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock, quality="fast")
+        camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock)
         tracker = MarkerTracker(scene.intrinsics, scene.dictionary, {scene.marker_id: scene.marker_size})
         eye, hover = scene.pose_world_camera, scene.pose_marker_tool
         options = {"predict": not late, "clock": arm.clock}

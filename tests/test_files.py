@@ -30,7 +30,7 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
-from robot_ik.camera.drawing.renderers import load_occluders
+from robot_ik.camera.drawing.occluders import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.files import plain

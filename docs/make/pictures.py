@@ -24,19 +24,19 @@ import robot_ik as rik
 from robot_ik.camera.boards.board import parse_board
 from robot_ik.camera.boards.patterns import CharucoPattern
 from robot_ik.camera.calibration.coverage import cover, coverage_picture
-from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
-from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.jobs.robot_setup import Rehearsal
 
 Image = NDArray[np.uint8]
@@ -104,7 +104,9 @@ def draw(scene: Scene) -> Image:
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())
     camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
-    photos = [photograph(model, qpos, camera, optics, floor) for qpos in poses]
+    photos = [
+        photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor) for qpos in poses
+    ]
     columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)
     air = round(_AIR * SIZE[0])
     seen = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)
@@ -163,14 +165,14 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
     still = BoardMotion((0.0, 0.0), np.radians(20.0) if objects is None else 0.0, middle=(0.0, 0.0))
     source, clock = synthetic_scene(640, 420, motion=still, occluders=objects)
     near = look_at((0.12, -0.66, 0.46), (0.0, 0.05, 0.13))
-    source.scene, source.quality = replace(source.scene, pose_world_camera=near), QUALITIES["full"]
+    source.scene = replace(source.scene, pose_world_camera=near)
     clock.sleep_until(1.0)
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
     low, high = heights(robot)
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
     watcher = BoardWatcher(parse_board(BOARD), optics)
-    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, objects), optics)
+    registrar = Registrar(watcher, DrawnRobot(robot.model, base, scale, objects), optics)
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home))[0]
 
 

@@ -1,6 +1,6 @@
 """The virtual robot in the camera's picture, in time: kept on a board from picture to picture.
 
-``LatencyOptions`` are the measures against delay; who draws it is in ``camera/drawing/renderers.py``.
+``LatencyOptions`` are the measures against delay. ``camera/drawing/drawn_robot.py`` draws the robot.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.camera.boards.board import MarkerBoard, PatternBoard
-from robot_ik.camera.drawing.renderers import Artist, Drawing, DrawnRobot
+from robot_ik.camera.drawing.drawn_robot import Drawing, DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import MotionFilter
 from robot_ik.camera.observations import MarkerObservation
@@ -150,18 +150,16 @@ class Registrar:
 
     Args:
         watcher: Finds the board; None for a camera whose place is known.
-        artist: Draws.
         drawn: The robot.
         intrinsics: Of the pictures.
         latency_options: What is done about delay.
         pose_board_camera: Where the camera is when there is no ``watcher``.
-        alpha: 1 hides what is behind the robot, 0 the robot.
+        alpha: Opacity of the robot, 0 to 1.
     """
 
     def __init__(
         self,
         watcher: BoardWatcher | None,
-        artist: Artist,
         drawn: DrawnRobot,
         intrinsics: CameraIntrinsics,
         latency_options: LatencyOptions | None = None,
@@ -169,7 +167,8 @@ class Registrar:
         pose_board_camera: Pose | None = None,
         alpha: float = 1.0,
     ) -> None:
-        self.drawn, self.artist, self.latency_options = drawn, artist, latency_options or LatencyOptions()
+        self.drawn = drawn
+        self.latency_options = latency_options or LatencyOptions()
         self._watcher, self._intrinsics, self._alpha = watcher, intrinsics, alpha
         self._fixed = None if pose_board_camera is None else pose_board_camera.inverse()
         self._filter = MotionFilter() if self.latency_options.predict else None
@@ -196,7 +195,7 @@ class Registrar:
         pose, motion = self.place(seen, shown)
         if pose is None:
             return shown.image, None
-        drawing = self.artist.draw(self.drawn, qpos, self._intrinsics, pose.inverse())
+        drawing = self.drawn.draw(qpos, self._intrinsics, pose.inverse())
         if motion is not None:
             drawing = drawing.shifted(motion, *self._intrinsics.size)
         image = shown.image.copy()

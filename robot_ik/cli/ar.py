@@ -66,8 +66,6 @@ class ArOptions:
     """The marker to follow."""
     marker_size: Annotated[float, arg(metavar="M")] = 0.05
     """Side of its black square, metres."""
-    backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
-    """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
     occluders: Annotated[Path | None, single("FILE")] = None
     """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
@@ -79,7 +77,7 @@ class ArOptions:
     shift: bool = False
     """Move the finished drawing by the board's motion in the picture (for --sync latest)."""
     alpha: Annotated[float, Range(0.0, 1.0)] = 1.0
-    """1 hides what is behind the robot, 0 the robot."""
+    """Opacity of the robot, from 0 to 1."""
     shadow: bool = True
     """Draw the shadow on the board's plane."""
     out: Annotated[str, single("FILE.mp4|FILE.png|DIR", "ar.mp4, else the folder ar")] = ""
@@ -108,7 +106,7 @@ def run(options: ArOptions) -> int:
     if report.notice:
         console.say(report.notice, style="yellow")
     if options.json:
-        names = ("pictures", "drawn", "scale", "backend", "reprojection_px", "interrupted")
+        names = ("pictures", "drawn", "scale", "reprojection_px", "interrupted")
         facts = {name: getattr(report, name) for name in names}
         file = None if report.file is None else str(report.file)
         console.print_json({"file": file, **facts, "track_and_draw_hz": report.rate_hz})
@@ -125,7 +123,7 @@ def _print(report: ArReport) -> None:
     speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
     facts = console.facts(
         ("pictures", f"{report.pictures}, the robot in {report.drawn}"),
-        ("drawn", f"by {report.backend} at {report.scale:.3g} of its size"),
+        ("scale", f"drawn at {report.scale:.3g} of its size"),
         *(board if np.isfinite(report.reprojection_px) else ()),
         ("speed", f"{speed} pictures/s tracked and drawn"),
     )

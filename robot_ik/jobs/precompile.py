@@ -15,7 +15,7 @@ import numpy as np
 
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.corner_refinement import refine_markers
-from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
@@ -64,7 +64,7 @@ class Precompilation(Closing):
     @classmethod
     def overlay(cls) -> Self:
         """What draws a robot into a picture with a board."""
-        from robot_ik.camera.drawing.rasteriser import fill_faces
+        from robot_ik.camera.drawing.zbuffer import fill_faces
 
         return cls((fill_faces,), "the painter", "-m", "robot_ik.jobs.precompile")
 
@@ -97,8 +97,7 @@ def compile_overlay() -> None:
     image = np.full((480, 640, 3), 128, dtype=np.uint8)
     refine_markers(image, [corners], [0], board.dictionary, lens)
     robot = load_robot("puma560")
-    drawing = PainterArtist().draw(DrawnRobot(robot.model, scale=0.2), robot.qpos(robot.home), lens, camera)
-    drawing.over(image)
+    DrawnRobot(robot.model, scale=0.2).draw(robot.qpos(robot.home), lens, camera).over(image)
 
 
 if __name__ == "__main__":

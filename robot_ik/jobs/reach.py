@@ -280,10 +280,7 @@ class _Reach:
             self.report.goal = goal
             return goal
         self.progress("looking", 0.0)
-        seen = self.camera.find_target()
-        if self.report.request.follow > 0.0:
-            self.camera.get_ready_to_follow()
-        return self.keep_seen(seen)
+        return self.keep_seen(self.camera.find_target())
 
     def keep_seen(self, seen: SeenTarget) -> Goal:
         """The goal of a marker, which the report keeps."""

@@ -236,7 +236,7 @@ def save_film(report: ReachReport, path: Path) -> Path | None:
     q = run.commanded if run.measured is None else run.measured
     shown = [q[0]]
     times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
-    source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0, quality="fast")
+    source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0)
     with contextlib.closing(Film(path, FILM_RATE_HZ)) as film:
         for time in times.tolist():
             shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]

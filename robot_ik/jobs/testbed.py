@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
@@ -97,7 +96,7 @@ class CameraTab:
             synthetic = scene.synthetic(robot)
             sizes = {marker.id: marker.size for marker in synthetic.markers}
             self._tracker = MarkerTracker(synthetic.intrinsics, scene.dictionary, sizes, window=True)
-            self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q, quality="fast")
+            self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q)
 
 
 def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Array) -> None:
@@ -132,7 +131,6 @@ def film(
     seconds: float | None = None,
     rate_hz: float = 30.0,
     size: tuple[int, int] = (1280, 720),
-    backend: str = "gl",
     overwrite: bool = False,
     progress: Progress = lambda phase, share: None,
 ) -> View:
@@ -140,7 +138,7 @@ def film(
 
     ``out`` is a film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or nothing;
     ``numbers`` is a CSV file, a row for each instance of each picture; ``record`` (.csv, .mcap) has angles
-    and ball for other tools.  ``backend`` is ``gl``, which draws where it works, or ``painter``.
+    and ball for other tools.
 
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
@@ -155,10 +153,8 @@ def film(
     if record is not None:
         require_recording(record)
     every = max(1, round(RATE / rate_hz))
-    artist, _ = make_artist(backend)
     view: View | None = None
     with contextlib.ExitStack() as stack:
-        stack.callback(artist.close)
         write = None
         if out is not None:
             write = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite)).write
@@ -166,7 +162,7 @@ def film(
         rows: Recording | None = None
         names: tuple[str, ...] = ()
         for session in replayed(log):
-            recorder = recorder or Recorder(session, artist, size, write)
+            recorder = recorder or Recorder(session, size, write)
             view = session.view()
             if (view.tick - 1) % every == 0:
                 recorder.draw(view)

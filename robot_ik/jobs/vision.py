@@ -26,9 +26,14 @@ from robot_ik.camera.motion_filter import FilterOptions
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.errors import (
+    CalibrationError,
+    CameraError,
+    ConfigError,
+    FrameTimeoutError,
+    MarkerNotFoundError,
+)
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.scene import Scene, scene_for
@@ -174,14 +179,6 @@ class Vision:
         body = robot.forward(q, self.scene.cube_frame).compose(self.scene.cube_offset)
         return body.inverse().compose(robot.forward(q, self.setup.frame))
 
-    def get_ready_to_follow(self) -> None:
-        """Does what would keep an arm with torque waiting: the first picture of a quality takes longest."""
-        fast = QUALITIES["fast"]
-        if self.synthetic is not None and self.synthetic.quality is not fast:
-            usual, self.synthetic.quality = self.synthetic.quality, fast
-            self.synthetic.read()
-            self.synthetic.quality = usual
-
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
@@ -191,7 +188,6 @@ class Vision:
             begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
             path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
             synthetic.scene = synthetic.scene.with_marker(id, pose=path)
-            usual, synthetic.quality = synthetic.quality, QUALITIES["fast"]
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
         self.delays = goals.goal_delays.summary(), goals.picture_ages.summary()
@@ -199,7 +195,6 @@ class Vision:
             self._followed = goals.seen
         else:
             synthetic.scene = synthetic.scene.with_marker(id, pose=self.true_target(clock.now()))
-            synthetic.quality = usual
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""

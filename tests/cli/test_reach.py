@@ -27,11 +27,8 @@ SIM = ("--bus", "sim")
 
 @pytest.fixture(autouse=True)
 def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs start in an empty folder; in this process the robot is painted coarsely (markers stay exact)."""
+    """Run each test in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        vision_module, "SyntheticSource", partial(vision_module.SyntheticSource, quality="fast")
-    )
 
 
 def left(folder: Path) -> list[str]:

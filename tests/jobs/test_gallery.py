@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.drawing.painter import surface_points
+from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.jobs import gallery

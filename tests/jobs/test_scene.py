@@ -89,7 +89,7 @@ def test_a_generated_scene_can_be_seen_and_reached(name: str, upright: bool, arm
     assert scene.pose_world_marker.position[2] > ground and scene.pose_world_camera.position[2] > ground
     sides = {scene.marker_id: scene.marker_size} | {i: side for i, (side, _) in scene.cube.items()}
     q = [robot.home]
-    frame = SyntheticSource(scene.synthetic(robot), lambda: q[0], quality="fast").read()
+    frame = SyntheticSource(scene.synthetic(robot), lambda: q[0]).read()
     tracker = MarkerTracker(scene.intrinsics, scene.dictionary, sides)
     assert scene.marker_id in {o.id for o in tracker.observe(frame.without_truth())}
 

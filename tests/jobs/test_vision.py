@@ -38,7 +38,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     robot = load_robot("puma560")
     scene = scene_for(robot)
     synthetic = scene.synthetic(robot)
-    source = SyntheticSource(synthetic, lambda: robot.home, quality="fast")
+    source = SyntheticSource(synthetic, lambda: robot.home)
     scene.intrinsics.save(folder / "camera.yaml")
     cv2.imwrite(str(folder / "photo.png"), source.read().image)
     source.scene = synthetic.with_marker(scene.marker_id, condition="blank")

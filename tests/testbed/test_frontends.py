@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.camera.drawing.renderers import PainterArtist
 from robot_ik.cli.main import main
 from robot_ik.errors import MissingExtraError
 from robot_ik.jobs.testbed import film
@@ -52,7 +51,7 @@ def wanted() -> str:
 
 
 def test_the_same_script_gives_the_same_view_in_the_recorder(wanted: str) -> None:
-    assert drawn(lambda session: Recorder(session, PainterArtist(1), (64, 48))) == wanted
+    assert drawn(lambda session: Recorder(session, (64, 48))) == wanted
 
 
 def test_the_same_script_gives_the_same_view_in_the_browser(wanted: str) -> None:
@@ -91,7 +90,7 @@ def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     out, numbers = tmp_path / "bed.mp4", tmp_path / "bed.csv"
     seen: list[float] = []
     view = film(
-        SCRIPT, out, numbers=numbers, size=(320, 240), rate_hz=30.0, backend="painter",
+        SCRIPT, out, numbers=numbers, size=(320, 240), rate_hz=30.0,
         progress=lambda phase, share: seen.append(share),
     )  # fmt: skip
     assert view.tick == 40 and seen == [k / 40 for k in range(1, 41)]
@@ -111,7 +110,7 @@ def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
 
 def test_a_gif_is_written(tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra video")
-    film(SCRIPT, tmp_path / "a.gif", size=(96, 64), seconds=0.2, backend="painter")
+    film(SCRIPT, tmp_path / "a.gif", size=(96, 64), seconds=0.2)
     with av.open(str(tmp_path / "a.gif")) as container:
         assert sum(1 for _ in container.decode(video=0)) == 6
 
@@ -228,7 +227,7 @@ def test_a_film_that_is_interrupted_says_what_is_kept(
 
     monkeypatch.setattr(Recorder, "draw", interrupted)
     out = tmp_path / f"film{suffix}"
-    small = ["--robot", "tabletop_puma", "--seconds", "2", "--size", "96", "64", "--backend", "painter"]
+    small = ["--robot", "tabletop_puma", "--seconds", "2", "--size", "96", "64"]
     assert main(["video", str(out), *small]) == 130
     assert f"kept until here: {out}" in capsys.readouterr().err.replace("\n", "") and out.exists()
 

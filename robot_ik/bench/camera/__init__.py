@@ -59,7 +59,6 @@ ROWS: tuple[Row, ...] = (
     Row("clutter", "markers found in pictures that hold none", _HERE + "accuracy:clutter"),
     Row("photographs", "real pictures, of --photographs", _HERE + "photographs:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "accuracy:projection"),
-    Row("gl", "the same, drawn by OpenGL", _HERE + "accuracy:gl_projection"),
     Row("calibration", "intrinsics from 20 views of a board", _HERE + "accuracy:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "accuracy:handeye"),
     Row("consistency", "errors of locate, hand-eye, verify over the stated", _HERE + "arm:consistency"),

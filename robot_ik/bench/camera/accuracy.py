@@ -18,8 +18,7 @@ from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, P
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.handeye import solve_handeye
 from robot_ik.camera.calibration.intrinsic import calibrate
-from robot_ik.camera.drawing.gl import make_artist
-from robot_ik.camera.drawing.renderers import ARTISTS, Artist, DrawnRobot, PainterArtist
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
@@ -36,7 +35,6 @@ from robot_ik.camera.synthetic.datasets import (
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout, MarkerTracker
-from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array, Image
 
@@ -233,7 +231,7 @@ class Misses:
         )
 
 
-def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, seed: int = 3) -> Misses:
+def projection_identity(intrinsics: CameraIntrinsics = BENT, *, seed: int = 3) -> Misses:
     """Centres of drawn spheres against those that OpenCV projects.
 
     Spheres of 8 px radius at random depths all over the picture; the middle of what is drawn of each is
@@ -253,7 +251,7 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
             )
             spheres.append((pixel[0], centre, radius))
     robot = DrawnRobot(spec.compile(), shadow=False)
-    drawn = artist.draw(robot, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(np.float32)
+    drawn = robot.draw([], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(np.float32)
     half = _SPACING_PX // 2
     offsets = []
     for pixel, centre, radius in spheres:
@@ -370,7 +368,7 @@ def _latency_error(
     points: Array,
 ) -> Misses:
     nobody = DrawnRobot(mujoco.MjSpec().compile())
-    registrar = Registrar(watcher, PainterArtist(), nobody, STANDARD_CAMERA, latency_options)
+    registrar = Registrar(watcher, nobody, STANDARD_CAMERA, latency_options)
     offsets = []
     for k in range(steps, len(frames)):
         seen = registrar.track(frames[k - steps])
@@ -410,31 +408,11 @@ def _figures(what: str, misses: Misses, most: tuple[float | None, float | None])
     yield Quantity(f"{what}, worst", misses.worst, "px", most[1])
 
 
-def _spheres(artist: Artist, seed: int) -> Iterator[Quantity]:
-    for kind, (lens, *most) in _WANTED.items():
-        misses = projection_identity(artist, lens, seed=seed)
-        yield from _figures(f"{artist.name} against projectPoints, {kind}", misses, (most[0], most[1]))
-
-
 def projection(effort: Effort) -> Iterator[Quantity]:
-    """Middles of spheres that are drawn without OpenGL, against OpenCV's projection."""
-    for make in ARTISTS.values():
-        yield from _spheres(make(), effort.seed)
-
-
-def gl_projection(effort: Effort) -> Iterator[Quantity]:
-    """The same by MuJoCo's renderer.
-
-    Raises:
-        CameraError: OpenGL does not work here.
-    """
-    artist, notice = make_artist("gl")
-    if notice:
-        raise CameraError(notice)
-    try:
-        yield from _spheres(artist, effort.seed)
-    finally:
-        artist.close()
+    """Middles of drawn spheres against OpenCV's projection."""
+    for kind, (lens, *most) in _WANTED.items():
+        misses = projection_identity(lens, seed=effort.seed)
+        yield from _figures(f"painter against projectPoints, {kind}", misses, (most[0], most[1]))
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:

@@ -22,7 +22,7 @@ from robot_ik.bench.camera import Effort
 from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.device import DeviceSource
-from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
 from robot_ik.camera.sources import Frame, FrameSource
@@ -128,7 +128,7 @@ def _view_of(robot: Robot) -> Pose:
 
 def drawing(effort: Effort) -> Iterator[Quantity]:
     """Painting a robot over a picture of 1280×720, without its shadow, which is reported apart."""
-    camera, artist = CAMERAS[1], PainterArtist()
+    camera = CAMERAS[1]
     picture = np.full((camera.height, camera.width, 3), 120, np.uint8)
     rng = np.random.default_rng(effort.seed)
     for name, wanted in ((_ARM, 3.0), (_FIGURE, 8.0)):
@@ -139,7 +139,7 @@ def drawing(effort: Effort) -> Iterator[Quantity]:
             drawn = DrawnRobot(robot.model, shadow=shadow)
 
             def draw(qpos: Any, drawn: DrawnRobot = drawn, pose: Pose = pose) -> None:
-                artist.draw(drawn, qpos, camera, pose).over(picture)
+                drawn.draw(qpos, camera, pose).over(picture)
 
             what = f"painter, {name}, 1280×720" + (", with its shadow" if shadow else "")
             yield from milliseconds(draw, spots).figures(what, None if shadow else wanted)
@@ -171,7 +171,7 @@ def _goals(source: FrameSource, camera: CameraIntrinsics, robot: Robot, **option
 
 def loop(effort: Effort) -> Iterator[Quantity]:
     """A picture in; marker, filter, goal, joint angles, and the robot drawn over the picture."""
-    robot, solver, artist = load_robot(_ARM), make_solver("lm"), PainterArtist()
+    robot, solver = load_robot(_ARM), make_solver("lm")
     view, drawn = _view_of(robot), DrawnRobot(robot.model)
     problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
     for camera in CAMERAS:
@@ -186,7 +186,7 @@ def loop(effort: Effort) -> Iterator[Quantity]:
             assert goal is not None, "a marker of the bench was not found"
             problem.retarget(goal.target)
             q[:] = solver.solve(problem, q).q
-            artist.draw(drawn, robot.qpos(q), camera, view).over(frame.image.copy())
+            drawn.draw(robot.qpos(q), camera, view).over(frame.image.copy())
 
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing.raycast import RayField
+from robot_ik.camera.drawing.rays import RayField
 from robot_ik.camera.image import Box, marker_boxes
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image, Mask
@@ -230,8 +230,8 @@ class SeenPrint:
     depth: Array
 
 
+#: For pixels (n, 2) and depths (n,), in metres: whether an object there is nearer than the depth.
 Blocker = Callable[[Array, Array], Mask]
-"""Tells for rays (n, 2) and depths (n,) whether something is nearer than that depth."""
 
 
 def see_print(
@@ -245,9 +245,7 @@ def see_print(
         field: Rays of the camera.
         blocked: Asks for objects in front; ``None`` means that there are none.
     """
-    if pose_camera_print.rotation[:, 2] @ pose_camera_print.position <= 0:
-        return None
-    box = _pixel_box(pose_camera_print.apply(sheet.outline), field)
+    box = print_box(sheet, pose_camera_print, field)
     if box is None:
         return None
     rays = field.box(*box)
@@ -267,8 +265,14 @@ def see_print(
     return SeenPrint(box, paper, np.clip(ink / np.maximum(paper, 1e-9), 0.0, 1.0), visible, depth)
 
 
-def _pixel_box(outline: Array, field: RayField) -> Box | None:
-    """Pixels that the outline (n, 3) in the camera frame can touch; all of them when it reaches the lens."""
+def print_box(sheet: Print, pose_camera_print: Pose, field: RayField) -> Box | None:
+    """Return the pixels that a print can touch, all of them if it reaches the lens.
+
+    None if its face is turned away or outside the picture.
+    """
+    if pose_camera_print.rotation[:, 2] @ pose_camera_print.position <= 0:
+        return None
+    outline = pose_camera_print.apply(sheet.outline)
     w, h = field.intrinsics.size
     if (outline[:, 2] <= 0).all():
         return None
@@ -330,7 +334,8 @@ def _hide(
     """Takes away the paper that something hides, in place; by subpixels along the outline of that object."""
     asked = paper > 0
     hidden = np.zeros(depth.shape, dtype=bool)
-    hidden[asked] = blocked(field.box(*box)[asked], depth[asked])
+    rows, columns = np.nonzero(asked)
+    hidden[asked] = blocked(np.stack([columns + box[0], rows + box[1]], axis=1), depth[asked])
     if not hidden.any():
         return
     around = np.ones((3, 3), np.uint8)
@@ -338,14 +343,13 @@ def _hide(
     rows, columns = np.nonzero((cv2.dilate(byte, around) != cv2.erode(byte, around)) & asked)
     shift = (np.arange(_SUB) + 0.5) / _SUB - 0.5
     offsets = np.stack(np.meshgrid(shift, shift), axis=-1).reshape(-1, 2)
-    pixels = np.stack([columns + box[0], rows + box[1]], axis=1)[:, None] + offsets
-    rays = field.points(pixels.reshape(-1, 2))
-    x, y, far = _on_plane(rays, pose_camera_print)
+    pixels = (np.stack([columns + box[0], rows + box[1]], axis=1)[:, None] + offsets).reshape(-1, 2)
+    x, y, far = _on_plane(field.points(pixels), pose_camera_print)
     # subpixels that look past the plane see none of it
     at = np.nan_to_num(np.stack([x, y]), nan=_FAR)
     slopes = np.repeat(by_pixel[..., rows, columns] / _SUB, len(offsets), axis=-1)
     parts = sheet.mean(at, slopes)
-    shown = ~blocked(rays, far)
+    shown = ~blocked(pixels, far)
     ink[hidden], paper[hidden] = 0.0, 0.0
     for total, part in zip((ink, paper), parts, strict=True):
         total[rows, columns] = (part * shown).reshape(-1, len(offsets)).mean(axis=1)

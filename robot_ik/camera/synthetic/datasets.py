@@ -21,7 +21,7 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.calibration.handeye import HandEyeSample, Mount, Mounting
 from robot_ik.camera.drawing.prints import PRINT_MARKER, Print, blank_paper, marker_print, see_print
-from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame, FrameSource

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import MarkerBoard, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
-from robot_ik.camera.drawing.gl import make_artist
-from robot_ik.camera.drawing.painter import project, surface_points
-from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.drawing.faces import project, surface_points
+from robot_ik.camera.drawing.occluders import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Sync
 from robot_ik.camera.sources import Frame, FrameSource
@@ -54,9 +54,8 @@ class ArRequest:
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
-        backend: ``painter``, ``ray`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
-        alpha: 1 hides what is behind the robot.
+        alpha: Opacity of the robot, 0 to 1.
         out: Film, picture or folder.
         seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
         size: Of synthetic and live pictures.
@@ -72,7 +71,6 @@ class ArRequest:
     scale: float = 0.0
     motion: str = "wave"
     marker: tuple[int, float] = FOLLOWED
-    backend: str = "painter"
     occluders: Path | None = None
     occluder_geoms: tuple[str, ...] = ()
     latency_options: LatencyOptions = field(default_factory=LatencyOptions)
@@ -90,7 +88,7 @@ class ArReport:
     """What came of it.
 
     Attributes:
-        backend, scale: Who drew, and at which scale.
+        scale: Drawn size over true size.
         notice: What did not go as asked, in one line.
         pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
         reprojection_px: Mean RMS error of the board's corners.
@@ -98,7 +96,6 @@ class ArReport:
         interrupted: The run was ended by hand.
     """
 
-    backend: str
     scale: float
     notice: str
     pictures: int = 0
@@ -148,10 +145,8 @@ def run_ar(
             figure = _in_view(figure, request, robot, motion, opened, opened.pose_board_camera)
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = make(robot, figure)
-        artist, notice = make_artist(request.backend)
-        stack.callback(artist.close)
-        report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
-        registrar = _registrar(request, opened.intrinsics, artist, figure)
+        report = ArReport(figure.scale, motion.notice)
+        registrar = _registrar(request, opened.intrinsics, figure)
         _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
         report.file = sink.close()
     if report.pictures and not report.drawn:
@@ -362,7 +357,7 @@ def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]
 
 
 def _registrar(
-    request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
+    request: ArRequest, intrinsics: CameraIntrinsics, figure: DrawnRobot
 ) -> Registrar:
     watcher = camera = None
     if request.extrinsics is None:
@@ -372,7 +367,7 @@ def _registrar(
         extrinsics.require_parent("world")
         camera = extrinsics.pose_parent_camera
     return Registrar(
-        watcher, artist, figure, intrinsics, request.latency_options, pose_board_camera=camera,
+        watcher, figure, intrinsics, request.latency_options, pose_board_camera=camera,
         alpha=request.alpha,
     )  # fmt: skip
 

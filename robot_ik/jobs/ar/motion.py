@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_ik.camera.drawing.renderers import DrawnRobot
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.registration import Seen
 from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal

@@ -11,8 +11,13 @@ import numpy as np
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
-from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.camera.synthetic.camera import (
+    SyntheticMarker,
+    SyntheticScene,
+    SyntheticSource,
+    look_at,
+)
+from robot_ik.camera.synthetic.painted import SceneTable
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
 
@@ -102,4 +107,4 @@ def synthetic_scene(
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = VirtualClock()
-    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="fast"), clock
+    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock), clock

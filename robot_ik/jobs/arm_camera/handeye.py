@@ -128,7 +128,7 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
     else:  # the scene's camera looks at the markers on the tool
         truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
         frame, layout, synthetic = scene.cube_frame, dict(scene.cube), scene.synthetic(setup.robot)
-    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock, quality="fast")
+    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
     stack.enter_context(source)
     camera = request.pose_parent_camera or truth.pose_parent_camera.moved(_WRONG)
     board = request.pose_other_board or truth.pose_other_board.moved(0.5 * _WRONG)

@@ -17,7 +17,7 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.camera.synthetic.painted import SceneTable
 from robot_ik.camera.tracker import Layout
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp

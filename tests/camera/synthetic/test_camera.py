@@ -12,13 +12,12 @@ from hypothesis import strategies as st
 from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, see_print
-from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
-from robot_ik.camera.synthetic.photograph import INK, PAPER
-from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.camera.synthetic.painted import INK, PAPER, SceneTable
 from robot_ik.camera.synthetic.sensor import LINEAR
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
@@ -220,9 +219,9 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
             assert np.abs(refined.corners - frame.truth["corners"][id]).max() < 0.5
 
 
-def test_fast_pictures_keep_markers_exact() -> None:
+def test_corners_beside_an_object_with_its_shadow_are_exact() -> None:
     scene = desk(*marker_grid(), body="<geom type='sphere' size='.05' pos='.2 .15 .05'/>")
-    misses = corner_misses(scene, 1, quality="fast", noise=0.0)
+    misses = corner_misses(scene, 1, noise=0.0)
     assert np.sqrt((misses**2).mean()) <= 0.03
 
 
@@ -265,8 +264,6 @@ def test_scenes_that_cannot_be_are_refused() -> None:
         photograph(desk(SyntheticMarker(50, 0.05), lens=SMALL)).read()
     with pytest.raises(CameraError, match="did you mean 'DICT_5X5_50'"):
         photograph(desk(SyntheticMarker(1, 0.05, dictionary="DICT_5X5_51"), lens=SMALL)).read()
-    with pytest.raises(CameraError, match="fast"):
-        photograph(desk(lens=SMALL), quality="draft")
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def test_each_picture_is_taken_from_where_the_hand_is() -> None:
     places = iter([here, robot.clip(here + np.array([0.03, -0.02, 0.02, 0.02, 0.02, 0.3]))])
     tracker, poses = MarkerTracker(lens, "DICT_5X5_50", {7: 0.1}), []
     clock = VirtualClock(2.0)
-    with SyntheticSource(scene, lambda: next(places), clock=clock, quality="fast") as source:
+    with SyntheticSource(scene, lambda: next(places), clock=clock) as source:
         for number in range(2):
             frame = source.read()
             assert (frame.size, frame.sequence, frame.time) == ((320, 240), number, 2.0)

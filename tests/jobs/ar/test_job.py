@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.drawing.renderers import Drawing, DrawnRobot
+from robot_ik.camera.drawing.drawn_robot import Drawing, DrawnRobot
 from robot_ik.camera.registration import LatencyOptions, Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
@@ -65,7 +65,7 @@ def film_of(path: Path) -> list[np.ndarray]:
 
 def test_a_folder_in_a_folder_out(request_for: ArRequest, tmp_path: Path) -> None:
     report = run_ar(replace(request_for, out=tmp_path / "drawn"))
-    assert (report.pictures, report.drawn, report.backend) == (COUNT, COUNT, "painter")
+    assert (report.pictures, report.drawn) == (COUNT, COUNT)
     assert report.reprojection_px < 0.3
     files = sorted((tmp_path / "drawn").iterdir())
     assert [f.name for f in files] == [f"{k:06d}.png" for k in range(COUNT)]
