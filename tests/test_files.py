@@ -36,7 +36,12 @@ from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
-from robot_ik.hardware.calibration_file import Calibration, JointCalibration, load_lerobot, save_lerobot
+from robot_ik.hardware.calibration_file import (
+    Calibration,
+    JointCalibration,
+    load_lerobot,
+    save_lerobot,
+)
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.faults import load_faults

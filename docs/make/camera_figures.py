@@ -1,8 +1,8 @@
 """Writes what was measured of the camera into the pages.
 
-    robot-ik bench camera --json FILE
-    python docs/make/camera_figures.py FILE    # FILE -> docs/camera.json -> the pages
-    python docs/make/camera_figures.py         # docs/camera.json, docs/performance.json -> the pages
+    make bench-camera ARGS="--json FILE"
+    python -m docs.make.camera_figures FILE    # FILE -> docs/camera.json -> the pages
+    python -m docs.make.camera_figures         # docs/camera.json, docs/performance.json -> the pages
 
 Rows of FILE take the place of those that were there; several files may be given.  A table stands between
 `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
@@ -17,8 +17,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera import ROWS
-from robot_ik.bench.camera.arm import DELAYS, compare_filters
+from benchmarks.camera.arm import DELAYS, compare_filters
+from benchmarks.camera.rows import ROWS
 from robot_ik.bench.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -148,7 +148,7 @@ def headlines(data: Data, others: Data) -> str:
     cold, warm = cells["auto", "cold"], cells["lm", "warm"]
     bench, pictures = (
         "[`robot-ik bench`](docs/reference/performance.md)",
-        "[`robot-ik bench camera`](docs/reference/camera_accuracy.md)",
+        "[`make bench-camera`](docs/reference/camera_accuracy.md)",
     )
     spread = f"{cold['median']:.0f} µs median, {cold['mean']:.0f} µs mean"
     rows = [

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from benchmarks.camera.pictures import pattern_set
 from robot_ik.camera.boards.board import parse_board
 from robot_ik.camera.boards.patterns import CharucoPattern
 from robot_ik.camera.calibration.coverage import cover, coverage_picture
@@ -31,7 +32,8 @@ from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene

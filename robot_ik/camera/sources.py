@@ -241,7 +241,7 @@ def open_source(
         device = int(text) if text.isdigit() else text
         return _opener("device", "DeviceSource")(device, size=size, timeout=timeout)
     computed = text.startswith("synthetic:")
-    source = _opener("synthetic.datasets", "open_moving")(text) if computed else _open_file(text)
+    source = _opener("synthetic.sources", "open_moving")(text) if computed else _open_file(text)
     if size is not None and source.size != size:
         source.close()
         raise FrameSizeError(

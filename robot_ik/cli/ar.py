@@ -91,7 +91,7 @@ class ArOptions:
     """Of the synthetic camera's noise."""
     json: Json = False
     self_test: bool = False
-    """Measure how well drawings lie on pictures: rows projection, gl, overlay, latency of bench camera."""
+    """Measure how well drawings lie on pictures, against OpenCV's projection and exact truth."""
 
 
 def run(options: ArOptions) -> int:
@@ -171,15 +171,16 @@ def _check(options: ArOptions) -> None:
 
 
 def run_self_test(*, json: bool = False) -> int:
-    """The rows of ``robot-ik bench camera`` about drawing: 0 when all is within its limits, else 1."""
-    from robot_ik.bench.camera import Effort, MeasuredRows
-    from robot_ik.cli.bench import chosen_rows, print_figures
+    """Measure how well drawings lie on pictures: 0 if all figures are within their limits, else 1."""
+    from robot_ik.cli.bench import show_quantities
+    from robot_ik.jobs.ar.self_test import self_test
 
-    rows, found = chosen_rows(("projection", "gl", "overlay", "latency")), MeasuredRows()
-    with console.progress() as bar:
-        found.measure(rows, Effort(), console.shares_on(bar, "measuring"))
+    with console.busy("measuring"):
+        figures = list(self_test())
+    good = all(figure.passed is not False for _, figure in figures)
     if json:
-        console.print_json({"good": not found.failed, **found.facts()})
+        rows = [{"row": name, **figure.facts()} for name, figure in figures]
+        console.print_json({"good": good, "figures": rows})
     else:
-        print_figures(found)
-    return console.NOT_ACHIEVED if found.failed else console.DONE
+        show_quantities("row", figures)
+    return console.DONE if good else console.NOT_ACHIEVED

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.camera.pictures import MarkerView, standard_set
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
 from robot_ik.camera.tracker import MarkerTracker
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body, load_bodies
 from robot_ik.camera.corner_refinement import unrefined
 from robot_ik.camera.observations import BodyObservation, estimate_body, marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.synthetic.datasets import random_pose, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.pictures import random_pose, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp

@@ -6,11 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.camera.pictures import standard_set
 from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, RefinedCorners, refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, standard_set
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.synthetic.sensor import SensorModel
 
 STRAIGHT = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
 

@@ -10,7 +10,8 @@ from robot_ik.camera.detection import MarkerDetector, guess_dictionary
 from robot_ik.camera.image import dictionary_names, dictionary_size, marker_bits
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.jobs.pictures import MarkerFinder

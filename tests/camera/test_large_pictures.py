@@ -6,18 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.camera.pictures import pattern_set, standard_set
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import from_reduced, marker_bits, reduced, to_reduced
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import (
-    STANDARD_CAMERA,
-    STANDARD_SIZE,
-    SensorModel,
-    pattern_set,
-    standard_set,
-)
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
+from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.tracker import MarkerTracker
 
 TIMES = 8  # 640 px become 5120, and a blur of 0.7 px 5.6

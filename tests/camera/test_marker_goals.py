@@ -12,8 +12,8 @@ from robot_ik.camera.corner_refinement import unrefined
 from robot_ik.camera.marker_goals import AMBIGUITY_LIMIT, MarkerGoalSource
 from robot_ik.camera.observations import marker_branches, marker_observation, marker_points
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.synthetic.datasets import render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.pictures import render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, FrameTimeoutError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.bench.camera.arm import DELAYS, compare_filters
+from benchmarks.camera.arm import DELAYS, compare_filters
 from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro, Update
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import frame_of
-from robot_ik.bench.camera.photographs import (
+from benchmarks.camera.accuracy import frame_of
+from benchmarks.camera.photographs import (
     CHARUCOS,
     CHESSBOARD,
     any_finds,
@@ -19,6 +18,7 @@ from robot_ik.bench.camera.photographs import (
     outward_of_saddles,
     photographs,
 )
+from benchmarks.camera.rows import Effort
 from robot_ik.camera.boards.tone import measure_tone
 from robot_ik.camera.calibration.intrinsic import CalibrationView, calibrate
 from robot_ik.camera.image import read_image

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera.accuracy import frame_of
+from benchmarks.camera.accuracy import frame_of
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import RefinedCorners, is_print, refine_markers
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, random_pose, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 

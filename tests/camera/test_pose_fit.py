@@ -20,8 +20,8 @@ from robot_ik.camera.observations import (
     marker_points,
 )
 from robot_ik.camera.pose_fit import CornerData, fit_pose
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.synthetic.datasets import random_pose
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.pictures import random_pose
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 

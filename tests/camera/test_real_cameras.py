@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera.accuracy import frame_of
+from benchmarks.camera.accuracy import frame_of
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import RefinedCorners, is_print, refine_markers
 from robot_ik.camera.detection import MarkerDetector

@@ -24,7 +24,7 @@ from robot_ik.camera.sources import (
     VideoSource,
     open_source,
 )
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.jobs.pictures import MarkerFinder

@@ -18,8 +18,8 @@ from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
 from robot_ik.camera.observations import marker_branches, marker_points
 from robot_ik.camera.pose_fit import Branches, flat_normal, mirrored
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.synthetic.datasets import random_pose, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.pictures import random_pose, render_markers
 from robot_ik.camera.tracker import BranchMemory, MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.jobs.ar.scene import synthetic_scene

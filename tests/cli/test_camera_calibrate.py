@@ -17,7 +17,8 @@ from robot_ik.camera import sources
 from robot_ik.camera.calibration import intrinsic as calibrating
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, open_moving
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.synthetic.sources import open_moving
 from robot_ik.errors import FrameTimeoutError
 
 

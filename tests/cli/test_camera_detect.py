@@ -12,7 +12,7 @@ import pytest
 
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE, render_markers
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])

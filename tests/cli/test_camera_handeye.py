@@ -16,7 +16,7 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera import handeye
 from robot_ik.jobs.arm_camera.samples import SampleSet

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.camera import MeasuredRows
+from benchmarks.camera.rows import MeasuredRows
 from robot_ik.camera import sources
 from robot_ik.camera.sheets import sheets
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
 from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose

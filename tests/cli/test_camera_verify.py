@@ -16,7 +16,7 @@ import pytest
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig

@@ -222,7 +222,7 @@ class SyntheticSource(FrameSource):
         q = np.array(self._true_q(), dtype=float)
         camera = self.scene.camera(q)
         poses = [marker.pose_world(self.scene, q, now) for marker in self.scene.markers]
-        sheets = [_placed(m, p) for m, p in zip(self.scene.markers, poses, strict=True)]
+        sheets = [placed_print(m, p) for m, p in zip(self.scene.markers, poses, strict=True)]
         exposure = self._scene_from(camera).expose(self.scene.qpos(q), sheets)
         light = cv2.multiply(exposure.light, _vignette(self.size))
         image = self._sensor.developed(self._sensor.scattered(light), noise)
@@ -262,7 +262,7 @@ class SyntheticSource(FrameSource):
         }
 
 
-def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
+def placed_print(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
     """Return the print of a marker at a pose in the world."""
     margin = marker.margin
     if margin is None:

@@ -19,7 +19,7 @@ from robot_ik.camera.calibration.kinematic import CalibrationStation, doubted_ze
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.execution import execute

@@ -12,7 +12,7 @@ from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, P
 from robot_ik.camera.boards.tone import Tone, measure_tone
 from robot_ik.camera.corner_refinement import expected_shift
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, pattern_pose, render_pattern
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, pattern_pose, render_pattern
 from robot_ik.camera.synthetic.sensor import LINEAR, TONES, WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose

@@ -16,7 +16,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera, today
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -157,7 +157,7 @@ def test_patterns_are_seen_with_their_frame_in_the_corner(text: str) -> None:
 
 def pattern_frame(board: PatternBoard, pose: Pose) -> Frame:
     """A picture of the pattern at ``pose_camera_board``."""
-    from robot_ik.camera.synthetic.datasets import render_pattern
+    from robot_ik.camera.synthetic.pictures import render_pattern
 
     image = render_pattern(board.pattern, STANDARD_CAMERA, pose, np.random.default_rng(0))
     return Frame(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from benchmarks.camera.pictures import handeye_set
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     MOUNTINGS,
@@ -25,7 +26,7 @@ from robot_ik.camera.calibration.handeye import (
     view_derivatives,
 )
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, handeye_set
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -37,7 +38,7 @@ MARKER = marker_points(STANDARD_SIZE)
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6), mounting=st.sampled_from(MOUNTINGS))
 def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None:
-    truth, samples = handeye_set(6, mounting=mounting, seed=seed, pixel=0.0, arm=(0.0, 0.0))
+    truth, samples = handeye_set(6, mounting=mounting, seed=seed, corner_sigma=0.0, arm_sigma=(0.0, 0.0))
     start = start_handeye(samples, mounting)
     assert max(start.pose_parent_camera.distance(truth.pose_parent_camera)) < 1e-7
     found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
@@ -104,7 +105,7 @@ def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mou
 
 
 def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
-    truth, samples = handeye_set(seed=4, pixel=0.003, arm=(1e-7, 1e-7))
+    truth, samples = handeye_set(seed=4, corner_sigma=0.003, arm_sigma=(1e-7, 1e-7))
 
     def found(bias: float, outwards: float) -> tuple[float, float]:
         shifted = []
@@ -136,7 +137,7 @@ def test_views_turned_by_little_are_said_to_be_worse() -> None:
 
 
 def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
-    truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm=(0.0, 0.0))
+    truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm_sigma=(0.0, 0.0))
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
     def misses(step: Array) -> Array:

@@ -20,7 +20,7 @@ from robot_ik.camera.calibration.kinematic import (
     fit_zero_offsets,
     measure_errors,
 )
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from robot_ik.camera.drawing import overlay
-from robot_ik.camera.drawing.meshes import ROUND_PX, cached_mesh, triangulate
 from robot_ik.camera.drawing.faces import Faces, bounding_box, faces_in_picture
+from robot_ik.camera.drawing.meshes import ROUND_PX, cached_mesh, triangulate
 from robot_ik.camera.drawing.painter import SurfaceBuffer, geom_paint, paint_mask
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock

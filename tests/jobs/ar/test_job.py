@@ -12,8 +12,14 @@ import pytest
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.drawn_robot import Drawing, DrawnRobot
 from robot_ik.camera.registration import LatencyOptions, Registrar
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
-from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.errors import (
+    CalibrationError,
+    ConfigError,
+    MarkerNotFoundError,
+    MissingExtraError,
+    OutputError,
+)
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.jobs.ar import job

@@ -18,19 +18,21 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import frame_of
+from benchmarks.camera.accuracy import frame_of
+from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.camera import SyntheticSource, look_at, placed_print
+from robot_ik.camera.synthetic.painted import PaintedScene
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
+from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array, RealClock
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
@@ -45,6 +47,8 @@ CAMERAS = (
 )
 # By width: ROI, whole frame (ms), whole loop (frames/s).
 _TRACK_WANTED = {640: (1.5, 6.0), 1280: (3.0, 15.0)}
+# Processor time of the light of a synthetic picture, ms.
+_EXPOSURE_WANTED = 35.0
 _LOOP_WANTED = {640: 60.0, 1280: 30.0}
 _DELAY_WANTED_MS = 15.0
 # Robots that are drawn; the arm is asked for goals, too.
@@ -143,6 +147,22 @@ def drawing(effort: Effort) -> Iterator[Quantity]:
 
             what = f"painter, {name}, 1280×720" + (", with its shadow" if shadow else "")
             yield from milliseconds(draw, spots).figures(what, None if shadow else wanted)
+
+
+def exposure(effort: Effort) -> Iterator[Quantity]:
+    """Pictures of the synthetic camera of a reach, 1280×720: the painted scene, and all of it."""
+    robot = load_robot(_ARM)
+    scene = scene_for(robot).synthetic(robot)
+    source = SyntheticSource(scene, lambda: robot.home, seed=effort.seed)
+    painted = PaintedScene(scene.model, scene.intrinsics, scene.pose_world_camera, scene.table)
+    sheets = [
+        placed_print(marker, marker.pose_world(scene, robot.home, 0.0)) for marker in scene.markers
+    ]
+    qpos = [robot.qpos(robot.home)] * 20
+    yield from milliseconds(lambda q: painted.expose(q, sheets), qpos).figures(
+        "light on the sensor, 1280×720", _EXPOSURE_WANTED
+    )
+    yield from milliseconds(lambda q: source.read(), qpos).figures("picture, 1280×720", None)
 
 
 class _PreparedPictures(FrameSource):

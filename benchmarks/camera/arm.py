@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import DICTIONARY, board_frame, rms
+from benchmarks.camera.accuracy import DICTIONARY, board_frame, rms
+from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import BoardView, MarkerBoard
 from robot_ik.camera.bodies import grid_body
@@ -28,7 +28,7 @@ from robot_ik.camera.calibration.kinematic import (
 from robot_ik.camera.motion_filter import MotionFilter, OneEuro
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify, summary

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from robot_ik.bench.camera import ROWS, Effort, accuracy
-from robot_ik.bench.camera.accuracy import STRAIGHT
+from benchmarks.camera import accuracy
+from benchmarks.camera.rows import ROWS, Effort
 from robot_ik.bench.quantity import Quantity
-from robot_ik.camera.drawing.renderers import PainterArtist
+from robot_ik.jobs.ar.self_test import PINHOLE, projection_misses
 
 
 def figures(of: object, **effort: object) -> dict[str, Quantity]:
@@ -67,19 +67,12 @@ def test_boards_are_seen_as_well_as_wanted_and_half_hidden_ones_too() -> None:
     assert len(found) == 4 and all(one.passed in (True, None) for one in found.values()), found
 
 
-def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen() -> None:
     found = figures(accuracy.projection)
-    assert len(found) == 8 and all(one.passed for one in found.values()), found
-
-    class Shifted(PainterArtist):
-        """A painter that takes the middle of a pixel for its corner."""
-
-        def draw(self, figure, qpos, intrinsics, pose):  # type: ignore[no-untyped-def]
-            return super().draw(figure, qpos, replace(intrinsics, cx=intrinsics.cx + 0.5), pose)
-
-    assert accuracy.projection_identity(Shifted(), STRAIGHT).rms > 0.4
+    assert len(found) == 4 and all(one.passed for one in found.values()), found
+    # A painter that takes the middle of a pixel for its corner.
+    shifted = replace(PINHOLE, cx=PINHOLE.cx + 0.5)
+    assert projection_misses(PINHOLE, drawn_through=shifted).rms > 0.4
 
 
 def test_handeye_comes_near_and_says_how_near() -> None:

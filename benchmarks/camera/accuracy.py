@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Iterator
 
 import cv2
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort
+from benchmarks.camera.pictures import STANDARD_DISTANCES, handeye_set, pattern_set, standard_set
+from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
-from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.handeye import solve_handeye
 from robot_ik.camera.calibration.intrinsic import calibrate
-from robot_ik.camera.drawing.drawn_robot import DrawnRobot
-from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import (
+from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
-    STANDARD_DISTANCES,
     STANDARD_SIZE,
-    handeye_set,
-    pattern_set,
     random_pose,
     render_markers,
-    standard_set,
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout, MarkerTracker
-from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.geometry import Pose
+from robot_ik.jobs.ar import self_test
 from robot_ik.ports import Array, Image
 
 DICTIONARY = "DICT_4X4_50"
@@ -195,203 +185,9 @@ def clutter(effort: Effort) -> Iterator[Quantity]:
 
 
 # ------------------------------------------------------------------------------------------
-# How well drawings lie on pictures, in pixels: measured against ``cv2.projectPoints`` and exact truth.
-
-
-#: A lens with strong distortion, and the same without any.
-BENT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
-STRAIGHT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
-# Spheres in the picture: radius and margin round each, pixels.
-_RADIUS_PX, _SPACING_PX = 8.0, 44
-# Where a robot on the board may be: metres beside it and above it.
-_BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 120
-
-
-@dataclass(frozen=True)
-class Misses:
-    """Distances between where things are and where they belong, pixels; ``bias``: larger part of the mean."""
-
-    rms: float
-    worst: float
-    bias: float
-    count: int
-
-    @classmethod
-    def of(cls, offsets: Sequence[Array]) -> Misses:
-        """From offsets, each (2,) or (n, 2)."""
-        off = np.vstack([np.zeros((0, 2)), *offsets])
-        if not len(off):
-            return cls(float("nan"), float("nan"), float("nan"), 0)
-        length = np.linalg.norm(off, axis=1)
-        return cls(
-            float(np.sqrt(np.mean(length**2))),
-            float(length.max()),
-            float(np.abs(off.mean(axis=0)).max()),
-            len(off),
-        )
-
-
-def projection_identity(intrinsics: CameraIntrinsics = BENT, *, seed: int = 3) -> Misses:
-    """Centres of drawn spheres against those that OpenCV projects.
-
-    Spheres of 8 px radius at random depths all over the picture; the middle of what is drawn of each is
-    compared with that of its outline, the circle at which rays of sight touch it, projected by
-    ``cv2.projectPoints``.
-    """
-    rng = np.random.default_rng(seed)
-    spec, spheres = mujoco.MjSpec(), []
-    for x in np.arange(_SPACING_PX / 2, intrinsics.width - _SPACING_PX / 2 + 1, _SPACING_PX):
-        for y in np.arange(_SPACING_PX / 2, intrinsics.height - _SPACING_PX / 2 + 1, _SPACING_PX):
-            depth = rng.uniform(0.4, 2.0)
-            pixel = np.array([[x, y]]) + rng.uniform(-4.0, 4.0, (1, 2))
-            centre = intrinsics.unproject(pixel)[0] * depth
-            radius = _RADIUS_PX * depth / intrinsics.fx
-            spec.worldbody.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=centre.tolist()
-            )
-            spheres.append((pixel[0], centre, radius))
-    robot = DrawnRobot(spec.compile(), shadow=False)
-    drawn = robot.draw([], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(np.float32)
-    half = _SPACING_PX // 2
-    offsets = []
-    for pixel, centre, radius in spheres:
-        x, y = np.rint(pixel).astype(int)
-        x0, y0 = max(x - half, 0), max(y - half, 0)
-        alone = np.array([x0, y0]) + _middle(drawn[y0 : y + half, x0 : x + half])
-        offsets.append(alone - outline_middle(centre, radius, intrinsics))
-    return Misses.of(offsets)
-
-
-def _middle(shape: NDArray[np.float32]) -> Array:
-    """Centroid (2,) of what a mask holds, or of what an outline (n, 1, 2) encloses."""
-    moments = cv2.moments(shape)
-    if not moments["m00"]:
-        return np.full(2, np.nan)
-    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
-
-
-def outline_middle(centre: Array, radius: float, intrinsics: CameraIntrinsics) -> Array:
-    """Centroid (2,) of a sphere's outline in the picture, by ``cv2.projectPoints``."""
-    distance = np.linalg.norm(centre)
-    axis = centre / distance
-    side = np.cross(axis, [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    angle = np.linspace(0, 2 * np.pi, 360, endpoint=False)[:, None]
-    shrink = (radius / distance) ** 2
-    ring = radius * np.sqrt(1 - shrink) * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
-    coefficients = intrinsics.coefficients if len(intrinsics.distortion) else None
-    pixels = np.asarray(
-        cv2.projectPoints(
-            centre * (1 - shrink) + ring, np.zeros(3), np.zeros(3), intrinsics.matrix, coefficients
-        )[0]
-    ).reshape(-1, 2)
-    return pixels[0] + _middle((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
-
-
-def robot_points(seed: int = 0) -> Array:
-    """Points (n, 3) where a robot standing on the board may be, board frame, metres."""
-    rng = np.random.default_rng([seed, 46])
-    return rng.uniform((-_BESIDE, -_BESIDE, 0.0), (_BESIDE, _BESIDE, _ABOVE), (_POINTS, 3))
-
-
-def overlay_error(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
-    """From picture to overlay: points of a robot on a 2 x 2 board (112 mm), against exact truth.
-
-    The pictures are those of the standard set (blur, noise, uneven light, tilts up to 60 degrees).
-    """
-    rng = np.random.default_rng([seed, round(1e3 * distance)])
-    watcher = BoardWatcher(MarkerBoard(BOARD, DICTIONARY), STANDARD_CAMERA, window=False)
-    points, offsets = robot_points(seed), []
-    for number in range(count):
-        pose = random_pose(STANDARD_CAMERA, rng, distance, size=0.112)
-        seen = watcher.see(board_frame(pose, BOARD, rng, number=number))
-        if seen is None:
-            continue
-        true, drawn = (STANDARD_CAMERA.project(p.apply(points)) for p in (pose, seen.pose_camera_board))
-        offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(offsets)
-
-
-def _in_view(pixels: Array) -> NDArray[np.bool_]:
-    return np.asarray(((pixels > 0) & (pixels < np.array(STANDARD_CAMERA.size) - 1)).all(axis=1))
-
-
-def hand_motion(t: float) -> Pose:
-    """``pose_camera_board`` of a board that a hand moves about 0.8 m away: some 200 mm/s, 40 deg/s."""
-    position = (
-        0.060 * np.sin(2.6 * t) + 0.015 * np.sin(6.1 * t + 1.0),
-        0.035 * np.sin(3.4 * t + 0.7),
-        0.80 + 0.04 * np.sin(1.9 * t),
-    )
-    facing = Pose(wxyz=rotation_exp([np.pi, 0.0, 0.0]))
-    lean = rotation_exp([-0.6 + 0.20 * np.sin(2.2 * t), 0.15 * np.sin(2.9 * t), 0.35 * np.sin(1.7 * t)])
-    return Pose(position, facing.compose(Pose(wxyz=lean)).wxyz)
-
-
-LATENCY_CASES: dict[str, tuple[float, LatencyOptions]] = {
-    "nothing": (1.0, LatencyOptions("latest")),
-    "less delay (half)": (0.5, LatencyOptions("latest")),
-    "image shifting": (1.0, LatencyOptions("latest", shift=True)),
-    "prediction": (1.0, LatencyOptions("latest", predict=True)),
-    "prediction and shifting": (1.0, LatencyOptions("latest", predict=True, shift=True)),
-    "delayed video": (0.0, LatencyOptions("tracked")),
-}
-"""Azuma's latency options: what part of the delay is left, and what is done about it."""
-
-
-# Pictures a second of the registration that lags.
-_RATE_HZ = 30.0
-
-
-def latency_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Misses]:
-    """Registration errors of a robot on a moving board when tracking and drawing take ``delay`` seconds.
-
-    Each option is measured on the same pictures, with points of a robot on the board.
-    """
-    rng = np.random.default_rng([0, 5])
-    steps = max(1, round(delay * _RATE_HZ))
-    times = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
-    frames = [board_frame(hand_motion(t), BOARD, rng, number=k, time=float(t)) for k, t in enumerate(times)]
-    watcher = BoardWatcher(MarkerBoard(BOARD, DICTIONARY), STANDARD_CAMERA, window=False)
-    watcher.see = cache(watcher.see)  # type: ignore[method-assign]  # all options look at the same pictures
-    return {
-        name: _latency_error(latency_options, round(share * steps), frames, watcher, robot_points(0))
-        for name, (share, latency_options) in LATENCY_CASES.items()
-    }
-
-
-def _latency_error(
-    latency_options: LatencyOptions,
-    steps: int,
-    frames: list[Frame],
-    watcher: BoardWatcher,
-    points: Array,
-) -> Misses:
-    nobody = DrawnRobot(mujoco.MjSpec().compile())
-    registrar = Registrar(watcher, nobody, STANDARD_CAMERA, latency_options)
-    offsets = []
-    for k in range(steps, len(frames)):
-        seen = registrar.track(frames[k - steps])
-        # the first half second is for the filter to find the speed
-        pose, motion = registrar.place(seen, frames[k])
-        if pose is None or frames[k].time < 0.5:
-            continue
-        true = STANDARD_CAMERA.project(hand_motion(frames[k].time).apply(points))
-        drawn = STANDARD_CAMERA.project(pose.apply(points))
-        if motion is not None:
-            drawn = drawn @ motion[:, :2].T + motion[:, 2]
-        offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(offsets)
-
-
-# ------------------------------------------------------------------------------------------
 # Optics: a drawing where OpenCV projects it, a calibration and a hand-eye calibration near the truth.
 
 
-# What is wanted of drawn spheres (RMS, worst, px) without and with a lens.
-_WANTED = {"pinhole": (STRAIGHT, 0.05, 0.15), "with distortion": (BENT, 0.08, 0.20)}
-# Of a robot on a board, by its distance, m.
-_OVERLAY_WANTED, _OVERLAY_DISTANCES = (0.3, 1.0), (0.7, 1.0)
 # The boards: squares of 30 mm with markers of 22 mm; 9 × 6 inner corners of squares of 25 mm.
 _PATTERNS: dict[str, Pattern] = {
     "ChArUco 8×6": CharucoPattern(8, 6, 0.030, 0.022),
@@ -402,30 +198,19 @@ _VIEWS, _SETS = 20, 3
 _POSES, _SPREAD = 15, 25.0
 
 
-def _figures(what: str, misses: Misses, most: tuple[float | None, float | None]) -> Iterator[Quantity]:
-    """RMS and worst, and the most that is wanted of them."""
-    yield Quantity(f"{what}, RMS", misses.rms, "px", most[0])
-    yield Quantity(f"{what}, worst", misses.worst, "px", most[1])
-
-
 def projection(effort: Effort) -> Iterator[Quantity]:
     """Middles of drawn spheres against OpenCV's projection."""
-    for kind, (lens, *most) in _WANTED.items():
-        misses = projection_identity(lens, seed=effort.seed)
-        yield from _figures(f"painter against projectPoints, {kind}", misses, (most[0], most[1]))
+    yield from self_test.projection(effort.seed)
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
-    for distance in _OVERLAY_DISTANCES:
-        misses = overlay_error(distance, effort.count(60), seed=effort.seed)
-        yield from _figures(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+    yield from self_test.overlay(effort.seed, effort.count(60))
 
 
 def latency(effort: Effort) -> Iterator[Quantity]:
     """What is left of a delay by each of Azuma's remedies; nothing is wanted of them."""
-    for name, misses in latency_errors(seconds=1.1 if effort.quick else 4.0).items():
-        yield from _figures(name, misses, (None, None))
+    yield from self_test.latency(1.1 if effort.quick else 4.0)
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import latency
+from benchmarks.camera.accuracy import latency
+from benchmarks.camera.rows import Effort
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import frame_of, outward
+from benchmarks.camera.accuracy import frame_of, outward
+from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate

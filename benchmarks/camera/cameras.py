@@ -12,13 +12,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import BOARD, DICTIONARY, GAP, MARKER, frame_of, outward, rms
+from benchmarks.camera.accuracy import BOARD, DICTIONARY, GAP, MARKER, frame_of, outward, rms
+from benchmarks.camera.pictures import STANDARD_DISTANCES
+from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import (
+from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
-    STANDARD_DISTANCES,
     STANDARD_SIZE,
     marker_light,
     photograph,
