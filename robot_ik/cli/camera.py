@@ -371,7 +371,7 @@ class CameraPrintOptions:
     kind: Positional[Literal["marker", "board", "cube", "charuco", "chessboard"]]
     """marker (one or more), board (markers in a grid), cube (to cut out and fold), charuco, chessboard."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
-    """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
+    """Where to write the PDF."""
     size_mm: Annotated[float | None, single("MM", "by kind")] = None
     """Side of a marker's black square (50; cube 40), or of a pattern's square (charuco 30, chessboard 25)."""
     columns: Annotated[int | None, single("N", "by kind")] = None
@@ -390,8 +390,6 @@ class CameraPrintOptions:
     """Side of the markers inside a charuco board."""
     page: Literal["a4", "letter", "a3"] = "a4"
     """Paper; it is turned when that makes it fit."""
-    dpi: int = 300
-    """Pixels per inch of a .png."""
     overwrite: Overwrite = False
     body: Annotated[Path | None, single("FILE", "none")] = None
     """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
@@ -408,7 +406,7 @@ def run_print(options: CameraPrintOptions) -> int:
         if options.body is not None:
             write_atomically(options.body, body_file(request, options.body.stem))
             console.say(f"wrote {options.body}: where its markers are", "green")
-        write_sheet(page, options.out, dpi=options.dpi)
+        write_sheet(page, options.out)
     console.say(f"wrote {options.out}: {page.about}", "green")
     console.say("print it at 100 % (actual size) and measure both bars: 100.0 mm")
     return console.DONE
@@ -448,9 +446,9 @@ class CameraCalibrateOptions:
     size: Annotated[tuple[int, int] | None, single("W H", "as it is")] = None
     """Picture size to ask of a camera, pixels."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("camera.yaml")
-    """Where to write the calibration; beside it come a picture of the coverage and the views taken live."""
+    """Where to write the calibration. The views of a live camera are saved beside it."""
     overwrite: bool = False
-    """Replace the calibration and the picture of the coverage; views taken before are kept in any case."""
+    """Replace the calibration. Views that were taken before are kept."""
     name: str = "camera"
     """Name of the camera in the file."""
     json: Json = False
@@ -463,16 +461,14 @@ def run_calibrate(options: CameraCalibrateOptions) -> int:
             "nothing to calibrate from",
             hint="give pictures, a folder of them, a film, or a camera's index: 0",
         )
-    with claimed(options.out, _coverage_file(options.out), overwrite=options.overwrite):
+    with claimed(options.out, overwrite=options.overwrite):
         return _calibrate(options)
 
 
 def _calibrate(options: CameraCalibrateOptions) -> int:
     from robot_ik.camera.boards.patterns import PatternRequest
-    from robot_ik.camera.calibration.coverage import coverage_picture
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
-    from robot_ik.camera.image import write_image
     from robot_ik.jobs.pictures import ViewFolder
 
     wanted = request_of(PatternRequest, options, kind=options.pattern)
@@ -490,13 +486,11 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
         raise
     intrinsics = replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
-    picture = _coverage_file(options.out)
-    write_image(picture, coverage_picture(result.coverage))
     if options.json:
         console.print_json(_calibration_json(result, options.out, intrinsics.digest))
     else:
         _print_calibration(result)
-    console.say(f"wrote {options.out} and {picture}", "green")
+    console.say(f"wrote {options.out}", "green")
     return console.DONE
 
 
@@ -520,10 +514,6 @@ def _gather(options: CameraCalibrateOptions, gatherer: ViewGatherer, kept: ViewF
     gatherer.finish()
     for notice in gatherer.notices:
         console.say(notice, "yellow")
-
-
-def _coverage_file(out: Path) -> Path:
-    return out.with_name(f"{out.stem}-coverage.png")
 
 
 def _print_calibration(result: CalibrationResult) -> None:

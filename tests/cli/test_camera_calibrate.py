@@ -44,7 +44,6 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
     assert (camera.name, camera.views) == ("desk", 7) and camera.date.startswith("20")
     assert [v["name"] for v in said["views"]] == [f"view{3 * k}.png" for k in range(7)]
     assert said["doubts"][0] == "only 7 views: take 15 or more" and said["rms_px"] < 0.1
-    assert cv2.imread(str(tmp_path / "desk-coverage.png")).shape[1] == 900
     assert said["notes"][0].startswith("edge bias") and "that of markers" in said["notes"][0]
 
 

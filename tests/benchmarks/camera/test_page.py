@@ -29,7 +29,7 @@ def test_the_pages_say_what_was_measured(pages: types.ModuleType) -> None:
     used = set()
     for page in pages.PAGES:
         text = page.read_text(encoding="utf-8")
-        assert pages.filled(text) == text, f"{page.name} is out of date: python docs/make/camera_figures.py"
+        assert pages.filled(text) == text, f"{page.name} is out of date: python -m docs.make.camera_figures"
         used |= {m[2] for m in pages.PLACE.finditer(text)}
     assert used == set(pages.TABLES)
 
