@@ -23,7 +23,7 @@ SAMPLES = 2
 # Strength of highlights, of 255.
 GLOSS = 55.0
 # Reflectance of a black surface, 0 to 1. A robot that absorbs all light would show no shape.
-_DARKEST = 0.14
+_DARKEST = 0.18
 
 
 @dataclass(frozen=True)

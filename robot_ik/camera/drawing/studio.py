@@ -2,14 +2,15 @@
 
 The floor fades into a wall. It shows the soft shadows of what stands on it.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,18 +18,17 @@ from numpy.typing import ArrayLike
 from robot_ik.camera.drawing.drawn_robot import SHADOW_STRENGTH, cast_shadow
 from robot_ik.camera.drawing.faces import EMPTY, bounding_box, faces_in_picture
 from robot_ik.camera.drawing.painter import Layer, SurfaceBuffer, geom_paint
-from robot_ik.camera.drawing.rays import RayField, ray_field, world_directions
+from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.image import Box, Float32
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array, Image
+from robot_ik.kernels.jit import kernel, pure
+from robot_ik.ports import Image
 
 Tone = tuple[float, float, float]
 
-# A floor without tiles is smooth. It is computed for blocks of this many pixels along each axis.
-_COARSE = 4
-# A ray meets the floor at most this far away, metres.
-_HORIZON = 200.0
+# The camera counts as at least this high above the floor, or below it, metres.
+_LOWEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -132,14 +132,17 @@ def photograph(
     pose_camera_floor = pose_world_camera.inverse().compose(Pose((0.0, 0.0, floor)))
     visible = []
     boxes: list[Box] = []
+    dark = np.zeros(image.shape[:2], dtype=np.uint8)
     for body in bodies:
         camera = body.pose.inverse().compose(pose_world_camera)
         faces = faces_in_picture(body.model, body.qpos, intrinsics, camera)
         box = bounding_box(faces, *intrinsics.size)
-        cast_shadow(faces, intrinsics, pose_camera_floor).over(image, SHADOW_STRENGTH)
+        shadow = cast_shadow(faces, intrinsics, pose_camera_floor)
+        np.maximum(dark, shadow.mask(*intrinsics.size), out=dark)
         if box != EMPTY:
             visible.append((faces, geom_paint(body.model, body.tint)))
             boxes.append(box)
+    Layer((0, 0, *intrinsics.size), np.zeros_like(image), dark).over(image, SHADOW_STRENGTH)
     layer = Layer.empty()
     if boxes:
         corners = np.array(boxes)
@@ -170,61 +173,70 @@ def empty_room(
     subject: tuple[float, float],
 ) -> Float32:
     """Return the (cached) light (h, w, 3), 0 to 1, of a room without anything in it."""
-    field = ray_field(intrinsics)
     width, height = intrinsics.size
-    stride = 1 if room.tile_side > 0.0 else _COARSE
-    x, y, depth = _on_floor(field, pose_world_camera, floor, stride)
-    away = np.hypot(x - subject[0], y - subject[1])
-    fade = np.clip((away - room.fade_start) / (room.fade_end - room.fade_start), 0.0, 1.0)
-    fade = np.where(depth < _HORIZON, fade * fade * (3.0 - 2.0 * fade), 1.0)
-    tone = np.broadcast_to(np.array(room.floor, dtype=np.float32), (*x.shape, 3))
-    if room.tile_side > 0.0:
-        other = _checker(x, y, room.tile_side, _footprint(depth, pose_world_camera, floor, field))
-        tone = tone + other[..., None] * (np.array(room.tile) - np.array(room.floor))
-    wall = np.array(room.wall)
-    light = (tone + fade[..., None] * (wall - tone)).astype(np.float32)
-    if stride > 1:
-        size = (light.shape[1] * stride, light.shape[0] * stride)
-        light = cv2.resize(light, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
-    light = np.ascontiguousarray(light)
+    light = np.empty((height, width, 3), dtype=np.float32)
+    _paint_room(
+        ray_field(intrinsics).box(0, 0, width, height),
+        pose_world_camera.rotation,
+        pose_world_camera.position,
+        np.array([*subject, floor]),
+        np.array([room.floor, room.tile, room.wall]),
+        room.tile_side,
+        np.array([room.fade_start, room.fade_end]),
+        intrinsics.fy,
+        light,
+    )
     light.setflags(write=False)
     return light
 
 
-def _on_floor(
-    field: RayField, pose_world_camera: Pose, floor: float, stride: int
-) -> tuple[Array, Array, Array]:
-    """Return where the rays of every ``stride``-th pixel meet the floor: x, y, depth (h, w)."""
-    width, height = field.intrinsics.size
-    rows = -(-height // stride)
-    columns = -(-width // stride)
-    middle = (stride - 1) / 2
-    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) * stride + middle
-    pixels = np.minimum(pixels.reshape(-1, 2), (width - 1, height - 1))
-    rays = field.box(0, 0, width, height) if stride == 1 else field.points(pixels)
-    directions = world_directions(pose_world_camera, rays.reshape(rows, columns, 2))
-    eye = pose_world_camera.position
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = (floor - eye[2]) / directions[..., 2]
-    depth = np.where((depth > 0.0) & (depth < _HORIZON), depth, _HORIZON)
-    x = eye[0] + depth * directions[..., 0]
-    y = eye[1] + depth * directions[..., 1]
-    return x, y, depth
+@kernel
+def _paint_room(rays, rotation, eye, middle, tones, tile_side, fade, focal, light):
+    """Write the light (h, w, 3) of floor and wall.
+
+    Args:
+        rays: (h, w, 2) normalized coordinates of the pixels.
+        rotation: (3, 3) of the camera in the world.
+        eye: (3,) the camera, metres.
+        middle: (3,) of the floor, metres.
+        tones: (3, 3) of floor, tile and wall.
+        tile_side: Metres; 0 for no tiles.
+        fade: (2,) distances from the middle between which the floor fades into the wall, metres.
+        focal: Focal length, px.
+        light: Written.
+    """
+    drop = middle[2] - eye[2]
+    for row in range(light.shape[0]):
+        for column in range(light.shape[1]):
+            u = rays[row, column, 0]
+            v = rays[row, column, 1]
+            fall = rotation[2, 0] * u + rotation[2, 1] * v + rotation[2, 2]
+            wall = 1.0
+            tile = 0.0
+            if drop * fall > 0.0:
+                depth = drop / fall
+                x = eye[0] + depth * (rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2])
+                y = eye[1] + depth * (rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2])
+                away = math.sqrt((x - middle[0]) ** 2 + (y - middle[1]) ** 2)
+                wall = min(max((away - fade[0]) / (fade[1] - fade[0]), 0.0), 1.0)
+                wall *= wall * (3.0 - 2.0 * wall)
+                if tile_side > 0.0 and wall < 1.0:
+                    # Length of the pixel on the floor along the view. Borders are that soft.
+                    width = depth * depth / (max(abs(drop), _LOWEST) * focal)
+                    tile = _tile_share(x, y, tile_side, width)
+            for k in range(3):
+                tone = tones[0, k] + tile * (tones[1, k] - tones[0, k])
+                light[row, column, k] = tone + wall * (tones[2, k] - tone)
 
 
-def _footprint(depth: Array, pose_world_camera: Pose, floor: float, field: RayField) -> Array:
-    """Return the length (h, w) of a pixel on the floor, metres, along the view."""
-    rise = abs(float(pose_world_camera.position[2]) - floor)
-    return depth**2 / (max(rise, 1e-3) * field.intrinsics.fy)
-
-
-def _checker(x: Array, y: Array, side: float, width: Array) -> Array:
-    """Return 1 (h, w) on every second tile and 0 on the others, smoothed over ``width`` metres."""
-
-    def sign(value: Array) -> Array:
-        # Distance to the nearest border, positive in every second row of tiles.
-        distance = np.abs(np.mod(value, 2.0 * side) - side) - 0.5 * side
-        return np.clip(2.0 * distance / np.maximum(width, 1e-9), -1.0, 1.0)
-
-    blurred = np.clip(side / np.maximum(width, 1e-9) - 1.0, 0.0, 1.0)
-    return np.asarray(0.5 + 0.5 * blurred * sign(x) * sign(y))
+@pure
+def _tile_share(x, y, side, width):
+    """Return 1 on every second tile and 0 on the others, smoothed over ``width`` metres."""
+    # Distance to the nearest border, positive in every second row and column of tiles.
+    across = abs((x / side) % 2.0 - 1.0) - 0.5
+    along = abs((y / side) % 2.0 - 1.0) - 0.5
+    sharpness = 2.0 * side / width
+    across = min(max(across * sharpness, -1.0), 1.0)
+    along = min(max(along * sharpness, -1.0), 1.0)
+    contrast = min(max(side / width - 1.0, 0.0), 1.0)
+    return 0.5 + 0.5 * contrast * across * along
