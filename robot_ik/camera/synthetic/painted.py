@@ -25,6 +25,7 @@ from robot_ik.camera.drawing.faces import (
 from robot_ik.camera.drawing.painter import Layer, SurfaceBuffer, geom_paint
 from robot_ik.camera.drawing.prints import (
     PRINT_MARKER,
+    SUBPIXELS,
     Blocker,
     Print,
     SeenPrint,
@@ -43,9 +44,6 @@ INK = 0.07
 PAPER = 0.93
 # An object hides paper if it is nearer by this, metres. Paper lies on other surfaces.
 _SLACK = 1.5e-3
-# Samples per pixel, along each axis, at which objects hide a sheet. Prints use the same number of
-# subpixels along the outline of such an object.
-_OUTLINE_SAMPLES = 4
 # A sheet lies on the table if it is this near to it, metres, and this level (cosine).
 _ON_TABLE = 5e-3
 _LEVEL = 0.999
@@ -237,14 +235,14 @@ class PaintedScene:
 
     def _blocker(self, faces: Faces, box: Box) -> Blocker:
         """Return a function that tells which points of paper the robot or the table hides."""
-        buffer = SurfaceBuffer(box, _OUTLINE_SAMPLES)
+        buffer = SurfaceBuffer(box, SUBPIXELS)
         if box != EMPTY:
             buffer.fill(faces, self._paint)
         rows, columns = buffer.depth.shape
 
         def blocked(pixels: Array, depth: Array) -> Mask:
             hidden = self._below_table(pixels, depth)
-            column, row = np.rint((pixels - box[:2] + 0.5) * _OUTLINE_SAMPLES - 0.5).astype(int).T
+            column, row = np.rint((pixels - box[:2] + 0.5) * SUBPIXELS - 0.5).astype(int).T
             inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
             inverse = buffer.depth[row[inside], column[inside]]
             hidden[inside] |= inverse * (depth[inside] - _SLACK) > 1.0
@@ -347,7 +345,8 @@ def _surroundings(
 def _table_model(table: SceneTable) -> mujoco.MjModel:
     """Return the table as a model: a top and four legs."""
     spec = mujoco.MjSpec()
-    (x0, x1), (y0, y1) = table.x, table.y
+    x0, x1 = table.x
+    y0, y1 = table.y
     floor = table.floor_height
     middle_x = 0.5 * (x0 + x1)
     middle_y = 0.5 * (y0 + y1)
