@@ -155,9 +155,7 @@ def exposure(effort: Effort) -> Iterator[Quantity]:
     scene = scene_for(robot).synthetic(robot)
     source = SyntheticSource(scene, lambda: robot.home, seed=effort.seed)
     painted = PaintedScene(scene.model, scene.intrinsics, scene.pose_world_camera, scene.table)
-    sheets = [
-        placed_print(marker, marker.pose_world(scene, robot.home, 0.0)) for marker in scene.markers
-    ]
+    sheets = [placed_print(marker, marker.pose_world(scene, robot.home, 0.0)) for marker in scene.markers]
     qpos = [robot.qpos(robot.home)] * 20
     yield from milliseconds(lambda q: painted.expose(q, sheets), qpos).figures(
         "light on the sensor, 1280×720", _EXPOSURE_WANTED

@@ -105,9 +105,7 @@ def draw(scene: Scene) -> Image:
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())
     camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
-    photos = [
-        photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor) for qpos in poses
-    ]
+    photos = [photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor) for qpos in poses]
     columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)
     air = round(_AIR * SIZE[0])
     seen = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)

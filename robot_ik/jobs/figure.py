@@ -315,9 +315,7 @@ class FilmMaker:
         self._height = heights(robot)[1]
         self._letters = max(11, size[0] // 44)
         focal = _FOCAL * size[1]
-        self._optics = CameraIntrinsics(
-            *size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2
-        )
+        self._optics = CameraIntrinsics(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
         self._room = tiled_room(4.0 * self._height, TILE_SIDE)
         self._ball = ball_model(BALL_RADIUS, _BALL_RGBA)
         self._target: Array | None = None

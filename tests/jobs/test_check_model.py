@@ -79,10 +79,13 @@ def test_ar_refuses_the_calibration_of_another_model(arm_file: Path, port: str) 
 @pytest.mark.parametrize(
     "command",
     [
-        "view --viewer browser --no-open --no-camera --port 8741 --seconds 0.1 --arm ARM --bus PORT",
+        "view --viewer browser --no-open --no-camera --port 8741 --seconds 0.1 --arm ARM "
+        "--bus PORT",
         "servo move shoulder_pan=5 --arm ARM --bus PORT",
-        f"teleop --leader ARM --leader-bus PORT --follower {ROBOT} --follower-bus sim --seconds 0.1",
-        f"teleop --leader {ROBOT} --leader-bus sim --follower ARM --follower-bus PORT --seconds 0.1",
+        f"teleop --leader ARM --leader-bus PORT --follower {ROBOT} --follower-bus sim "
+        "--seconds 0.1",
+        f"teleop --leader {ROBOT} --leader-bus sim --follower ARM --follower-bus PORT "
+        "--seconds 0.1",
     ],
     ids=["view", "servo move", "teleop, leader", "teleop, follower"],
 )
@@ -91,4 +94,6 @@ def test_commands_refuse_the_calibration_of_another_model(
 ) -> None:
     words = [{"ARM": str(arm_file), "PORT": port}.get(word, word) for word in command.split()]
     assert main(words) in (1, 2)
-    assert "the model is not the one of the calibration" in " ".join(capsys.readouterr().err.split())
+    assert "the model is not the one of the calibration" in " ".join(
+        capsys.readouterr().err.split()
+    )

@@ -86,9 +86,7 @@ class DrawnRobot:
         # A scene and its camera in one scale give one picture.
         return Pose(pose_base_camera.position / self.scale, pose_base_camera.wxyz)
 
-    def draw(
-        self, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> Drawing:
+    def draw(self, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose) -> Drawing:
         """Draw the robot and its shadow.
 
         Args:
@@ -101,9 +99,7 @@ class DrawnRobot:
         """
         faces = faces_in_picture(self.model, qpos, intrinsics, self.camera(pose_board_camera))
         if self.scale != 1.0:
-            faces = replace(
-                faces, inverse=faces.inverse / self.scale, points=faces.points * self.scale
-            )
+            faces = replace(faces, inverse=faces.inverse / self.scale, points=faces.points * self.scale)
         box = bounding_box(faces, *intrinsics.size)
         if box == EMPTY:
             return Drawing()

@@ -73,9 +73,7 @@ class Layer:
         colour = cv2.warpAffine(self.colour, local, size, flags=cv2.INTER_LINEAR)
         coverage = cv2.warpAffine(self.coverage, local, size, flags=cv2.INTER_LINEAR)
         box = (int(lower[0]), int(lower[1]), int(upper[0]), int(upper[1]))
-        return Layer(
-            box, np.asarray(colour, dtype=np.uint8), np.asarray(coverage, dtype=np.uint8)
-        )
+        return Layer(box, np.asarray(colour, dtype=np.uint8), np.asarray(coverage, dtype=np.uint8))
 
     def mask(self, width: int, height: int) -> Image:
         """Return the coverage (height, width) on the whole picture."""

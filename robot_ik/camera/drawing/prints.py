@@ -155,9 +155,7 @@ class Print:
         """Return how many borders of columns and of rows (2, n) are before places (2, n)."""
         return np.stack([np.searchsorted(self.x, places[0]), np.searchsorted(self.y, places[1])])
 
-    def _around(
-        self, tables: Array, corners: Array, first: NDArray[np.int64], count: int
-    ) -> Array:
+    def _around(self, tables: Array, corners: Array, first: NDArray[np.int64], count: int) -> Array:
         """Return the integrals (t, n) of some of ``below`` (t, ...) by x around quadrilaterals.
 
         Args:
@@ -211,9 +209,7 @@ class SeenPrint:
 
 
 @lru_cache(maxsize=64)
-def marker_print(
-    dictionary: str, marker: int, size: float, margin: float, bleed: float = 0.0
-) -> Print:
+def marker_print(dictionary: str, marker: int, size: float, margin: float, bleed: float = 0.0) -> Print:
     """Return a marker on white paper, in metres from the middle of the marker.
 
     Args:
@@ -301,9 +297,7 @@ def print_box(sheet: Print, pose_camera_print: Pose, field: RayField) -> Box | N
     return int(lower[0]), int(lower[1]), int(upper[0]), int(upper[1])
 
 
-def _borders(
-    start: float, length: float, lower: Array, upper: Array
-) -> tuple[Array, NDArray[np.int64]]:
+def _borders(start: float, length: float, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return the borders of cells along one side of the paper.
 
     And the numbers (n, 2) of the borders between which each box lies.

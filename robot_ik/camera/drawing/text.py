@@ -45,7 +45,7 @@ def _outline_font() -> Any | None:
 
 
 def text_size(text: str, size: int) -> tuple[int, int]:
-    """Return the width and the height of the capitals, px, of ``text`` in letters of ``size`` px."""
+    """Return the width of text in letters of ``size`` px, and the height of its capitals, px."""
     height = round(_CAPITALS * size)
     font = _outline_font()
     if font is None:

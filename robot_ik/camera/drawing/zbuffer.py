@@ -75,7 +75,7 @@ def turn(pixels, a, b, c):
 
 @pure
 def _span(value, slope, first, last):
-    """Return the part of the columns ``first`` to ``last`` where value + slope x is not negative."""
+    """Return the part of the columns first to last where value + slope x is not negative."""
     if slope > 0.0:
         return max(first, math.ceil(-value / slope)), last
     if slope < 0.0:
@@ -92,9 +92,7 @@ def _byte(value):
 
 
 @outlined
-def fill_triangle(
-    pixels, inverse_depth, face, k, lit, paint, gloss, corner, scale, depth, colour
-):
+def fill_triangle(pixels, inverse_depth, face, k, lit, paint, gloss, corner, scale, depth, colour):
     """Fill the triangle of the corners 0, k and k + 1 of a face that shows its outside."""
     height, width = depth.shape
     # Buffer coordinates of the corners. Centres of pixels and of samples are integers.

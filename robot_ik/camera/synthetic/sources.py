@@ -1,4 +1,4 @@
-"""Sources that move an object before a synthetic camera: ``synthetic:orbit``, ``synthetic:charuco``.
+"""Sources that move an object before a synthetic camera, such as ``synthetic:orbit``.
 
 They need no robot, camera or display. The ``truth`` of each frame holds what trackers must not use.
 """

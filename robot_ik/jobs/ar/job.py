@@ -356,9 +356,7 @@ def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]
     return ((frame, frame) for frame in frames) if sync == "tracked" else itertools.pairwise(frames)
 
 
-def _registrar(
-    request: ArRequest, intrinsics: CameraIntrinsics, figure: DrawnRobot
-) -> Registrar:
+def _registrar(request: ArRequest, intrinsics: CameraIntrinsics, figure: DrawnRobot) -> Registrar:
     watcher = camera = None
     if request.extrinsics is None:
         watcher = _watcher(request, intrinsics)

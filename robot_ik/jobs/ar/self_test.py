@@ -133,7 +133,10 @@ def latency(seconds: float = 4.0) -> Iterator[Quantity]:
 
 
 def projection_misses(
-    intrinsics: CameraIntrinsics = DISTORTED, *, seed: int = 3, drawn_through: CameraIntrinsics | None = None
+    intrinsics: CameraIntrinsics = DISTORTED,
+    *,
+    seed: int = 3,
+    drawn_through: CameraIntrinsics | None = None,
 ) -> Misses:
     """Compare the centroids of drawn spheres with those that OpenCV projects.
 
@@ -182,7 +185,7 @@ def robot_points(seed: int = 0) -> Array:
 
 
 def overlay_misses(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
-    """Compare points of a robot on a 2 x 2 board (112 mm) with exact truth, from picture to overlay.
+    """Compare points of a robot on a 2 x 2 board (112 mm), from picture to overlay, with truth.
 
     The pictures have blur, noise, uneven light, and tilts up to 60 degrees.
 

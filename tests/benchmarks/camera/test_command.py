@@ -25,7 +25,12 @@ def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(
     (late,) = [line for line in out.splitlines() if "66 ms ago, predicted" in line]
     assert "≤ 6.5 mm" in late and "pass" in late and "3 of 3 as wanted" in out
     facts = json.loads(file.read_text(encoding="utf-8"))
-    assert facts["complete"] and facts["quick"] and facts["seed"] == 1 and facts["machine"]["cores"] > 0
+    assert (
+        facts["complete"]
+        and facts["quick"]
+        and facts["seed"] == 1
+        and facts["machine"]["cores"] > 0
+    )
     rows = facts["rows"]["prediction"]["figures"]
     (predicted,) = [one for one in rows if one["quantity"].endswith("ago, predicted, RMS")]
     assert predicted["passed"] and 0.0 < predicted["value"] < 6.5 and predicted["unit"] == "mm"
@@ -125,10 +130,17 @@ def test_what_is_missed_or_interrupted_is_reported(
 
 
 def test_a_table_names_a_row_once(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = [("walk", Quantity("slip", 0.5, "mm", 0.1)), ("walk", Quantity("speed", 1.2, "m/s", least=1.1))]
-    show_quantities("motion", [*rows, ("jump", Quantity("balls", 3))])
+    rows = [
+        ("walk", Quantity("slip", 0.5, "mm", 0.1)),
+        ("walk", Quantity("speed", 1.2, "m/s", least=1.1)),
+        ("jump", Quantity("balls", 3)),
+    ]
+    show_quantities("motion", rows)
     out = capsys.readouterr().out.splitlines()
     assert [line.split()[:2] for line in out[:4]] == [
-        ["motion", "quantity"], ["walk", "slip"], ["speed", "1.2"], ["jump", "balls"],
-    ]  # fmt: skip
+        ["motion", "quantity"],
+        ["walk", "slip"],
+        ["speed", "1.2"],
+        ["jump", "balls"],
+    ]
     assert out[4] == "1 of 2 as wanted"

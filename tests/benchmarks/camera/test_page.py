@@ -1,4 +1,4 @@
-"""What the pages say of the camera is what docs/camera.json holds, and each figure stands on one place."""
+"""The pages about the camera agree with docs/camera.json, and each figure is in one place."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ DOCS = Path(__file__).parents[3] / "docs"
 
 @pytest.fixture(scope="module")
 def pages() -> types.ModuleType:
-    spec = importlib.util.spec_from_file_location("camera_figures", DOCS / "make" / "camera_figures.py")
+    spec = importlib.util.spec_from_file_location(
+        "camera_figures", DOCS / "make" / "camera_figures.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -29,7 +31,8 @@ def test_the_pages_say_what_was_measured(pages: types.ModuleType) -> None:
     used = set()
     for page in pages.PAGES:
         text = page.read_text(encoding="utf-8")
-        assert pages.filled(text) == text, f"{page.name} is out of date: python -m docs.make.camera_figures"
+        problem = f"{page.name} is out of date: python -m docs.make.camera_figures"
+        assert pages.filled(text) == text, problem
         used |= {m[2] for m in pages.PLACE.finditer(text)}
     assert used == set(pages.TABLES)
 

@@ -13,7 +13,9 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 
 BOARD = grid_body(3, 3, 0.03, 0.0075)
-POSE = Pose((0.01, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0)).compose(Pose(wxyz=rotation_exp([0.4, 0.0, 0.0])))
+POSE = Pose((0.01, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0)).compose(
+    Pose(wxyz=rotation_exp([0.4, 0.0, 0.0]))
+)
 DISPLACED = 4
 
 
@@ -24,7 +26,9 @@ def picture(displacement: float) -> np.ndarray:
         if marker_id == DISPLACED:
             pose = Pose((displacement, 0.0, 0.0)).compose(pose)
         placed[marker_id] = (size, POSE.compose(pose))
-    return render_markers(STANDARD_CAMERA, placed, np.random.default_rng(0), dictionary="DICT_5X5_50")
+    return render_markers(
+        STANDARD_CAMERA, placed, np.random.default_rng(0), dictionary="DICT_5X5_50"
+    )
 
 
 @pytest.mark.parametrize("pixels", [0.0, 0.5, 1.0, 4.0])

@@ -67,9 +67,7 @@ def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics
     return geom.reshape(lens.height, lens.width)
 
 
-def painted_geoms(
-    model: mujoco.MjModel, qpos: ArrayLike, lens: CameraIntrinsics, camera: Pose
-) -> np.ndarray:
+def painted_geoms(model: mujoco.MjModel, qpos: ArrayLike, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:
     """Geom id of every pixel (h, w), -1 for none: each geom is filled in a colour of its own."""
     faces = faces_in_picture(model, qpos, lens, camera)
     faces.lit[:] = (1.0, 0.0)

@@ -81,7 +81,7 @@ def test_a_body_throws_a_shadow_beside_it_and_several_do_not_add_up(
     darker = (empty - once.image).max(axis=2)
     assert (darker[free] > 60).sum() > 300, "no shadow"
     assert np.abs(once.image[free].astype(int) - twice.image[free]).max() <= 1
-    rows, columns = np.nonzero((darker > 60) & free)
+    _, columns = np.nonzero((darker > 60) & free)
     assert columns.mean() > pixel((0.0, 0.0, 0.0))[1], "the light comes from the left"
 
 
