@@ -16,7 +16,6 @@ from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
@@ -25,7 +24,7 @@ from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession
-from robot_ik.geometry import axis_rotations
+from robot_ik.geometry import Pose, axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
@@ -192,8 +191,8 @@ def draw_on_camera(
     def mover(robot: Robot, drawn: DrawnRobot) -> DrawnMotion:
         made.append(moved := MarkerFigure(abilities, request))
 
-        def q(time: float, seen: Seen | None) -> Array:
-            moved.until(time, None if seen is None else marker_from_base(seen, drawn))
+        def q(time: float, marker: Pose | None) -> Array:
+            moved.until(time, None if marker is None else marker_from_base(marker, drawn))
             return moved.frames[-1].q
 
         return DrawnMotion(q)

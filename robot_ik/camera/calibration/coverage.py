@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.patterns import FoundPattern
 from robot_ik.camera.drawing.overlay import write
+from robot_ik.camera.patterns import FoundPattern
 from robot_ik.ports import Array, Image
 
 #: Names of the nine parts of a picture, by row and column.

@@ -9,16 +9,16 @@ from typing import Literal
 
 import numpy as np
 
-from robot_ik.camera.boards.patterns import (
+from robot_ik.camera.image import marker_boxes
+from robot_ik.camera.patterns import (
     CharucoPattern,
     Pattern,
     PatternRequest,
     check_millimetres,
     describe,
 )
-from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
-from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
+from robot_ik.camera.targets import MarkerTarget, marker_cube, marker_grid
 from robot_ik.errors import CameraError
 from robot_ik.files import toml_value
 from robot_ik.ports import Array
@@ -346,7 +346,7 @@ def _command(request: SheetRequest) -> str:
 _TAB, _TAB_MOST = 0.2, 10.0
 # A dash and the gap after it, mm.
 _DASH, _GAP = 2.0, 1.5
-# Middles of the six faces of ``cube_body``, in edges, y down: front, right, back, left, top, bottom.  All
+# Middles of the six faces of ``marker_cube``, in edges, y down: front, right, back, left, top, bottom.  All
 # prints stand upright.
 _FACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
 # Their sides that have a tab (face, way to the side); each is glued behind a side that has none.
@@ -409,7 +409,7 @@ def dashed(lines: Array) -> Array:
 # What a printed board or cube is to a tracker: a body, and the file that describes it.
 
 
-def body_of(request: SheetRequest) -> MarkerBody:
+def body_of(request: SheetRequest) -> MarkerTarget:
     """The body on a sheet.
 
     Raises:
@@ -418,16 +418,17 @@ def body_of(request: SheetRequest) -> MarkerBody:
     size = request.size / 1e3
     if request.kind == "board":
         columns, rows = request.counts
-        return grid_body(columns, rows, size, request.gap / 1e3, request.marker_ids[0])
+        gap = request.gap / 1e3
+        return marker_grid(columns, rows, size, gap, request.marker_ids[0], request.dictionary)
     if request.kind == "cube":
-        return cube_body(request.marker_ids, size, request.edge / 1e3)
+        return marker_cube(request.marker_ids, size, request.edge / 1e3, request.dictionary)
     raise CameraError(
         f"a sheet of kind {request.kind!r} is no body", hint="bodies are printed as board or cube"
     )
 
 
 def body_file(request: SheetRequest, name: str) -> str:
-    """The text of a file for ``robot_ik.camera.bodies.load_bodies``, with the body called ``name``."""
+    """The text of a file for ``robot_ik.camera.target_files.load_bodies``, with the body called ``name``."""
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
     lines += [f"name = {toml_value(name)}", f'dictionary = "{request.dictionary}"', "markers = ["]
     for marker, (size, pose) in body_of(request).markers.items():

@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper, marker_print
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
 from robot_ik.camera.synthetic.scene import Lights, SceneTable, still_picture
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
+from robot_ik.camera.targets import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Clock

@@ -17,15 +17,14 @@ from urllib.parse import parse_qsl
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.calibration.handeye import HandEyeSample, Mount, Mounting
 from robot_ik.camera.drawing.prints import PRINT_MARKER, Print, blank_paper, marker_print, see_print
 from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import marker_points
+from robot_ik.camera.patterns import Pattern, PatternRequest
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
+from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, unknown_name_text
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array, Image
@@ -323,7 +322,7 @@ def handeye_set(
         pixels = STANDARD_CAMERA.project(seen.apply(points)) + rng.normal(0, 1, (4, 2)) * pixel
         said = Pose().moved(rng.normal(0, 1, 6) * np.repeat(arm, 3))
         rough = Pose().moved(rng.normal(0, pixel, 6) * _ROUGH)
-        view = BoardView(points, pixels, seen.compose(rough), max(pixel, 0.01))
+        view = Observation(points, pixels, seen.compose(rough), max(pixel, 0.01))
         samples.append(HandEyeSample(truth.pose_world_hand(seen).compose(said), view))
     return truth, samples
 

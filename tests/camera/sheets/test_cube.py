@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sheets.page import pdf_bytes, rasterize
 from robot_ik.camera.sheets.sheets import SheetRequest, body_of, cube_paper, make_sheet_page
+from robot_ik.camera.targets import marker_points
 
 DPI, EDGE = 150.0, 50.0
 #: Faces on the net: front, right, back, left, top, bottom; x right, y down.
