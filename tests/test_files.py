@@ -26,12 +26,12 @@ from hypothesis import strategies as st
 
 import robot_ik
 from robot_ik import load_robot, reading, tables
-from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.drawing.occluders import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.target_files import load_bodies
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
@@ -109,7 +109,7 @@ def _samples() -> SampleSet:
     made = SampleSet("puma560", ROBOT.joints, "gripper", "eye_in_hand", LENS)
     points = [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1, 0.1, 0.0), (0.0, 0.1, 0.0)]
     for _ in range(2):
-        made.add(ROBOT.home, BoardView(points, [(1, 2), (30, 4), (5, 60), (7, 8)], Pose((0, 0, 1)), 0.1))
+        made.add(ROBOT.home, Observation(points, [(1, 2), (30, 4), (5, 60), (7, 8)], Pose((0, 0, 1)), 0.1))
     return made
 
 

@@ -10,11 +10,9 @@ import numpy as np
 from benchmarks.camera.pictures import STANDARD_DISTANCES, handeye_set, pattern_set, standard_set
 from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.handeye import solve_handeye
 from robot_ik.camera.calibration.intrinsic import calibrate
-from robot_ik.camera.observations import BodyObservation
+from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
@@ -23,7 +21,8 @@ from robot_ik.camera.synthetic.pictures import (
     render_markers,
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
-from robot_ik.camera.tracker import Layout, MarkerTracker
+from robot_ik.camera.targets import MarkerTarget, Observation, find_corners, marker_grid
+from robot_ik.camera.targets import marker as marker_target
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import self_test
 from robot_ik.ports import Array, Image
@@ -32,7 +31,7 @@ DICTIONARY = "DICT_4X4_50"
 MARKER = 7
 # The board of 2×2: 112 mm; of 3×3: 174 mm.
 GAP = 0.012
-BOARD = grid_body(2, 2, STANDARD_SIZE, GAP).markers
+BOARD = marker_grid(2, 2, STANDARD_SIZE, GAP, dictionary=DICTIONARY)
 # A pose farther off than this took the wrong one of the two that a square allows, rad.
 _FLIPPED = np.deg2rad(5.0)
 # Position and orientation of one 50 mm marker, by distance: mm, degrees.
@@ -65,7 +64,7 @@ def outward(error: Array, corners: Array) -> Array:
 
 def board_frame(
     pose: Pose,
-    layout: Layout,
+    board: MarkerTarget,
     rng: np.random.Generator,
     *,
     margin: float = 0.12,
@@ -74,28 +73,27 @@ def board_frame(
     time: float = 0.0,
 ) -> Frame:
     """A board of markers at ``pose`` (camera frame) in a picture of a webcam."""
-    placed = {id: (side, pose.compose(on)) for id, (side, on) in layout.items()}
+    placed = {id: (side, pose.compose(on)) for id, (side, on) in board.markers.items()}
     image = render_markers(
-        STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=margin, cover=cover, sensor=WEBCAM
+        STANDARD_CAMERA, placed, rng, dictionary=board.dictionary, margin=margin, cover=cover, sensor=WEBCAM
     )
     return frame_of(image, number, time)
 
 
 def marker(effort: Effort) -> Iterator[Quantity]:
     """Corners, position, orientation and flips of one 50 mm marker at three distances."""
-    # Its number is named, as goals ask for it: a wall's squares now and then have the code of another one.
-    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {MARKER: STANDARD_SIZE})
+    target = marker_target(MARKER, STANDARD_SIZE, DICTIONARY)
     flips, missed, errors, outwards = 0, 0, [], []
     for distance in STANDARD_DISTANCES:
         views = standard_set(distance, effort.count(100), seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
         off = []
         for number, view in enumerate(views):
-            seen = tracker.observe(frame_of(view.image, number))
-            if len(seen) != 1:
+            seen = target.find(frame_of(view.image, number), STANDARD_CAMERA)
+            if seen is None:
                 missed += 1
                 continue
-            off.append(seen[0].pose.distance(view.pose))
-            errors.append(seen[0].corners - view.corners)
+            off.append(seen.pose.distance(view.pose))
+            errors.append(seen.pixels - view.corners)
             outwards.append(outward(errors[-1], view.corners))
         flips += sum(angle > _FLIPPED for _, angle in off)
         metres, radians = np.array(off).T
@@ -113,17 +111,16 @@ def marker(effort: Effort) -> Iterator[Quantity]:
 
 def _boards(
     effort: Effort, side: int, distance: float, count: int, *, hidden: bool = False
-) -> Iterator[tuple[Pose, BodyObservation | None]]:
+) -> Iterator[tuple[Pose, Observation | None]]:
     """True pose and observation of a board of side × side markers, tilted by up to 60 degrees."""
-    layout = grid_body(side, side, STANDARD_SIZE, GAP).markers
+    target = marker_grid(side, side, STANDARD_SIZE, GAP, dictionary=DICTIONARY)
     size = side * STANDARD_SIZE + (side - 1) * GAP
-    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: s for i, (s, _) in layout.items()})
     rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])
     for number in range(effort.count(count)):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
         cover = _half(pose, size, rng) if hidden else None
-        frame = board_frame(pose, layout, rng, margin=GAP / STANDARD_SIZE, cover=cover, number=number)
-        yield pose, tracker.observe_body(frame, layout)
+        frame = board_frame(pose, target, rng, margin=GAP / STANDARD_SIZE, cover=cover, number=number)
+        yield pose, target.find(frame, STANDARD_CAMERA)
 
 
 def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
@@ -140,9 +137,9 @@ def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
 
 
 def _board_figures(
-    pairs: list[tuple[Pose, BodyObservation | None]], wanted: tuple[float, float, float | None], where: str
+    pairs: list[tuple[Pose, Observation | None]], wanted: tuple[float, float, float | None], where: str
 ) -> Iterator[Quantity]:
-    off = np.array([seen.pose_camera_body.distance(pose) for pose, seen in pairs if seen is not None])
+    off = np.array([seen.pose.distance(pose) for pose, seen in pairs if seen is not None])
     yield Quantity(f"position {where}, RMS", 1e3 * rms(off[:, 0]), "mm", wanted[0])
     yield Quantity(f"orientation {where}, RMS", float(np.degrees(rms(off[:, 1]))), "°", wanted[1])
     yield Quantity(f"orientation {where}, worst", float(np.degrees(off[:, 1].max())), "°", wanted[2])
@@ -179,8 +176,10 @@ def _cluttered(seed: int, count: int) -> Iterator[Frame]:
 
 def clutter(effort: Effort) -> Iterator[Quantity]:
     """Finds of any id in 150 cluttered pictures without a marker: each could become a goal."""
-    tracker, count = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE), effort.count(_CLUTTERED)
-    finds = sum(len(tracker.observe(frame)) for frame in _cluttered(effort.seed, count))
+    count = effort.count(_CLUTTERED)
+    finds = 0
+    for frame in _cluttered(effort.seed, count):
+        finds += len(find_corners(frame, STANDARD_CAMERA, "DICT_5X5_50"))
     yield Quantity(f"false finds in {count} cluttered pictures (DICT_5X5_50)", finds, "", 0)
 
 

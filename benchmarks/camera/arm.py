@@ -14,8 +14,6 @@ import numpy as np
 from benchmarks.camera.accuracy import DICTIONARY, board_frame, rms
 from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
-from robot_ik.camera.boards.board import BoardView, MarkerBoard
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEye, HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
@@ -25,11 +23,10 @@ from robot_ik.camera.calibration.kinematic import (
     KnownPose,
     fit_zero_offsets,
 )
-from robot_ik.camera.motion_filter import MotionFilter, OneEuro
-from robot_ik.camera.observations import marker_points
+from robot_ik.camera.motion_filter import MotionFilter
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
-from robot_ik.camera.tracker import Layout
+from robot_ik.camera.targets import MarkerTarget, Observation, marker_grid
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify, summary
 from robot_ik.jobs.robot_setup import Rehearsal
@@ -45,8 +42,9 @@ _DISTANCE, _BEND, _STEEPEST = 0.8, 1.2, 0.4
 _EDGE = 6.0
 # On the tool, a board of 2×2, where the drawing of its mount has it; on the table, a sheet of A4, seen at 45
 # degrees, 0.9 m away.
-_DRAWN, _CARRIED = Pose((0.0, 0.0, 0.03)), grid_body(2, 2, 0.05, 0.012).markers
-_SHEET = grid_body(4, 3, 0.05, 0.0125).markers
+_DRAWN = Pose((0.0, 0.0, 0.03))
+_CARRIED = marker_grid(2, 2, 0.05, 0.012, dictionary=DICTIONARY)
+_SHEET = marker_grid(4, 3, 0.05, 0.0125, dictionary=DICTIONARY)
 _SHEET_SEEN = Pose((0.0, 0.05, 0.9), rotation_exp([0.75 * np.pi, 0.0, 0.0]))
 # How far the board in its mount is from its drawing, each axis, m and rad.
 _MOUNTED = (1e-4, float(np.deg2rad(0.03)))
@@ -130,9 +128,9 @@ def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
     return KnownPose(found.pose_parent_camera, found.covariance)
 
 
-def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView | None:
+def _photographed(pose: Pose, board: MarkerTarget, rng: np.random.Generator) -> Observation | None:
     """A board at ``pose`` (camera frame) as it is seen in a picture of a webcam."""
-    return MarkerBoard(layout, DICTIONARY).see(board_frame(pose, layout, rng), STANDARD_CAMERA)
+    return board.find(board_frame(pose, board, rng), STANDARD_CAMERA)
 
 
 def _view(
@@ -146,7 +144,7 @@ def _view(
         direction = -there.position / np.linalg.norm(there.position)
         if there.position[2] < 0.3 or there.rotation[:, 2] @ direction < _STEEPEST:
             continue
-        corners = np.concatenate([on.apply(marker_points(side)) for side, on in _CARRIED.values()])
+        corners = _CARRIED.points(_CARRIED.markers).reshape(-1, 3)
         pixels = STANDARD_CAMERA.project(there.apply(corners))
         if (pixels > _EDGE).all() and (pixels < np.array(STANDARD_CAMERA.size) - _EDGE - 1).all():
             seen = _photographed(there, _CARRIED, rng)
@@ -179,7 +177,7 @@ def hand(rng: np.random.Generator) -> Callable[[float], Array]:
 def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tuple[Array, Array]:
     """RMS errors of a moving and of a resting hand, each (delays, 3), metres.
 
-    At each of ``DELAYS``: of the last observation, the motion filter, the 1 € filter.  30 pictures a second,
+    At each of ``DELAYS``: of the last observation and of the motion filter.  30 pictures a second,
     noise of 0.3 mm along each axis; so many ``hands``, that is motions, of so many ``seconds``.
     """
     rng = np.random.default_rng(seed)
@@ -190,22 +188,21 @@ def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tup
 
 
 def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Generator) -> Array:
-    """(n, delays, 3) errors in metres of holding, predicting and calming."""
-    tracked, calm = MotionFilter(), OneEuro()
+    """(n, delays, 2) errors in metres of holding and predicting."""
+    tracked = MotionFilter()
     covariance = np.diag([_NOISE_M**2] * 3 + [_NOISE_RAD**2] * 3)
     rows = []
     for k in range(int(seconds * _RATE_HZ)):
         time = k / _RATE_HZ
         seen = Pose(path(time) + rng.normal(0.0, _NOISE_M, 3), rotation_exp(rng.normal(0.0, _NOISE_RAD, 3)))
         tracked.update(time, seen, covariance)
-        shown = calm.update(time, seen).position
         if k < _RUN_IN:
             continue
         truths = [path(time + delay) for delay in DELAYS]
         predicted = [tracked.predict(time + delay).pose.position for delay in DELAYS]
         rows.append(
             [
-                [np.linalg.norm(found - truth) for found in (seen.position, forecast, shown)]
+                [np.linalg.norm(found - truth) for found in (seen.position, forecast)]
                 for truth, forecast in zip(truths, predicted, strict=True)
             ]
         )
@@ -216,13 +213,12 @@ def prediction(effort: Effort) -> Iterator[Quantity]:
     """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
     hands = 1 if effort.quick else 6
     moving, resting = compare_filters(hands, 10.0 if effort.quick else 20.0, effort.seed)
-    held, predicted, _ = moving[DELAYS.index(0.066)].tolist()
+    held, predicted = moving[DELAYS.index(0.066)].tolist()
     yield Quantity("hand seen 66 ms ago, taken as it is, RMS", 1e3 * held, "mm")
     yield Quantity("hand seen 66 ms ago, predicted, RMS", 1e3 * predicted, "mm", 6.5)
     yield Quantity("what prediction leaves of the error", predicted / held, "", 0.5)
-    held, predicted, calmed = max(resting.tolist(), key=lambda row: row[1])
+    held, predicted = max(resting.tolist(), key=lambda row: row[1])
     yield Quantity("hand at rest: noise of a prediction over that of a picture", predicted / held, "", 1.0)
-    yield Quantity("hand at rest, calmed: the same", calmed / held)
 
 
 # ------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Markers and boards seen by the cameras that people have: tone curves, sharpening, JPEG, glare, motion.
 
-Every camera sees the same scenes: light traced through the lens by ``synthetic.datasets``, then what
+Every camera sees the same scenes: light drawn through the lens by ``synthetic.pictures``, then what
 ``synthetic.sensor`` says that a camera makes of it.  Neither knows the model of an edge that is fitted.
 """
 
@@ -16,7 +16,6 @@ from benchmarks.camera.accuracy import BOARD, DICTIONARY, GAP, MARKER, frame_of,
 from benchmarks.camera.pictures import STANDARD_DISTANCES
 from benchmarks.camera.rows import Effort
 from robot_ik.bench.quantity import Quantity
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
     STANDARD_SIZE,
@@ -25,7 +24,7 @@ from robot_ik.camera.synthetic.pictures import (
     random_pose,
 )
 from robot_ik.camera.synthetic.sensor import LINEAR, WEBCAM, SensorModel
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import MarkerTarget, marker, marker_points
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 
@@ -99,14 +98,13 @@ def measured(
     conditions: tuple[Condition, ...], count: int, seed: int, *, board: bool, distances: tuple[float, ...]
 ) -> dict[str, Errors]:
     """Errors by the name of the camera, of markers or boards in ``count`` scenes at each distance."""
-    layout = BOARD if board else {MARKER: (STANDARD_SIZE, Pose())}
-    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: side for i, (side, _) in layout.items()})
+    target = BOARD if board else marker(MARKER, STANDARD_SIZE, DICTIONARY)
     result = {condition.name: Errors() for condition in conditions}
     for distance in distances:
         rng = np.random.default_rng([seed, round(1e3 * distance), board])
         for number in range(count):
             pose = random_pose(STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE)
-            placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
+            placed = {i: (side, pose.compose(on)) for i, (side, on) in target.markers.items()}
             begun, lights = rng.bit_generator.state, {}
             for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall
                 rng.bit_generator.state = begun
@@ -117,29 +115,21 @@ def measured(
             for condition in conditions:
                 noise = np.random.default_rng([seed, number, round(1e3 * distance)])
                 image = photograph(lights[condition.sensor.bleed], centre, noise, condition.sensor)
-                _see(tracker, image, pose, distance, result[condition.name], board)
+                _see(target, image, pose, distance, result[condition.name], board)
     return result
 
 
 def _see(
-    tracker: MarkerTracker, image: NDArray[np.uint8], pose: Pose, distance: float, errors: Errors, board: bool
+    target: MarkerTarget, image: NDArray[np.uint8], pose: Pose, distance: float, errors: Errors, board: bool
 ) -> None:
-    frame = frame_of(image)
-    if board:
-        body = tracker.observe_body(frame, BOARD)
-        if body is None:
-            errors.missed += 1
-            return
-        off = body.pose_camera_body.position - pose.position
-        errors.add(distance, off, body.covariance[:3, :3])
-        return
-    seen = tracker.observe(frame)
-    if len(seen) != 1:
+    seen = target.find(frame_of(image), STANDARD_CAMERA)
+    if seen is None:
         errors.missed += 1
         return
-    errors.add(distance, seen[0].pose.position - pose.position, seen[0].covariance[:3, :3])
-    true = STANDARD_CAMERA.project(pose.apply(marker_points(STANDARD_SIZE)))
-    errors.outward.append(float(outward(seen[0].corners - true, true).mean()))
+    errors.add(distance, seen.pose.position - pose.position, seen.covariance[:3, :3])
+    if not board:
+        true = STANDARD_CAMERA.project(pose.apply(marker_points(STANDARD_SIZE)))
+        errors.outward.append(float(outward(seen.pixels - true, true).mean()))
 
 
 def cameras(effort: Effort) -> Iterator[Quantity]:

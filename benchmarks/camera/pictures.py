@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.boards.patterns import Pattern
 from robot_ik.camera.calibration.handeye import HandEyeSample, Mount, Mounting
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import marker_points
+from robot_ik.camera.patterns import Pattern
 from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
     STANDARD_SIZE,
@@ -25,6 +23,7 @@ from robot_ik.camera.synthetic.pictures import (
     render_pattern,
 )
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
+from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array, Image
 
@@ -151,6 +150,6 @@ def handeye_set(
         pixels = STANDARD_CAMERA.project(seen.apply(points)) + noise
         arm_error = Pose().moved(rng.normal(0, 1, 6) * np.repeat(arm_sigma, 3))
         rough = Pose().moved(rng.normal(0, corner_sigma, 6) * _ROUGH_SIGMA)
-        view = BoardView(points, pixels, seen.compose(rough), max(corner_sigma, _SMALLEST_SIGMA))
+        view = Observation(points, pixels, seen.compose(rough), max(corner_sigma, _SMALLEST_SIGMA))
         samples.append(HandEyeSample(truth.pose_world_hand(seen).compose(arm_error), view))
     return truth, samples

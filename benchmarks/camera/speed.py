@@ -24,12 +24,14 @@ from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
+from robot_ik.camera.latest_goals import LatestGoals
+from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticSource, look_at, placed_print
 from robot_ik.camera.synthetic.painted import PaintedScene
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import MarkerTarget, find_corners, marker, marker_grid
+from robot_ik.camera.tracker import Tracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.jobs.scene import scene_for
@@ -45,10 +47,13 @@ CAMERAS = (
     STANDARD_CAMERA,
     CameraIntrinsics(1280, 720, 1000.0, 1000.0, 643.0, 357.0, STANDARD_CAMERA.distortion, name="720p"),
 )
-# By width: ROI, whole frame (ms), whole loop (frames/s).
-_TRACK_WANTED = {640: (1.5, 6.0), 1280: (3.0, 15.0)}
+# Wanted time of one marker by the width of the picture, ms.
+_MARKER_WANTED = {640: 4.0, 1280: 12.0}
+# Wanted time of boards by columns and rows, ms. Of the last one only a part is fitted.
+_BOARDS_WANTED = {(3, 3): 14.0, (5, 4): 30.0, (6, 4): 35.0, (8, 6): 33.0}
 # Processor time of the light of a synthetic picture, ms.
 _EXPOSURE_WANTED = 35.0
+# Wanted rate of the whole loop by the width of the picture, frames/s.
 _LOOP_WANTED = {640: 60.0, 1280: 30.0}
 _DELAY_WANTED_MS = 15.0
 # Robots that are drawn; the arm is asked for goals, too.
@@ -107,21 +112,42 @@ def _best(work: Callable[[Any], object], items: Sequence[Any], clock: Callable[[
 
 
 def times(effort: Effort) -> Iterator[Quantity]:
-    """Detecting, refining and posing one marker: in the window of the last find, and in the whole frame.
+    """Detecting, refining and posing one marker and boards anywhere in the picture.
 
-    In the whole frame it is found among all ids of its dictionary, and as goals ask for it: by its own.
+    The targets are tracked, as goals and AR ask for them. All ids of a dictionary: a single marker
+    whose id is not known.
     """
+    count = effort.count(60)
     for camera in CAMERAS:
-        frames = moving_frames(camera, effort.count(60), effort.seed)
-        size, named = f"{camera.width}×{camera.height}", {_MARKER: _SIZE}
-        in_window, whole = _TRACK_WANTED[camera.width]
-        for kind, sizes, window, wanted in (
-            ("window", named, True, in_window),
-            ("whole frame, any id", _SIZE, False, whole),
-            ("whole frame, its id", named, False, whole),
-        ):
-            tracker = MarkerTracker(camera, _DICTIONARY, sizes, window=window)
-            yield from milliseconds(tracker.observe, frames).figures(f"one marker, {size}, {kind}", wanted)
+        frames = moving_frames(camera, count, effort.seed)
+        size = f"{camera.width}×{camera.height}"
+
+        def find_all(frame: Frame, camera: CameraIntrinsics = camera) -> object:
+            return find_corners(frame, camera, _DICTIONARY)
+
+        yield from milliseconds(find_all, frames).figures(f"one marker, {size}, any id", None)
+        tracker = Tracker(camera, [marker(_MARKER, _SIZE, _DICTIONARY)])
+        wanted = _MARKER_WANTED[camera.width]
+        yield from milliseconds(tracker.observe, frames).figures(f"one marker, {size}, its id", wanted)
+    for (columns, rows), wanted in _BOARDS_WANTED.items():
+        board = marker_grid(columns, rows, 0.03, 0.0075, dictionary=_DICTIONARY)
+        frames = _board_frames(board, count, effort.seed)
+        tracker = Tracker(STANDARD_CAMERA, [board])
+        what = f"board of {columns}×{rows} markers, 640×480"
+        yield from milliseconds(tracker.observe, frames).figures(what, wanted)
+
+
+def _board_frames(board: MarkerTarget, count: int, seed: int) -> list[Frame]:
+    """Pictures of a board that fills most of the picture."""
+    rng = np.random.default_rng([seed, len(board.markers)])
+    frames = []
+    for k in range(count):
+        tilt = rotation_exp([0.3, 0.1 * np.sin(k), 0.1 * np.cos(k)])
+        pose = Pose((0.0, 0.0, 0.55), Pose(wxyz=(0, 1, 0, 0)).compose(Pose(wxyz=tilt)).wxyz)
+        placed = {i: (size, pose.compose(on)) for i, (size, on) in board.markers.items()}
+        image = render_markers(STANDARD_CAMERA, placed, rng, dictionary=board.dictionary)
+        frames.append(frame_of(image, k, k * _PERIOD))
+    return frames
 
 
 def _view_of(robot: Robot) -> Pose:
@@ -180,11 +206,12 @@ class _PreparedPictures(FrameSource):
 def _goals(source: FrameSource, camera: CameraIntrinsics, robot: Robot, **options: Any) -> MarkerGoalSource:
     """The marker's middle is where the tool is at home, so that the robot can go there."""
     tool = robot.forward(robot.home)
-    marker = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))
-    tracker = MarkerTracker(camera, _DICTIONARY, {_MARKER: _SIZE}, window=True)
+    seen = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))
     flip = Pose(wxyz=(0, 1, 0, 0))
-    world_camera = tool.compose(flip.inverse()).compose(marker.inverse())
-    return MarkerGoalSource(source, tracker, world_camera, _MARKER, flip, robot.tool, **options)
+    world_camera = tool.compose(flip.inverse()).compose(seen.inverse())
+    return MarkerGoalSource(
+        source, camera, marker(_MARKER, _SIZE, _DICTIONARY), world_camera, flip, robot.tool, **options
+    )
 
 
 def loop(effort: Effort) -> Iterator[Quantity]:

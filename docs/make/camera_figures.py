@@ -42,7 +42,7 @@ Data = dict[str, Any]
 #: Azuma's remedies as the page names them, with their options.
 _LATENCY_CASES = {
     "nothing": "`--sync latest`",
-    "less delay (half)": "search only near the last find, newest picture",
+    "less delay (half)": "half of the delay, newest picture",
     "image shifting": "`--shift`",
     "prediction": "`--predict`",
     "prediction and shifting": "`--predict --shift`",
@@ -120,7 +120,7 @@ def _with_bounds(one: Quantity | None) -> str:
 
 def prediction(data: Data, others: Data) -> str:
     """Errors of a waving hand by the age of its picture."""
-    lines = ["| age | as it was seen | predicted | 1 € filter |", "| ---: | ---: | ---: | ---: |"]
+    lines = ["| age | as it was seen | predicted |", "| ---: | ---: | ---: |"]
     for delay, *values in data["prediction"]:
         lines.append(f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |")
     return "\n".join([*lines, ""])

@@ -22,17 +22,17 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from benchmarks.camera.pictures import pattern_set
-from robot_ik.camera.boards.board import parse_board
-from robot_ik.camera.boards.patterns import CharucoPattern
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
-from robot_ik.camera.registration import BoardWatcher, Registrar
+from robot_ik.camera.patterns import CharucoPattern
+from robot_ik.camera.registration import BoardTracker, Registrar
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.synthetic.sensor import SensorModel
+from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
@@ -172,8 +172,8 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
     low, high = heights(robot)
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
-    watcher = BoardWatcher(parse_board(BOARD), optics)
-    registrar = Registrar(watcher, DrawnRobot(robot.model, base, scale, objects), optics)
+    tracker = BoardTracker(parse_target(BOARD), optics)
+    registrar = Registrar(tracker, DrawnRobot(robot.model, base, scale, objects), optics)
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home))[0]
 
 

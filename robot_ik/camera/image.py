@@ -7,7 +7,6 @@ broadcasts silently to N x N.  Everything that comes out of OpenCV is therefore 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import re
 import zlib
@@ -53,11 +52,11 @@ def dictionary_names() -> tuple[str, ...]:
     return tuple(sorted({name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}))
 
 
-def marker_dictionary(name: str) -> Any:
-    """The predefined dictionary ``name``, for example ``DICT_5X5_50``.
+def full_dictionary_name(name: str) -> str:
+    """Return OpenCV's name of a dictionary: ``DICT_5X5_50`` of ``5x5_50``.
 
     Raises:
-        CameraError: No such dictionary; the close names are listed.
+        CameraError: Unknown dictionary; close names are listed.
     """
     names = dictionary_names()
     wanted = name.strip().upper()
@@ -65,6 +64,16 @@ def marker_dictionary(name: str) -> Any:
         wanted = f"DICT_{wanted}"
     if wanted not in names:
         raise CameraError(unknown_name_text("marker dictionary", name, names))
+    return wanted
+
+
+def marker_dictionary(name: str) -> Any:
+    """Return the predefined dictionary ``name``, for example ``DICT_5X5_50``.
+
+    Raises:
+        CameraError: Unknown dictionary; close names are listed.
+    """
+    wanted = full_dictionary_name(name)
     number = next(getattr(cv2.aruco, name) for name in dir(cv2.aruco) if name.upper() == wanted)
     return cv2.aruco.getPredefinedDictionary(number)
 
@@ -100,33 +109,6 @@ def marker_boxes(name: str, marker_id: int, size: float) -> Array:
     cell = size / len(bits)
     row, column = np.nonzero(bits == 0)
     return np.stack([column * cell, row * cell, np.full(len(row), cell), np.full(len(row), cell)], axis=1)
-
-
-def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], list[float]]]:
-    """Both poses of a square seen in undistorted normalised coordinates (IPPE_SQUARE).
-
-    Args:
-        points: (4, 3) metres, in the order (-,+) (+,+) (+,-) (-,-), z = 0.
-        normalized: (4, 2) undistorted normalised coordinates.
-
-    Returns:
-        Up to two pairs of rotation vector (3,) and translation (3,), best first; empty when the four corners
-        are degenerate.
-    """
-    try:
-        found, rotations, translations, _ = cv2.solvePnPGeneric(
-            points, np.ascontiguousarray(normalized), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
-        )
-    except cv2.error:
-        return []
-    if not found:
-        return []
-    poses = []
-    for vector, shift in zip(rotations, translations, strict=True):
-        rotation, translation = np.ravel(vector).tolist(), np.ravel(shift).tolist()
-        if all(map(math.isfinite, rotation + translation)):
-            poses.append((rotation, translation))
-    return poses
 
 
 # ------------------------------------------------------------------------------------------

@@ -45,9 +45,6 @@ class CameraIntrinsics:
         views: Number of pictures in the calibration, when known.
         name: Camera name, for people.
         date: When it was calibrated (ISO 8601), when known.
-        edge_shift: How far edges seem to lie in the black, in sigmas of their blur, when known: what the
-            camera's tone curve does.  What is expected of a picture, not a curve to undo.
-        edge_shift_sigma: Its standard deviation from picture to picture.
 
     Raises:
         CalibrationError: A number is not finite, a size or focal length not positive, or the number of
@@ -67,8 +64,6 @@ class CameraIntrinsics:
     views: int | None = None
     name: str = "camera"
     date: str = ""
-    edge_shift: float | None = None
-    edge_shift_sigma: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distortion", tuple(float(v) for v in self.distortion))
@@ -167,6 +162,15 @@ class CameraIntrinsics:
     def pixel_jacobian(self, normalized: Array) -> Array:
         """Derivative (n, 2, 2) of pixels with respect to undistorted normalised coordinates (n, 2)."""
         return self._mapped(lens.pixel_jacobians, normalized, 2, 2)
+
+    def point_jacobian(self, points: Array) -> Array:
+        """Return the derivative (n, 2, 3) of pixels by points (n, 3) in front of the camera."""
+        depth = points[:, 2]
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = 1.0 / depth
+        by_point[:, 1, 1] = 1.0 / depth
+        by_point[:, :, 2] = -points[:, :2] / depth[:, None] ** 2
+        return np.asarray(self.pixel_jacobian(points[:, :2] / depth[:, None]) @ by_point)
 
     def _mapped(self, kernel: Callable[..., None], points: Array, *shape: int) -> Array:
         """What a kernel of ``lens`` makes (n, *shape) of points (n, 2)."""
@@ -326,6 +330,8 @@ def _load(path: Path) -> CameraIntrinsics:
         intrinsics.require_plausible()
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error.args[0]}", hint=error.hint or _HINT) from None
+    if "edge_shift" in content:
+        logger.info("%s: the key edge_shift is not used any more and is ignored", path)
     if intrinsics.rms is not None and intrinsics.rms > _POOR_RMS_PX:
         logger.warning(
             "%s: its reprojection error is %.2f px; a good calibration has less than %g px: calibrate again",
@@ -361,8 +367,6 @@ def _intrinsics(content: Mapping[str, Any]) -> CameraIntrinsics:
         views=next((_whole(content, key) for key in ("views", "nframes") if key in content), None),
         name=str(content.get("camera_name", "camera")),
         date=str(content.get("calibration_time", content.get("calibration_date", ""))),
-        edge_shift=_optional(content, "edge_shift"),
-        edge_shift_sigma=_optional(content, "edge_shift_std_dev"),
     )
 
 
@@ -457,9 +461,6 @@ def _text(camera: CameraIntrinsics) -> str:
         text += _matrix("intrinsics_std_dev", np.atleast_2d(np.array(camera.std)))
     if camera.views is not None:
         text += f"views: {camera.views}\n"
-    if camera.edge_shift is not None:
-        text += f"edge_shift: {_number(camera.edge_shift)}\n"
-        text += f"edge_shift_std_dev: {_number(camera.edge_shift_sigma or 0.0)}\n"
     if camera.date:
         # OpenCV writes its samples' time under this key; quoted, or YAML would make a date of it.
         text += f'calibration_time: "{camera.date}"\n'

@@ -81,14 +81,14 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     Raises:
         ConfigError, CameraError: A malformed option.
     """
-    from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.target_files import parse_target
 
     without = f"an arm without servos has no {why_servos}"
     require(options.bus != "none", "--bus", without, "sim, pty or a serial port")
     return {
         "robot": options.robot or resolved_robot(options.arm, options.bus),
         "arm_file": options.arm,
-        "board": parse_board(options.board, options.dictionary) if options.board else None,
+        "board": parse_target(options.board, options.dictionary) if options.board else None,
     }
 
 

@@ -198,7 +198,7 @@ def _searched_pictures(
     drawings: DrawingFolder | None,
 ) -> list[PictureMarkers]:
     """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
-    from robot_ik.camera.bodies import load_bodies
+    from robot_ik.camera.target_files import load_bodies
     from robot_ik.jobs.pictures import MarkerFinder, find_markers
 
     if not options.images:
@@ -466,9 +466,9 @@ def run_calibrate(options: CameraCalibrateOptions) -> int:
 
 
 def _calibrate(options: CameraCalibrateOptions) -> int:
-    from robot_ik.camera.boards.patterns import PatternRequest
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
+    from robot_ik.camera.patterns import PatternRequest
     from robot_ik.jobs.pictures import ViewFolder
 
     wanted = request_of(PatternRequest, options, kind=options.pattern)
@@ -536,7 +536,6 @@ def _print_calibration(result: CalibrationResult) -> None:
         console.table("number", "value", "standard deviation", rows=numbers),
         Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"),
         *(Text(f"- {doubt}", style="yellow") for doubt in result.doubts),
-        *(f"  {note}" for note in result.notes),
     )
 
 
@@ -561,7 +560,4 @@ def _calibration_json(result: CalibrationResult, out: Path, digest: str) -> dict
                   for v in result.per_view],
         "verdict": result.verdict,
         "doubts": result.doubts,
-        "notes": result.notes,
-        "edge_shift": camera.edge_shift,
-        "edge_shift_sigma": camera.edge_shift_sigma,
     }  # fmt: skip

@@ -17,7 +17,6 @@ from robot_ik.camera.drawing.overlay import put_label
 from robot_ik.camera.drawing.studio import Body, ball_model, photograph, tiled_room
 from robot_ik.camera.drawing.text import text_size
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
@@ -197,8 +196,8 @@ def draw_on_camera(
     def mover(robot: Robot, drawn: DrawnRobot) -> DrawnMotion:
         made.append(moved := MarkerFigure(abilities, request))
 
-        def q(time: float, seen: Seen | None) -> Array:
-            moved.until(time, None if seen is None else marker_from_base(seen, drawn))
+        def q(time: float, marker: Pose | None) -> Array:
+            moved.until(time, None if marker is None else marker_from_base(marker, drawn))
             return moved.frames[-1].q
 
         return DrawnMotion(q)

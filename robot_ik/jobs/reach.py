@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from robot_ik.camera.image import marker_bits
-from robot_ik.camera.marker_goals import LostPolicy
+from robot_ik.camera.lost_policy import LostPolicy
 from robot_ik.errors import NOT_ACHIEVED_ERRORS, CameraError, ConfigError, RobotIkError
 from robot_ik.execution import Execution, FollowReport, execute, follow
 from robot_ik.geometry import Pose

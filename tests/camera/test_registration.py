@@ -9,22 +9,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.drawing.occluders import BoxTable, load_occluders, occluder_boxes
 from robot_ik.camera.drawing.painter import Layer
-from robot_ik.camera.registration import BoardWatcher, Registrar, optical_motion
+from robot_ik.camera.registration import BoardTracker, Registrar, optical_motion
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.targets import marker_grid
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import self_test
 from robot_ik.jobs.ar.self_test import DISTORTED
 from robot_ik.robot import load_robot
 
-BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, "DICT_4X4_50")
+BOARD = marker_grid(2, 2, 0.05, 0.012, dictionary="DICT_4X4_50")
 EYE = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
 
 
@@ -142,11 +141,11 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
     model_of: Callable[..., mujoco.MjModel],
 ) -> None:
     pose = Pose((0.0, 0.0, 0.7), (0.0, 1.0, 0.0, 0.0))
-    markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.layout.items()}
+    markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.markers.items()}
     image = render_markers(STANDARD_CAMERA, markers, np.random.default_rng(0), margin=0.12)
     colour = np.repeat(image[:, :, None], 3, axis=2)
     drawn = DrawnRobot(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
-    registrar = Registrar(BoardWatcher(BOARD, STANDARD_CAMERA), drawn, STANDARD_CAMERA)
+    registrar = Registrar(BoardTracker(BOARD, STANDARD_CAMERA), drawn, STANDARD_CAMERA)
     empty = np.zeros_like(colour)
     drawn = {}
     for time, picture in ((0.0, colour), (0.1, empty), (0.2, empty), (0.4, empty)):

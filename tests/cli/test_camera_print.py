@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.sheets.sheets import SheetKind, SheetRequest, make_sheet_page
+from robot_ik.camera.target_files import load_bodies
 from robot_ik.cli.arguments import parse
 from robot_ik.cli.camera import CameraPrintOptions
 from robot_ik.cli.main import find_command

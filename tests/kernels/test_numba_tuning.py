@@ -144,11 +144,10 @@ import numpy as np
 from robot_ik.kernels import jit, numba_tuning
 if sys.argv[1] == "untuned":
     numba_tuning.tune = lambda: None
-from robot_ik.camera.pose_fit import fit_poses
-corners = (np.zeros(size) for size in ((4, 3), (4, 2), (4, 2, 2), (1, 8, 8)))
-results = (np.zeros(size) for size in ((2, 7), (2, 8), (2, 8, 6), (2, 1), (2, 1)))
-jit.entry(fit_poses, *corners, 31, np.zeros((24, 7)), *results)
-print(*fit_poses.inspect_asm().values())
+from robot_ik.camera.print_model import PIXEL, linearise
+arrays = (np.zeros(8, dtype=PIXEL), np.ones((6, 6)), np.eye(3), np.zeros(16))
+jit.entry(linearise, *arrays, 1.0, 0.0)
+print(*linearise.inspect_asm().values())
 """
 
 

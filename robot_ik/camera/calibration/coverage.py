@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.patterns import FoundPattern
+from robot_ik.camera.patterns import FoundPattern
 from robot_ik.ports import Array
 
 #: Names of the nine parts of a picture, by row and column.

@@ -16,7 +16,6 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     HandEyeSample,
     Mount,
@@ -26,6 +25,7 @@ from robot_ik.camera.calibration.handeye import (
 )
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import plain, toml_value, write_atomically
 from robot_ik.geometry import Pose
@@ -141,7 +141,7 @@ def today() -> str:
 
 
 def locate_camera(
-    views: Sequence[BoardView],
+    views: Sequence[Observation],
     pose_world_board: Pose,
     intrinsics: CameraIntrinsics,
     *,
@@ -165,7 +165,7 @@ def locate_camera(
     """
     if not views:
         raise CameraError("the board was seen in no picture, so the camera's pose is not known")
-    start = robust_mean_pose([view.pose_camera_board for view in views])
+    start = robust_mean_pose([view.pose for view in views])
     view = _averaged(views, start)
     sample = HandEyeSample(Pose(), view)
 
@@ -206,7 +206,7 @@ def _scale(left: Array) -> float:
     return max(float(np.median(left)) / 1.1774, 1.0)
 
 
-def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
+def _averaged(views: Sequence[Observation], start: Pose) -> Observation:
     """One view whose pixels are robust means of all frames, point by point."""
     seen: dict[tuple[float, ...], list[Array]] = {}
     for view in views:
@@ -231,7 +231,7 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
             "robot-ik camera handeye",
         )
     sigma = float(np.median([view.sigma for view in views]))
-    return BoardView(np.array(points), np.array(means), start, sigma)
+    return Observation(np.array(points), np.array(means), start, sigma)
 
 
 # --------------------------------------------------------------------------------------- file

@@ -20,7 +20,6 @@ from typing import Literal
 
 import numpy as np
 
-from robot_ik.camera.boards.board import BoardView, point_jacobian
 from robot_ik.camera.calibration.least_squares import (
     LeftOut,
     LinearViews,
@@ -28,6 +27,7 @@ from robot_ik.camera.calibration.least_squares import (
     fit_views,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, quat_multiply, rotation_log
 from robot_ik.ports import Array
@@ -44,7 +44,7 @@ class HandEyeSample:
     """The arm stood still, by its own account with the hand at ``pose_world_hand``, and saw the board."""
 
     pose_world_hand: Pose
-    view: BoardView
+    view: Observation
 
     def pose_parent_other(self, mounting: Mounting) -> Pose:
         """M of the module's text."""
@@ -110,7 +110,7 @@ def view_derivatives(
     in_camera = x.inverse().apply(in_parent)
     in_camera[:, 2] = np.maximum(in_camera[:, 2], _NEAREST)
     miss = intrinsics.project(in_camera) - sample.view.pixels
-    by_parent = point_jacobian(intrinsics, in_camera) @ x.rotation.T  # (n, 2, 3): pixels by points in parent
+    by_parent = intrinsics.point_jacobian(in_camera) @ x.rotation.T  # (n, 2, 3): pixels by points in parent
     by_other = by_parent @ chain.rotation
     n = len(in_other)
     shared = np.empty((n, 2, 12))
@@ -291,7 +291,7 @@ def start_handeye(samples: Sequence[HandEyeSample], mounting: Mounting) -> Mount
     others contradict counts less.
     """
     chains = [sample.pose_parent_other(mounting) for sample in samples]
-    seen = [sample.view.pose_camera_board for sample in samples]
+    seen = [sample.view.pose for sample in samples]
     pairs = [(i, j) for i in range(len(samples)) for j in range(i)]
     motions = [(chains[i].compose(chains[j].inverse()), seen[i].compose(seen[j].inverse())) for i, j in pairs]
     rotation_a = np.array([rotation_log(a.wxyz) for a, _ in motions])
@@ -409,7 +409,7 @@ def solve_handeye(
 
     All corners are fitted together over both poses.  The arm's own error, which moves all corners of one
     picture alike, is told from that of the pixels and estimated from the views, so that the stated
-    uncertainty is consistent with the errors.  The bias that all views share (``BoardView.bias``) is in it.
+    uncertainty is consistent with the errors.  The bias that all views share (``Observation.bias``) is in it.
 
     Args:
         samples: At least 4, turned about two axes and more; 15 are good.

@@ -9,17 +9,16 @@ the calibration has not seen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import FoundPattern
-from robot_ik.camera.boards.tone import Tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.patterns import FoundPattern
 from robot_ik.errors import CalibrationError
 from robot_ik.ports import Array
 
@@ -76,20 +75,16 @@ _OUTLIER_RATIO, _OUTLIER_PX = 3.0, 0.25
 # A picture this many times as blurred as the middle one was moved.
 _BLUR_RATIO, _BLUR_PX = 1.8, 2.0
 _WORST_RMS_PX = 1.0
-# Views that tell how edges look, at least; names that are shown of those in which something is wrong.
-_FEWEST_TONES, _NAMED = 3, 4
 # Three coefficients that take away less than this of the error describe noise.
 _WORTHLESS = 1.03
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """One picture's corners, what it is called, how its edges look, and whether its pattern has markers."""
+    """The corners of one picture, and its name."""
 
     name: str
     found: FoundPattern
-    tone: Tone | None = None
-    markers: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,7 +116,6 @@ class CalibrationResult:
         coverage: Where in the picture corners were, and how the board was tilted.
         verdict: As text.
         doubts: What the verdict complains about; empty for a good calibration.
-        notes: What the camera does to its pictures, and what to change at it.
     """
 
     intrinsics: CameraIntrinsics
@@ -130,7 +124,6 @@ class CalibrationResult:
     coverage: Coverage
     verdict: str
     doubts: tuple[str, ...]
-    notes: tuple[str, ...] = ()
 
 
 def calibrate(
@@ -177,12 +170,9 @@ def calibrate(
     jackknife, hold_out = _without_each_group(found, size, coefficients, fit)
     std = tuple(float(v) for v in np.maximum(jackknife, fit.std))
     fx, fy, cx, cy = map(float, fit.numbers[:4])
-    tones = {named[k].name: tone for k in used if (tone := named[k].tone) is not None}
-    markers = any(named[k].markers for k in used)
-    shift, shift_sigma = _edge_shift(list(tones.values()))
     intrinsics = CameraIntrinsics(
         *size, fx, fy, cx, cy, tuple(fit.numbers[4:]), _MODELS[coefficients],
-        rms=fit.rms, std=std, views=len(used), name=name, edge_shift=shift, edge_shift_sigma=shift_sigma,
+        rms=fit.rms, std=std, views=len(used), name=name,
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
@@ -191,37 +181,8 @@ def calibrate(
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, _reports(named, used, fit, left_out), hold_out, coverage,
-        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones, markers),
+        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts),
     )  # fmt: skip
-
-
-def _edge_shift(tones: Sequence[Tone]) -> tuple[float | None, float | None]:
-    """Of the camera and from picture to picture, in sigmas of the blur; None from too few views."""
-    if len(tones) < _FEWEST_TONES:
-        return None, None
-    values = np.array([tone.edge_shift for tone in tones])
-    return float(np.median(values)), float(np.std(values, ddof=1))
-
-
-def _tone_notes(tones: Mapping[str, Tone], markers: bool) -> tuple[str, ...]:
-    """How far the edges of markers seem to be off, and which views are overexposed, sharpened, compressed."""
-    notes = []
-    if tones and markers:
-        pixels = float(np.median([tone.pixels for tone in tones.values()]))
-        looks = "smaller" if pixels > 0 else "larger"
-        notes.append(
-            f"edge bias {pixels:+.2f} px (dark squares look {looks}): corners of a pattern are not affected; "
-            "that of markers is estimated together with their corners"
-        )
-    views: dict[str, list[str]] = {}
-    for name, tone in tones.items():
-        for trouble in tone.troubles:
-            views.setdefault(trouble, []).append(name)
-    for trouble, names in views.items():
-        what, _, hint = trouble.partition(": ")
-        shown = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
-        notes.append(f"{len(names)} of {len(tones)} views are {what} ({shown}): {hint}")
-    return tuple(notes)
 
 
 _MODELS = {5: "plumb_bob", 8: "rational_polynomial"}

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     LEAST_VIEWS,
     HandEye,
@@ -38,6 +37,7 @@ from robot_ik.camera.calibration.least_squares import (
     joint_information,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import SLIDE
@@ -84,7 +84,7 @@ class CalibrationStation:
     """The arm stood still with its joints at ``q`` (nq,), as the servos say, and the board was seen."""
 
     q: Array
-    view: BoardView
+    view: Observation
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ def pose_error(
     ``covariance`` (6, 6) is of the twist of the hand, in its axes, that separates picture and joints.
     """
     one, mount = model.views[view], state.mount
-    seen = one.view.pose_camera_board
+    seen = one.view.pose
     if model.mounting == "eye_to_hand":
         carried, found = mount.pose_other_board, mount.pose_parent_camera.compose(seen)
     else:
@@ -222,10 +222,7 @@ def measure_errors(model: ArmModel) -> tuple[PoseError, ...]:
     """The errors of the arm as it is; nothing is fitted."""
     state, known = model.start(), np.zeros((POSES, POSES))
     # The hand as the picture has it: what the corners and the two poses are worth is linear there.
-    samples = [
-        HandEyeSample(state.mount.pose_world_hand(one.view.pose_camera_board), one.view)
-        for one in model.views
-    ]
+    samples = [HandEyeSample(state.mount.pose_world_hand(one.view.pose), one.view) for one in model.views]
     linear, left = compress(state.mount, samples, model.intrinsics)
     known[:6, :6], known[6:, 6:] = model.camera.covariance, model.board.covariance
     rows = linear.rows

@@ -10,7 +10,7 @@ from robot_ik.ports import Array
 
 Step = tuple[int, int]
 
-#: Middles of the six faces of ``cube_body``, in edges, y down: front, right, back, left, top,
+#: Middles of the six faces of ``marker_cube``, in edges, y down: front, right, back, left, top,
 #: bottom. All prints stand upright.
 FACES: tuple[Step, ...] = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
 

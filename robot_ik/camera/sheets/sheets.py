@@ -11,17 +11,17 @@ from typing import Literal
 
 import numpy as np
 
-from robot_ik.camera.boards.patterns import (
+from robot_ik.camera.image import marker_boxes
+from robot_ik.camera.patterns import (
     CharucoPattern,
     Pattern,
     PatternRequest,
     check_millimetres,
     describe,
 )
-from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
-from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.cube_net import FACES, cube_paper, dashed
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
+from robot_ik.camera.targets import MarkerTarget, marker_cube, marker_grid
 from robot_ik.errors import CameraError
 from robot_ik.files import toml_value
 from robot_ik.ports import Array
@@ -172,7 +172,7 @@ def moved(boxes: Array, x: float, y: float) -> Array:
     return np.asarray(boxes + np.array([x, y, 0.0, 0.0, 0.0]))
 
 
-def body_of(request: SheetRequest) -> MarkerBody:
+def body_of(request: SheetRequest) -> MarkerTarget:
     """Return the body on a sheet.
 
     Raises:
@@ -181,15 +181,16 @@ def body_of(request: SheetRequest) -> MarkerBody:
     size = request.size / 1e3
     if request.kind == "board":
         columns, rows = request.counts
-        return grid_body(columns, rows, size, request.gap / 1e3, request.marker_ids[0])
+        gap = request.gap / 1e3
+        return marker_grid(columns, rows, size, gap, request.marker_ids[0], request.dictionary)
     if request.kind == "cube":
-        return cube_body(request.marker_ids, size, request.edge / 1e3)
+        return marker_cube(request.marker_ids, size, request.edge / 1e3, request.dictionary)
     problem = f"a sheet of kind {request.kind!r} is no body"
     raise CameraError(problem, hint="bodies are printed as board or cube")
 
 
 def body_file(request: SheetRequest, name: str) -> str:
-    """Return a file for ``robot_ik.camera.bodies.load_bodies`` with the body called ``name``."""
+    """Return a file for ``target_files.load_bodies`` with the body called ``name``."""
     lines = [
         "# Metres; position and wxyz are the marker's pose in the body.",
         "[[body]]",

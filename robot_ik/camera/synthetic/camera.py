@@ -21,10 +21,10 @@ from numpy.typing import ArrayLike
 from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper, marker_print
 from robot_ik.camera.image import Float32, marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.painted import INK, PAPER, PaintedScene, PlacedPrint, SceneTable
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
+from robot_ik.camera.targets import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Clock

@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import Pattern
 from robot_ik.camera.drawing.prints import (
     PRINT_MARKER,
     Print,
@@ -23,8 +22,9 @@ from robot_ik.camera.drawing.prints import (
 )
 from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import marker_points
+from robot_ik.camera.patterns import Pattern
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
+from robot_ik.camera.targets import marker_points
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array, Image
 

@@ -16,8 +16,8 @@ from urllib.parse import parse_qsl
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.drawing.prints import PRINT_MARKER
+from robot_ik.camera.patterns import Pattern, PatternRequest
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,

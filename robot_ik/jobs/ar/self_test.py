@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import mujoco
@@ -12,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.quantity import Quantity
-from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
+from robot_ik.camera.registration import (
+    BoardObservation,
+    BoardTracker,
+    LatencyOptions,
+    Registrar,
+)
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
@@ -25,6 +27,7 @@ from robot_ik.camera.synthetic.pictures import (
     render_markers,
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
+from robot_ik.camera.targets import marker_grid
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array
 
@@ -59,9 +62,8 @@ _ABOVE = 0.30
 _POINT_COUNT = 120
 # The board: 2 x 2 markers of 50 mm, this far apart, metres; its side; white paper round each
 # marker, in marker sizes.
-_DICTIONARY = "DICT_4X4_50"
 _GAP = 0.012
-_BOARD = grid_body(2, 2, STANDARD_SIZE, _GAP).markers
+_BOARD = marker_grid(2, 2, STANDARD_SIZE, _GAP, dictionary="DICT_4X4_50")
 _BOARD_SIDE = 2 * STANDARD_SIZE + _GAP
 _PAPER = 0.12
 # Pictures per second of the registration that lags.
@@ -195,16 +197,15 @@ def overlay_misses(distance: float, count: int = 20, *, seed: int = 0) -> Misses
         seed: Of the pictures.
     """
     rng = np.random.default_rng([seed, round(1e3 * distance)])
-    watcher = BoardWatcher(MarkerBoard(_BOARD, _DICTIONARY), STANDARD_CAMERA, window=False)
     points = robot_points(seed)
     offsets = []
     for number in range(count):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=_BOARD_SIDE)
-        seen = watcher.see(_board_frame(pose, rng, number))
+        seen = _BOARD.find(_board_frame(pose, rng, number), STANDARD_CAMERA)
         if seen is None:
             continue
         true = STANDARD_CAMERA.project(pose.apply(points))
-        drawn = STANDARD_CAMERA.project(seen.pose_camera_board.apply(points))
+        drawn = STANDARD_CAMERA.project(seen.pose.apply(points))
         offsets.append((drawn - true)[_in_view(true)])
     return Misses.of(offsets)
 
@@ -222,11 +223,10 @@ def latency_misses(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Miss
     steps = max(1, round(delay * _RATE_HZ))
     times = (np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ).tolist()
     frames = [_board_frame(hand_motion(t), rng, k, t) for k, t in enumerate(times)]
-    watcher = BoardWatcher(MarkerBoard(_BOARD, _DICTIONARY), STANDARD_CAMERA, window=False)
-    # All remedies look at the same pictures.
-    watcher.see = cache(watcher.see)  # type: ignore[method-assign]
+    # All remedies use the same observations.
+    tracker = _RecordedTracker(frames)
     return {
-        name: _latency_misses(options, round(share * steps), frames, watcher)
+        name: _latency_misses(options, round(share * steps), frames, tracker)
         for name, (share, options) in REMEDIES.items()
     }
 
@@ -243,13 +243,25 @@ def hand_motion(t: float) -> Pose:
     return Pose(position, facing.compose(Pose(wxyz=rotation_exp(lean))).wxyz)
 
 
+class _RecordedTracker(BoardTracker):
+    """Tracks the board in some frames once, and returns the observations again and again."""
+
+    def __init__(self, frames: list[Frame]) -> None:
+        super().__init__(_BOARD, STANDARD_CAMERA)
+        self._observations = [super(_RecordedTracker, self).observe(frame) for frame in frames]
+
+    def observe(self, frame: Frame) -> BoardObservation | None:
+        """Return the observation of a frame."""
+        return self._observations[frame.sequence]
+
+
 def _latency_misses(
-    options: LatencyOptions, steps: int, frames: list[Frame], watcher: BoardWatcher
+    options: LatencyOptions, steps: int, frames: list[Frame], tracker: BoardTracker
 ) -> Misses:
     """Return the errors of one remedy. The tracker is ``steps`` pictures late."""
     points = robot_points(0)
     nothing = DrawnRobot(mujoco.MjSpec().compile())
-    registrar = Registrar(watcher, nothing, STANDARD_CAMERA, options)
+    registrar = Registrar(tracker, nothing, STANDARD_CAMERA, options)
     offsets = []
     for k in range(steps, len(frames)):
         seen = registrar.track(frames[k - steps])
@@ -266,9 +278,9 @@ def _latency_misses(
 
 def _board_frame(pose: Pose, rng: np.random.Generator, number: int, time: float = 0.0) -> Frame:
     """Return a webcam's picture of the board at ``pose_camera_board``."""
-    placed = {id: (side, pose.compose(on_board)) for id, (side, on_board) in _BOARD.items()}
+    placed = {id: (side, pose.compose(on_board)) for id, (side, on_board) in _BOARD.markers.items()}
     image = render_markers(
-        STANDARD_CAMERA, placed, rng, dictionary=_DICTIONARY, margin=_PAPER, sensor=WEBCAM
+        STANDARD_CAMERA, placed, rng, dictionary=_BOARD.dictionary, margin=_PAPER, sensor=WEBCAM
     )
     return Frame(np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2)), time, number)
 

@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ConfigDict, ValidationError
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.extrinsics import Covariance, today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, RobotIkError
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
@@ -44,12 +44,12 @@ class SampleSet:
     intrinsics: CameraIntrinsics
     date: str = field(default_factory=today)
     q: list[Array] = field(default_factory=list)
-    views: list[BoardView] = field(default_factory=list)
+    views: list[Observation] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.q)
 
-    def add(self, q: Array, view: BoardView) -> None:
+    def add(self, q: Array, view: Observation) -> None:
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
 
@@ -80,7 +80,7 @@ class SampleSet:
         """What the file holds."""
         rows = [
             {"q": q, **{key: getattr(view, key) for key in ("points", "pixels", "sigma", "bias")}}
-            | plain(view.pose_camera_board)
+            | plain(view.pose)
             for q, view in zip(self.q, self.views, strict=True)
         ]
         lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
@@ -127,7 +127,7 @@ class SampleSet:
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
             points, pixels = np.array(one.points), np.array(one.pixels)
-            view = BoardView(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
+            view = Observation(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
             found.add(np.array(one.q), view)
         return found
 

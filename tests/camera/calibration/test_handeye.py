@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from benchmarks.camera.pictures import handeye_set
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     MOUNTINGS,
     HandEyeSample,
@@ -25,8 +24,8 @@ from robot_ik.camera.calibration.handeye import (
     start_handeye,
     view_derivatives,
 )
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
+from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -113,7 +112,7 @@ def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
             view = sample.view
             away = view.pixels - view.pixels.mean(axis=0)
             pixels = view.pixels + outwards * away / np.linalg.norm(away, axis=1, keepdims=True)
-            one = BoardView(view.points, pixels, view.pose_camera_board, view.sigma, bias)
+            one = Observation(view.points, pixels, view.pose, view.sigma, bias)
             shifted.append(HandEyeSample(sample.pose_world_hand, one))
         result = solve_handeye(shifted, STANDARD_CAMERA, mounting="eye_in_hand")
         return (
@@ -156,7 +155,7 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
     samples[4] = HandEyeSample(samples[4].pose_world_hand.compose(bumped), samples[4].view)
     view = samples[11].view
     moved = view.pixels + np.array([[9, 0], [0, 7], [-6, 0], [0, -8]])
-    shifted = BoardView(view.points, moved, view.pose_camera_board)
+    shifted = Observation(view.points, moved, view.pose)
     samples[11] = HandEyeSample(samples[11].pose_world_hand, shifted)
     found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
     assert found.outliers == (4, 11)
@@ -168,9 +167,9 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
 def test_a_flipped_first_estimate_does_no_harm() -> None:
     truth, samples = handeye_set(mounting="eye_to_hand", seed=7)
     view = samples[6].view
-    mirrored = view.pose_camera_board.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
+    mirrored = view.pose.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
     samples[6] = HandEyeSample(
-        samples[6].pose_world_hand, BoardView(view.points, view.pixels, mirrored, view.sigma)
+        samples[6].pose_world_hand, Observation(view.points, view.pixels, mirrored, view.sigma)
     )
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
     assert not found.outliers
@@ -199,9 +198,9 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
         (MARKER, np.full((4, 2), np.nan)),
     ):
         with pytest.raises(CameraError):
-            BoardView(points, pixels, Pose())
-    with pytest.raises(CameraError, match="4 corners"):
-        BoardView(np.eye(5, 3), np.zeros((5, 2)), Pose(), bias=0.01)
+            Observation(points, pixels, Pose())
+    with pytest.raises(CameraError, match="four corners"):
+        Observation(np.eye(5, 3), np.zeros((5, 2)), Pose(), bias=0.01)
     with pytest.raises(CalibrationError, match="eye_in_hand, eye_to_hand"):
         solve_handeye(handeye_set()[1], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
 

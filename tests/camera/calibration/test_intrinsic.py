@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.camera.pictures import pattern_set
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.coverage import TILTS
 from robot_ik.camera.calibration.intrinsic import CalibrationResult, CalibrationView, calibrate
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, pattern_pose
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, rotation_exp

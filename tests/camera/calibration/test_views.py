@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
 from robot_ik.camera.drawing.prints import Print
+from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_pattern
 from robot_ik.camera.synthetic.sensor import SensorModel

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sheets.cube_net import cube_paper
 from robot_ik.camera.sheets.page import pdf_bytes
 from robot_ik.camera.sheets.sheets import SheetRequest, body_of, make_sheet_page
+from robot_ik.camera.targets import marker_points
 from tests.camera.sheets.printing import printed
 
 DPI, EDGE = 150.0, 50.0

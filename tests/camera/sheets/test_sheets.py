@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.board import PatternBoard, parse_board
-from robot_ik.camera.boards.patterns import PatternKind, PatternRequest
-from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.patterns import PatternKind, PatternRequest
 from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, write_sheet
 from robot_ik.camera.sheets.sheets import (
     SheetKind,
@@ -20,6 +18,8 @@ from robot_ik.camera.sheets.sheets import (
     body_of,
     make_sheet_page,
 )
+from robot_ik.camera.target_files import load_bodies, parse_target
+from robot_ik.camera.targets import PatternTarget
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 from tests.camera.sheets.printing import printed
 
@@ -151,18 +151,18 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
 def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
     page = make_sheet_page(asked)
     (text,) = [w.text for w in page.labels if "--board" in w.text]
-    board = parse_board(text.split("--board ")[1], asked.dictionary)
-    if isinstance(board, PatternBoard):
+    board = parse_target(text.split("--board ")[1], asked.dictionary)
+    if isinstance(board, PatternTarget):
         kind: PatternKind = "charuco" if asked.kind == "charuco" else "chessboard"
         true = PatternRequest(kind, asked.columns, asked.rows, asked.size).pattern()
         assert type(board.pattern) is type(true) and board.pattern.corners == true.corners
         assert board.pattern.black() == pytest.approx(true.black())
     else:
         markers = body_of(asked).markers
-        assert list(board.layout) == list(markers)
+        assert list(board.squares) == list(markers)
         for marker, (size, pose) in markers.items():
-            assert board.layout[marker][0] == pytest.approx(size)
-            assert max(board.layout[marker][1].distance(pose)) < 1e-9
+            assert board.squares[marker][0] == pytest.approx(size)
+            assert max(board.squares[marker][1].distance(pose)) < 1e-9
     assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.labels)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.corner_refinement import refine_markers
+from robot_ik.camera.corners import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, see_print
 from robot_ik.camera.drawing.rays import ray_field
@@ -61,7 +61,7 @@ def corner_misses(scene: SyntheticScene, seeds: int, **options: object) -> np.nd
         assert set(found) == set(frame.truth["corners"])
         for id, corners in found.items():
             (refined,) = refine_markers(frame.image, [corners], [id], "DICT_5X5_50", scene.intrinsics)
-            misses.append(refined.corners - frame.truth["corners"][id])
+            misses.append(refined.pixels - frame.truth["corners"][id])
     return np.concatenate(misses)
 
 
@@ -221,7 +221,7 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
             side = robot.forward(where[0], f"marker_{id}")
             assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx((0, 0), abs=1e-9)
             (refined,) = refine_markers(frame.image, [found[id]], [id], "DICT_5X5_50", lens)
-            assert np.abs(refined.corners - frame.truth["corners"][id]).max() < 0.5
+            assert np.abs(refined.pixels - frame.truth["corners"][id]).max() < 0.5
 
 
 def test_corners_beside_an_object_with_its_shadow_are_exact() -> None:

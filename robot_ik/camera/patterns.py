@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.chess_corner import refine_corners
+from robot_ik.camera.chess_corner import refine_corners
 from robot_ik.camera.image import (
     dictionary_size,
     from_reduced,

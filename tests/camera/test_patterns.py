@@ -7,15 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks.camera.pictures import pattern_set
-from robot_ik.camera.boards.chess_corner import refine_corners
-from robot_ik.camera.boards.patterns import (
-    CharucoPattern,
-    ChessboardPattern,
-    Pattern,
-    fitting_pattern,
-)
+from robot_ik.camera.chess_corner import refine_corners
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.image import marker_dictionary
+from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, Pattern, fitting_pattern
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.errors import CalibrationError

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from robot_ik.camera.marker_goals import DelayMeter
+from robot_ik.camera.delays import DelayMeter
 
 
 def test_delays_come_as_median_and_percentile() -> None:
