@@ -9,7 +9,6 @@ import numpy as np
 
 from benchmarks.camera.pictures import STANDARD_DISTANCES, handeye_set, pattern_set, standard_set
 from benchmarks.camera.rows import Effort
-from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.calibration.handeye import solve_handeye
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, Pattern
@@ -25,6 +24,7 @@ from robot_ik.camera.targets import MarkerTarget, Observation, find_corners, mar
 from robot_ik.camera.targets import marker as marker_target
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import self_test
+from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array, Image
 
 DICTIONARY = "DICT_4X4_50"

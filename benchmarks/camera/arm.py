@@ -13,7 +13,6 @@ import numpy as np
 
 from benchmarks.camera.accuracy import DICTIONARY, board_frame, rms
 from benchmarks.camera.rows import Effort
-from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEye, HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
@@ -29,6 +28,7 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import MarkerTarget, Observation, marker_grid
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify, summary
+from robot_ik.jobs.quantity import Quantity
 from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from benchmarks.camera.accuracy import frame_of, outward
 from benchmarks.camera.rows import Effort
-from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.image import (
     IMAGE_SUFFIXES,
@@ -32,6 +31,7 @@ from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, FoundPat
 from robot_ik.camera.targets import find_corners, unique
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.jobs.pictures import MarkerFinder
+from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Image
 
 #: The boards that photographs may show: OpenCV's own chessboard has 9 × 6 inner corners; its ChArUco board,

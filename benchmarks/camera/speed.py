@@ -20,7 +20,6 @@ import numpy as np
 
 from benchmarks.camera.accuracy import frame_of
 from benchmarks.camera.rows import Effort
-from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -34,6 +33,7 @@ from robot_ik.camera.targets import MarkerTarget, find_corners, marker, marker_g
 from robot_ik.camera.tracker import Tracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
+from robot_ik.jobs.quantity import Quantity
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array, RealClock
 from robot_ik.problem import Problem

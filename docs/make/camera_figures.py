@@ -19,7 +19,7 @@ from typing import Any
 
 from benchmarks.camera.arm import DELAYS, compare_filters
 from benchmarks.camera.rows import ROWS
-from robot_ik.bench.quantity import Quantity
+from robot_ik.jobs.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
 DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"

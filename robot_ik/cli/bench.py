@@ -29,7 +29,7 @@ from robot_ik.jobs.results import require_plots, results_folder, save_json
 if TYPE_CHECKING:
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
-    from robot_ik.bench.quantity import Quantity
+    from robot_ik.jobs.quantity import Quantity
     from robot_ik.solvers.base import Solver
 
 

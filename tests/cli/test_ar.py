@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.jobs.ar import self_test
+from robot_ik.jobs.quantity import Quantity
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -143,7 +143,8 @@ def cast_shadow(faces: Faces, intrinsics: CameraIntrinsics, pose_camera_plane: P
     pixels, inverse, within = project(points, intrinsics)
     within &= faces.within
     # Faces behind the plane throw no shadow on it.
-    throwing = (height > 0.0)[faces.faces].any(axis=1) & within[faces.faces].all(axis=1)
+    above = np.asarray(height > 0.0)
+    throwing = above[faces.faces].any(axis=1) & within[faces.faces].all(axis=1)
     # Vertices beside the lens have meaningless pixels.
     rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
     softness = max(1.0, _SOFTNESS * float(np.ptp(rows)) / _COARSE) if len(rows) else 1.0
@@ -161,8 +162,8 @@ def cast_shadow(faces: Faces, intrinsics: CameraIntrinsics, pose_camera_plane: P
         return Layer.empty()
     buffer = SurfaceBuffer(box, 1)
     buffer.fill(flat, np.zeros((int(faces.geom.max()) + 1, 4), dtype=np.float32))
-    dark = cv2.compare(buffer.depth, 0.0, cv2.CMP_GT)
-    dark = cv2.GaussianBlur(dark, (0, 0), softness)
+    dark = np.where(buffer.depth > 0.0, np.uint8(255), np.uint8(0))
+    dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), softness), dtype=np.uint8)
     coverage = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = box
     large = (_COARSE * x0, _COARSE * y0, _COARSE * x1, _COARSE * y1)

@@ -183,7 +183,8 @@ def _clipped(faces: Faces, intrinsics: CameraIntrinsics) -> Faces:
     """Return the faces with those cut that leave the part of space which the lens can see."""
     planes = view_planes(intrinsics)
     inside = faces.points @ planes[:, :3].T + planes[:, 3] >= 0.0
-    touching = inside[faces.faces].any(axis=1).all(axis=1)
+    some_inside = np.logical_or.reduce(inside[faces.faces], axis=1)
+    touching = np.logical_and.reduce(some_inside, axis=1)
     visible = faces.within[faces.faces].all(axis=1)
     added = [np.zeros((0, 3))]
     fans = [np.zeros((0, 4), dtype=np.int64)]

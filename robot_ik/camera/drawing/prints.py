@@ -368,7 +368,7 @@ def _hide(
     shown = paper > 0
     hidden = np.zeros(depth.shape, dtype=bool)
     rows, columns = np.nonzero(shown)
-    pixels = np.stack([columns + box[0], rows + box[1]], axis=1)
+    pixels = np.stack([columns + box[0], rows + box[1]], axis=1).astype(float)
     hidden[shown] = blocked(pixels, depth[shown])
     if not hidden.any():
         return
@@ -378,7 +378,7 @@ def _hide(
     rows, columns = np.nonzero(outline & shown)
     shift = (np.arange(SUBPIXELS) + 0.5) / SUBPIXELS - 0.5
     offsets = np.stack(np.meshgrid(shift, shift), axis=-1).reshape(-1, 2)
-    centres = np.stack([columns + box[0], rows + box[1]], axis=1)
+    centres = np.stack([columns + box[0], rows + box[1]], axis=1).astype(float)
     pixels = (centres[:, None] + offsets).reshape(-1, 2)
     x, y, far = _on_plane(field.points(pixels), pose_camera_print)
     # Subpixels whose rays do not meet the plane see none of it.

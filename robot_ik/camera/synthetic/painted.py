@@ -224,7 +224,7 @@ class PaintedScene:
 
     def _shadow_on(
         self, placed: PlacedPrint, faces: Faces, ground_shadow: Layer, box: Box
-    ) -> Array:
+    ) -> Float32:
         """Return the robot's shadow (h, w), 0 to 1, on the pixels of a sheet."""
         plane = placed.pose_world.compose(PRINT_MARKER.inverse())
         height = float(plane.position[2] - self._ground.position[2])

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import (
@@ -29,6 +28,7 @@ from robot_ik.camera.synthetic.pictures import (
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.targets import marker_grid
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array
 
 #: A lens with strong distortion, and the same lens without any.

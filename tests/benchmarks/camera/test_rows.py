@@ -10,8 +10,8 @@ import pytest
 
 from benchmarks.camera import accuracy
 from benchmarks.camera.rows import ROWS, Effort
-from robot_ik.bench.quantity import Quantity
 from robot_ik.jobs.ar.self_test import PINHOLE, projection_misses
+from robot_ik.jobs.quantity import Quantity
 
 
 def figures(of: object, **effort: object) -> dict[str, Quantity]:
