@@ -98,7 +98,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "photographs",
-        "real pictures, of --photographs",
+        "real pictures",
         "benchmarks.camera.photographs:photographs",
     ),
     Row(

@@ -144,7 +144,8 @@ def cast_shadow(faces: Faces, intrinsics: CameraIntrinsics, pose_camera_plane: P
     within &= faces.within
     # Faces behind the plane throw no shadow on it.
     above = np.asarray(height > 0.0)
-    throwing = above[faces.faces].any(axis=1) & within[faces.faces].all(axis=1)
+    corners_above = np.logical_or.reduce(above[faces.faces], axis=1)
+    throwing = corners_above & np.logical_and.reduce(within[faces.faces], axis=1)
     # Vertices beside the lens have meaningless pixels.
     rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
     softness = max(1.0, _SOFTNESS * float(np.ptp(rows)) / _COARSE) if len(rows) else 1.0
