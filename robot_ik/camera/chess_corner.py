@@ -64,7 +64,7 @@ def refine_corners(
     smallest = np.linalg.svd(along, compute_uv=False)[:, 1]
     radius = np.clip(reach * smallest, _MIN_RADIUS, _MAX_RADIUS)
     pixels, values, weights, inside = _patches(gray, start, radius)
-    # Unknowns: x, y, direction of the first and second edge, width; then light, slope (2), contrast.
+    # Unknowns: x, y, directions of both edges, width; then light, slope (2), contrast.
     first = along[:, :, 0]
     second = along[:, :, 1]
     first_angle = np.arctan2(first[:, 1], first[:, 0])
@@ -139,7 +139,7 @@ def _patches(gray: Image, start: Array, radius: Array) -> tuple[Array, Array, Ar
 
 
 def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
-    """Return the crossing (n, p), its derivatives (n, p, 5) by the shape, and the offset (n, p, 2)."""
+    """Return the crossing (n, p), its derivatives (n, p, 5) by the shape, the offset (n, p, 2)."""
     offset = pixels - shape[:, None, :2]
     width = shape[:, 4, None]
     across = []

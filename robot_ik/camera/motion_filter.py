@@ -201,7 +201,8 @@ class MotionFilter:
         """
         if not self.started or not np.isfinite(time):
             raise CameraError(
-                "a motion filter cannot predict before its first observation, nor for a time of nan",
+                "a motion filter cannot predict before its first observation, nor for a time of "
+                "nan",
                 hint="call update first",
             )
         span = min(max(time - self.time, 0.0), _MAX_PREDICTION)

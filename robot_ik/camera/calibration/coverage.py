@@ -48,7 +48,9 @@ class Coverage:
     missing: tuple[str, ...]
 
 
-def cover(found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]) -> Coverage:
+def cover(
+    found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]
+) -> Coverage:
     """Accounts for views of pictures of ``size`` px, each with its ``rotation_camera_board`` (3, 3)."""
     parts = np.zeros((3, 3), dtype=np.int64)
     for view in found:
@@ -73,13 +75,19 @@ def _tilt(rotation: Array) -> Array:
 def _spacing(view: FoundPattern) -> float:
     """Pixels per metre of the board: the root of the ratio of the areas that the corners span."""
     spans = [
-        np.sqrt(max(float(np.linalg.det(np.cov(p.T))), 0.0)) for p in (view.pixels, view.points_board[:, :2])
+        np.sqrt(max(float(np.linalg.det(np.cov(p.T))), 0.0))
+        for p in (view.pixels, view.points_board[:, :2])
     ]
     return float(np.sqrt(spans[0] / spans[1])) if spans[1] > 0 else 0.0
 
 
 def _missing(parts: NDArray[np.int64], tilts: Array, spacings: Array) -> list[str]:
-    missing = [f"the board in the {PARTS[r][c]}" for r in range(3) for c in range(3) if parts[r, c] < _VIEWS]
+    missing = [
+        f"the board in the {PARTS[r][c]}"
+        for r in range(3)
+        for c in range(3)
+        if parts[r, c] < _VIEWS
+    ]
     for side, direction in TILTS.items():
         if not len(tilts) or (tilts @ np.array(direction)).max() < TILT_DEG:
             missing.append(f"its {side} side tilted away")
@@ -103,7 +111,9 @@ def coverage_picture(coverage: Coverage, width: int = 900) -> Image:
     canvas = np.full((tall, width, 3), 255, dtype=np.uint8)
     _draw_parts(canvas[2 * _RIM : 2 * _RIM + height, _RIM : _RIM + shown], coverage)
     _draw_tilts(canvas[2 * _RIM : 2 * _RIM + disc, width - disc - _RIM : width - _RIM], coverage)
-    _write(canvas, f"corners of {len(coverage.tilts)} views (views to a part)", (_RIM, 2 * _RIM - 10))
+    _write(
+        canvas, f"corners of {len(coverage.tilts)} views (views to a part)", (_RIM, 2 * _RIM - 10)
+    )
     _write(canvas, "tilts: rings 20, 40, 60 deg", (width - disc - _RIM, 2 * _RIM - 10))
     return canvas
 
@@ -133,11 +143,23 @@ def _draw_tilts(area: Image, coverage: Coverage) -> None:
     centre, scale = side / 2, side / 2 / 65.0
     start = {"right": -45, "bottom": 45, "left": 135, "top": 225}
     for name, direction in TILTS.items():
-        enough = len(coverage.tilts) > 0 and (coverage.tilts @ np.array(direction)).max() >= TILT_DEG
+        enough = (
+            len(coverage.tilts) > 0 and (coverage.tilts @ np.array(direction)).max() >= TILT_DEG
+        )
         colour = _GOOD if enough else _LACK
         radius = round(60 * scale)
         middle = (round(centre), round(centre))
-        cv2.ellipse(area, middle, (radius, radius), 0, start[name], start[name] + 90, colour, -1, cv2.LINE_AA)
+        cv2.ellipse(
+            area,
+            middle,
+            (radius, radius),
+            0,
+            start[name],
+            start[name] + 90,
+            colour,
+            -1,
+            cv2.LINE_AA,
+        )
     for ring in (20, 40, 60):
         cv2.circle(area, (round(centre), round(centre)), round(ring * scale), _INK, 1, cv2.LINE_AA)
     for x, y in centre + scale * np.clip(coverage.tilts, -60, 60):

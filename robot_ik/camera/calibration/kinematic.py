@@ -334,7 +334,9 @@ def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
             hint="take 30 that bend every joint",
         )
     if robot.nq != robot.nv:
-        raise CalibrationError("zero offsets are for hinges and slides; this robot has ball or free joints")
+        raise CalibrationError(
+            "zero offsets are for hinges and slides; this robot has ball or free joints"
+        )
     for name in hold:
         if name not in robot.joints:
             raise UnknownJointError(name, robot.joints)

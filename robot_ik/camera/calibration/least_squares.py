@@ -163,7 +163,9 @@ class NormalEquations:
         return whole
 
 
-def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]) -> NormalEquations:
+def normal_equations(
+    views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]
+) -> NormalEquations:
     """Weighted least squares; ``free``: (f,) places of the unknowns that are sought."""
     rows = views.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
@@ -207,7 +209,11 @@ def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, 
         noise = estimate_noise(views, free, noise)
         normal = normal_equations(views, noise, free)
         step, damping = _descent_step(linear, state, corners, normal, damping)
-        weighted, state, corners = corners is not None, state.moved(step), [cauchy_weight(m) for m in misses]
+        weighted, state, corners = (
+            corners is not None,
+            state.moved(step),
+            [cauchy_weight(m) for m in misses],
+        )
         # A start may be the solution with all corners alike.
         if weighted and np.abs(step).max() < _DONE:
             break
@@ -215,7 +221,11 @@ def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, 
 
 
 def _descent_step(
-    linear: Linear[S], state: S, corners: list[Array] | None, normal: NormalEquations, damping: float
+    linear: Linear[S],
+    state: S,
+    corners: list[Array] | None,
+    normal: NormalEquations,
+    damping: float,
 ) -> tuple[Array, float]:
     """A step that lowers the cost, and the damping for the next one; zeros where none does."""
     now = normal.views.cost(normal.noise)
@@ -235,7 +245,9 @@ def cauchy_weight(misses: Array) -> Array:
     return np.asarray(1.0 / (1.0 + (misses / 2.385) ** 2))
 
 
-def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None) -> ArmNoise:
+def estimate_noise(
+    views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None
+) -> ArmNoise:
     """The sizes of the arm's error, by restricted maximum likelihood, and the weight of each view, in turns.
 
     Restricted: the unknowns are fitted to the same views, so plain maximum likelihood would find the arm
@@ -265,7 +277,9 @@ def _first_weights(views: LinearViews) -> Array:
     return np.asarray(np.maximum(1.0, (off / scale).max(axis=1) / 4.0) ** -2.0)
 
 
-def _most_likely(views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None) -> Array:
+def _most_likely(
+    views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None
+) -> Array:
     """Sizes (k,) with the highest restricted likelihood, on a grid that is refined."""
     count = len(views.sources)
     grids = [_SIZES] * count if near is None else [size * _NEARBY for size in near.sizes]
