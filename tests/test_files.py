@@ -249,7 +249,7 @@ ALLOWED = {
     ("robot_ik/reading.py", "*"): "the one place",
     ("robot_ik/model.py", "from_file"): "read_model, which refuses what MuJoCo lets pass",
     ("robot_ik/urdf.py", "ElementTree.fromstring"): "a text that read_model has read",
-    ("robot_ik/camera/intrinsics.py", "yaml.load"): "handed to parse",
+    ("robot_ik/camera/calibration_file.py", "yaml.load"): "handed to parse",
     ("hardware/virtual/world.py", "from_file"): "the model of a robot that load_robot has just read",
     ("hardware/stop_file.py", "json.loads"): "between processes of this program, in a folder of mode 0700",
     ("hardware/stop_file.py", "read_text"): "likewise",

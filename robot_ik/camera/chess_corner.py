@@ -1,11 +1,12 @@
-"""Where two edges of a chessboard cross, to a few hundredths of a pixel.
+"""Crossings of two edges of a chessboard, accurate to a few hundredths of a pixel.
 
-Round a crossing the picture is point symmetric, however the lens blurs it.  The corner is where the model
+Around a crossing the picture is point symmetric, whatever the blur of the lens. The corner is where
+the model
 
     light + slope . p + contrast tanh(n1 . p / width) tanh(n2 . p / width),      p = pixel - corner,
 
-fits best.  Its directions, width, light and contrast are found with it, by Gauss and Newton over the pixels
-as they are: nothing is interpolated, so that nothing pulls towards pixel centres.
+fits best. Directions, width, light and contrast are fitted with it by Gauss-Newton over the pixels
+themselves. Nothing is interpolated, so nothing pulls towards pixel centres.
 """
 
 from __future__ import annotations
@@ -17,126 +18,153 @@ import numpy as np
 
 from robot_ik.ports import Array, Image, Mask
 
-# Smallest patch that still holds nine unknowns, and the largest that is worth its time, px.
-_RADII = (2.5, 9.0)
-_STEPS = 12
-# Corners that move no farther than this in a step have been found.
-_SETTLED_PX = 2e-4
-# Damping relative to the diagonal: the directions are hardly seen where the patch is small.
+# Smallest patch that holds nine unknowns, and largest one that is worth its time: radius, px.
+_MIN_RADIUS = 2.5
+_MAX_RADIUS = 9.0
+_MAX_STEPS = 12
+# The fit ends when no corner moves farther than this in a step, px.
+_MOVE_TOLERANCE = 2e-4
+# Damping relative to the diagonal. In small patches the directions are hardly visible.
 _DAMPING = 1e-3
-# Widths that a step in a sharp and in a hopelessly blurred picture has, px.
-_WIDTHS = (0.3, 6.0)
-# A corner whose fit leaves more than this part of its contrast is none.
-_LARGEST_MISFIT = 0.35
-# Grey levels; less contrast is noise.
-_LEAST_CONTRAST = 4.0
-# The detectors are seldom a pixel off; whatever went farther has found another corner.
-_LARGEST_MOVE = 2.5
+# Damping of the first, linear fit.
+_LINEAR_DAMPING = 1e-9
+# Width of a step in a sharp and in an extremely blurred picture, px.
+_MIN_WIDTH = 0.3
+_MAX_WIDTH = 6.0
+# Largest move of a corner (px) and of a direction (rad) in one step.
+_MAX_STEP = 1.0
+_MAX_TURN = 0.3
+# Scale of the slope among the unknowns, px.
+_SLOPE_SCALE = 8.0
+# A fit that leaves more than this part of its contrast is not a corner.
+_MAX_MISFIT = 0.35
+# Smallest contrast of a corner, grey levels. Less is noise.
+_MIN_CONTRAST = 4.0
+# Detectors are seldom a pixel off. A corner that moved farther than this is another one, px.
+_MAX_MOVE = 2.5
 
 
-def refine_corners(gray: Image, start: Array, grid: Array, reach: float) -> tuple[Array, Mask, Array]:
-    """Fits each corner.
+def refine_corners(
+    gray: Image, start: Array, grid: Array, reach: float
+) -> tuple[Array, Mask, Array]:
+    """Fit each corner.
 
     Args:
         gray: (height, width).
-        start: (n, 2) pixels to within about 1.5 px.
+        start: (n, 2) pixels, accurate to about 1.5 px.
         grid: (n, 2) column and row of each corner in squares.
-        reach: Radius round a corner, in squares, in which there is no third edge.
+        reach: Radius around a corner without a third edge, in squares.
 
     Returns:
-        (n, 2) pixels; (n,) which of them are corners; (n,) blur: the width of the steps in pixels.
+        (n, 2) pixels; (n,) whether each is a corner; (n,) blur: the width of the steps, px.
     """
     along = _directions(start, grid)
     if along is None:
         return start, np.zeros(len(start), dtype=bool), np.zeros(len(start))
-    radius = np.clip(reach * np.linalg.svd(along, compute_uv=False)[:, 1], *_RADII)
+    smallest = np.linalg.svd(along, compute_uv=False)[:, 1]
+    radius = np.clip(reach * smallest, _MIN_RADIUS, _MAX_RADIUS)
     pixels, values, weights, inside = _patches(gray, start, radius)
-    # Unknowns: x, y, direction of the first and second edge, width; then light, slope (2), contrast.
-    first, second = along[:, :, 0], along[:, :, 1]
-    shape = np.column_stack(
-        [
-            start,
-            np.arctan2(first[:, 1], first[:, 0]),
-            np.arctan2(second[:, 1], second[:, 0]),
-            np.ones(len(start)),
-        ]
-    )
+    # Unknowns: x, y, directions of both edges, width; then light, slope (2), contrast.
+    first = along[:, :, 0]
+    second = along[:, :, 1]
+    first_angle = np.arctan2(first[:, 1], first[:, 0])
+    second_angle = np.arctan2(second[:, 1], second[:, 0])
+    shape = np.column_stack([start, first_angle, second_angle, np.ones(len(start))])
     weighted = values * weights
     light = np.zeros((len(start), 4))
-    for step in range(_STEPS):
+    for step in range(_MAX_STEPS):
         crossing, slopes, offset = _model(shape, pixels)
-        linear = np.concatenate(
-            [np.ones_like(crossing)[..., None], offset / 8.0, crossing[..., None]], axis=2
-        )
-        linear *= weights[..., None]
+        bases = [np.ones_like(crossing)[..., None], offset / _SLOPE_SCALE, crossing[..., None]]
+        linear = np.concatenate(bases, axis=2) * weights[..., None]
         if step == 0:
-            light = _solve(linear, weighted, 1e-9)
-        jacobian = np.concatenate([slopes * (light[:, 3, None] * weights)[..., None], linear], axis=2)
+            light = _solve(linear, weighted, _LINEAR_DAMPING)
+        by_shape = slopes * (light[:, 3, None] * weights)[..., None]
+        jacobian = np.concatenate([by_shape, linear], axis=2)
         residual = weighted - np.einsum("npk,nk->np", linear, light)
         change = _solve(jacobian, residual, _DAMPING)
-        change[:, :2] = np.clip(change[:, :2], -1.0, 1.0)
-        change[:, 2:4] = np.clip(change[:, 2:4], -0.3, 0.3)
+        change[:, :2] = np.clip(change[:, :2], -_MAX_STEP, _MAX_STEP)
+        change[:, 2:4] = np.clip(change[:, 2:4], -_MAX_TURN, _MAX_TURN)
         shape += change[:, :5]
-        shape[:, 4] = np.clip(shape[:, 4], *_WIDTHS)
+        shape[:, 4] = np.clip(shape[:, 4], _MIN_WIDTH, _MAX_WIDTH)
         light += change[:, 5:]
-        if np.abs(change[:, :2]).max() < _SETTLED_PX:
+        if np.abs(change[:, :2]).max() < _MOVE_TOLERANCE:
             break
-    misfit = np.sqrt((residual**2).sum(axis=1) / np.maximum((weights**2).sum(axis=1), 1e-9))
+    squares = (residual**2).sum(axis=1) / np.maximum((weights**2).sum(axis=1), 1e-9)
+    misfit = np.sqrt(squares)
     contrast = np.abs(light[:, 3])
-    good = inside & (contrast > _LEAST_CONTRAST) & (misfit < _LARGEST_MISFIT * contrast)
-    good &= np.hypot(*(shape[:, :2] - start).T) < _LARGEST_MOVE
-    return shape[:, :2], good, shape[:, 4]
+    is_corner = inside & (contrast > _MIN_CONTRAST) & (misfit < _MAX_MISFIT * contrast)
+    is_corner &= np.hypot(*(shape[:, :2] - start).T) < _MAX_MOVE
+    return shape[:, :2], is_corner, shape[:, 4]
 
 
 def _directions(start: Array, grid: Array) -> Array | None:
-    """(n, 2, 2) pixels per square at each corner, columns along columns and rows of the board."""
+    """Return the pixels per square (n, 2, 2) at each corner.
+
+    The columns of the matrices are along columns and rows of the board. None if the corners have no
+    homography.
+    """
     homography: Any = cv2.findHomography(grid, start)[0]
     if homography is None:
         return None
     h = np.asarray(homography, dtype=float)
     p = np.column_stack([grid, np.ones(len(grid))]) @ h.T
-    seen = p[:, :2] / p[:, 2:]
-    return np.asarray((h[None, :2, :2] - seen[:, :, None] * h[None, 2:, :2]) / p[:, 2, None, None])
+    projected = p[:, :2] / p[:, 2:]
+    slopes = h[None, :2, :2] - projected[:, :, None] * h[None, 2:, :2]
+    return np.asarray(slopes / p[:, 2, None, None])
 
 
 def _patches(gray: Image, start: Array, radius: Array) -> tuple[Array, Array, Array, Mask]:
-    """Pixels (n, p, 2), their grey levels (n, p), weights (n, p), and whether the patch is inside (n,)."""
+    """Return the pixels around corners.
+
+    Returns:
+        Pixels (n, p, 2), their grey levels (n, p), weights (n, p), and whether the patch is inside
+        the picture (n,).
+    """
     half = int(np.ceil(radius.max()))
     height, width = gray.shape
-    centre = np.rint(start)
-    held = np.clip(centre, half, np.maximum(np.array([width, height]) - 1 - half, half)).astype(int)
-    inside = np.asarray((held == centre).all(axis=1), dtype=bool)
+    center = np.rint(start)
+    last = np.maximum(np.array([width, height]) - 1 - half, half)
+    held = np.clip(center, half, last).astype(int)
+    inside = np.asarray((held == center).all(axis=1), dtype=bool)
     side = np.arange(-half, half + 1)
     offsets = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    at = held[:, None] + offsets
-    values = gray[np.minimum(at[..., 1], height - 1), np.minimum(at[..., 0], width - 1)].astype(float)
-    away = np.linalg.norm(at - start[:, None], axis=2)
-    # Fades over one pixel at the rim.
-    weights = np.clip(radius[:, None] + 0.5 - away, 0.0, 1.0)
-    return at.astype(float), values, weights, inside
+    pixels = held[:, None] + offsets
+    rows = np.minimum(pixels[..., 1], height - 1)
+    columns = np.minimum(pixels[..., 0], width - 1)
+    values = gray[rows, columns].astype(float)
+    distance = np.linalg.norm(pixels - start[:, None], axis=2)
+    # The weight fades over one pixel at the rim.
+    weights = np.clip(radius[:, None] + 0.5 - distance, 0.0, 1.0)
+    return pixels.astype(float), values, weights, inside
 
 
 def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
-    """The crossing (n, p), its derivatives (n, p, 5) by the shape, and the way from the corner (n, p, 2)."""
+    """Return the crossing (n, p), its derivatives (n, p, 5) by the shape, the offset (n, p, 2)."""
     offset = pixels - shape[:, None, :2]
     width = shape[:, 4, None]
-    across, steps, slopes, normals, by_angle = [], [], [], [], []
+    across = []
+    steps = []
+    slopes = []
+    normals = []
+    by_angle = []
     for k in (2, 3):
-        c, s = np.cos(shape[:, k, None]), np.sin(shape[:, k, None])
+        c = np.cos(shape[:, k, None])
+        s = np.sin(shape[:, k, None])
         across.append((c * offset[..., 1] - s * offset[..., 0]) / width)
         step = np.tanh(across[-1])
         steps.append(step)
         slopes.append((1.0 - step * step) / width)
         normals.append((-s, c))
         by_angle.append(-s * offset[..., 1] - c * offset[..., 0])
-    one, two = steps[1] * slopes[0], steps[0] * slopes[1]
+    first = steps[1] * slopes[0]
+    second = steps[0] * slopes[1]
     derivatives = np.stack(
         [
-            -(one * normals[0][0] + two * normals[1][0]),
-            -(one * normals[0][1] + two * normals[1][1]),
-            one * by_angle[0],
-            two * by_angle[1],
-            -(one * across[0] + two * across[1]),
+            -(first * normals[0][0] + second * normals[1][0]),
+            -(first * normals[0][1] + second * normals[1][1]),
+            first * by_angle[0],
+            second * by_angle[1],
+            -(first * across[0] + second * across[1]),
         ],
         axis=2,
     )
@@ -144,7 +172,7 @@ def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
 
 
 def _solve(jacobian: Array, residual: Array, damping: float) -> Array:
-    """n damped least-squares problems: (n, p, k), (n, p) -> (n, k)."""
+    """Solve n damped least-squares problems: (n, p, k), (n, p) -> (n, k)."""
     normal = np.einsum("npi,npj->nij", jacobian, jacobian)
     right = np.einsum("npi,np->ni", jacobian, residual)
     k = normal.shape[1]

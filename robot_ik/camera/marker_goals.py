@@ -230,6 +230,6 @@ class MarkerGoalSource:
         name = getattr(self.target, "name", "target")
         raise MarkerNotFoundError(
             f"the {name} has given no goal for {policy.seconds:g} s",
-            hint="bring it back into view, check light and focus, or choose to hold or park when it "
-            "is lost",
+            hint="bring it back into view, check light and focus, or choose to hold or park when "
+            "it is lost",
         )

@@ -1,8 +1,8 @@
-"""Flat patterns to calibrate with: ChArUco boards and chessboards, found to a fraction of a pixel.
+"""Flat patterns to calibrate with: ChArUco boards and chessboards.
 
-The board frame is OpenCV's: origin at the outer corner of the first square (ChArUco) or at the first inner
-corner (chessboard), x along the columns, y along the rows, z *into* the board.  A print seen upright has x
-right and y down.
+The frame of a pattern is OpenCV's: origin at the outer corner of the first square (ChArUco) or at
+the first inner corner (chessboard), x along the columns, y along the rows, z *into* the board. A
+print that is upright in the picture has x right and y down.
 """
 
 from __future__ import annotations
@@ -33,10 +33,32 @@ from robot_ik.camera.image import (
 from robot_ik.errors import CalibrationError
 from robot_ik.ports import Array, Image
 
-# Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
+#: Smallest number of corners in a picture. With fewer, a wrong one is not noticed.
 FEWEST_CORNERS = 6
-# A step of this width, px, is measured well; the fit does not look far enough round much wider ones.
-_SOFT = 1.0
+#: Side of a marker in squares if it is not given.
+MARKER_SHARE = 0.73
+
+# Width of an edge that is measured well, px. Around much wider ones the fit misses a part.
+_SHARP_WIDTH = 1.0
+# Radius around a corner without a third edge. ChArUco: in gaps between square and marker; the corner
+# of the nearest marker is 1.41 gaps away, and blur takes a part. Chessboard: in squares.
+_GAP_REACH = 1.2
+_SQUARE_REACH = 0.45
+# Smallest number of columns and of rows.
+_MIN_COUNT = 3
+# Smallest number of columns and of rows of corners in a picture of a ChArUco board.
+_MIN_LINES = 2
+# Pictures with a pattern after which the other pictures are not searched.
+_ENOUGH_VOTES = 3
+# Plausible lengths of a print, metres and millimetres.
+_MIN_LENGTH = 1e-3
+_MAX_LENGTH = 1.0
+_MAX_LENGTH_MM = 1000.0
+# From this square on the default marker has whole millimetres, mm. In smaller ones they are too
+# coarse.
+_WHOLE_MM_SQUARE = 10.0
+# Default columns, rows and side of a square (mm).
+_DEFAULTS = {"charuco": (8, 6, 30.0), "chessboard": (9, 6, 25.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +66,10 @@ class FoundPattern:
     """The corners of a pattern in one picture.
 
     Attributes:
-        points_board: (n, 3) metres, z = 0, in the board frame.
+        points_board: (n, 3) in the pattern's frame, metres, z = 0.
         pixels: (n, 2) distorted pixels, integer pixel centres.
         ids: (n,) number of each corner: column + row * columns of inner corners.
-        blur: Width of the edges at the corners, pixels (median): about 1.2 times the blur's sigma.
+        blur: Median width of the edges at the corners, px: about 1.2 times the sigma of the blur.
     """
 
     points_board: Array
@@ -56,25 +78,13 @@ class FoundPattern:
     blur: float = 0.0
 
 
-# How far from a corner its picture is its own, in gaps between square and marker: the nearest marker's corner
-# is the root of 2 away, and blur takes some of that.
-_GAP_REACH = 1.2
-# The same on a chessboard, in squares.
-_SQUARE_REACH = 0.45
-# What is plain beside an edge of a square, in squares: nearly half of it.
-_PLAIN = 0.4
-# Columns and rows of a board at least.
-_LEAST_COUNT = 3
-# A view needs corners on both sides of the board: two lines of them at least.
-_FEWEST_LINES = 2
-
-
 @dataclass(frozen=True)
 class Pattern(ABC):
-    """What both kinds of calibration pattern share.
+    """Base of both kinds of patterns.
 
     Attributes:
-        columns, rows: How many, counted as OpenCV counts them for this pattern.
+        columns: Number of columns, as OpenCV counts them for this pattern.
+        rows: Number of rows, likewise.
         square: Side of a square, metres.
     """
 
@@ -82,47 +92,48 @@ class Pattern(ABC):
     rows: int
     square: float
 
-    #: What the pattern and what its columns and rows are called; how many squares there are more than these.
+    #: Name of the kind of pattern.
     name: ClassVar[str]
+    #: What columns and rows count.
     counted: ClassVar[str]
+    #: Number of squares in a row beyond ``columns``.
     uncounted: ClassVar[int]
 
     def __post_init__(self) -> None:
-        if min(self.columns, self.rows) < _LEAST_COUNT:
+        if min(self.columns, self.rows) < _MIN_COUNT:
             raise CalibrationError(
-                f"a {self.name} of {self.columns}x{self.rows} {self.counted} is too small to calibrate with",
-                hint=f"at least {_LEAST_COUNT}x{_LEAST_COUNT}; 8x6 is usual",
+                f"a {self.name} of {self.columns}x{self.rows} {self.counted} is too small to "
+                "calibrate with",
+                hint=f"at least {_MIN_COUNT}x{_MIN_COUNT}; 8x6 is usual",
             )
         _check_length("a square", self.square)
 
     @property
     def corners(self) -> tuple[int, int]:
-        """Inner corners along the columns and rows."""
+        """Number of inner corners along the columns and rows."""
         return self.columns + self.uncounted - 1, self.rows + self.uncounted - 1
 
     @property
     def size(self) -> tuple[float, float]:
         """Width and height of the print, metres."""
-        return (self.columns + self.uncounted) * self.square, (self.rows + self.uncounted) * self.square
+        columns, rows = self.corners
+        return (columns + 1) * self.square, (rows + 1) * self.square
 
     @property
     def origin(self) -> tuple[float, float]:
-        """Where the print's upper left corner is in the board frame, metres."""
-        return 0.0 - self.uncounted * self.square, 0.0 - self.uncounted * self.square
-
-    @property
-    def plain(self) -> float:
-        """How far from an edge between two squares there is one tone only, in squares."""
-        return _PLAIN
+        """Upper left corner of the print in the pattern's frame, metres."""
+        margin = 0.0 - self.uncounted * self.square
+        return margin, margin
 
     @abstractmethod
     def find(self, image: Image) -> FoundPattern | None:
-        """The pattern in a picture, grey or BGR; None when it is not there."""
+        """Find the pattern in a grey or BGR picture. Return None if it is not visible."""
 
     def black(self) -> Array:
-        """The print: black rectangles (n, 4) as x, y, width, height in the board frame, metres."""
+        """Return the black rectangles (n, 4): x, y, width, height, pattern's frame, metres."""
         squares = np.array(self._every_other_square(0 if self._starts_black else 1), dtype=float)
-        return np.hstack([np.array(self.origin) + self.square * squares, np.full(squares.shape, self.square)])
+        corners = np.array(self.origin) + self.square * squares
+        return np.hstack([corners, np.full(squares.shape, self.square)])
 
     @property
     def _starts_black(self) -> bool:
@@ -130,34 +141,44 @@ class Pattern(ABC):
         return True
 
     def _every_other_square(self, first: int) -> list[tuple[int, int]]:
-        """Column and row of the squares of one colour, the upper left one being number 0."""
+        """Return column and row of the squares of one colour. The upper left one has number 0."""
         columns, rows = (count + 1 for count in self.corners)
         return [(c, r) for r in range(rows) for c in range(columns) if (c + r) % 2 == first]
 
-    def _fitted(
+    def _refined(
         self, gray: Image, times: int, start: Array, ids: NDArray[np.int64], reach: float
     ) -> FoundPattern | None:
-        """Refines corners and takes away those that were none; None when too few are left.
+        """Refine corners and remove those that are not corners. None if too few are left.
 
-        They are those of numbers ``ids`` (n,), found at ``start`` (n, 2) to within about 1.5 px in a picture
-        that is ``times`` smaller than ``gray``; no third edge is within ``reach`` squares of one.
+        Args:
+            gray: The picture.
+            times: Factor by which it was reduced for ``start``.
+            start: (n, 2) pixels of the reduced picture, accurate to about 1.5 px.
+            ids: (n,) numbers of the corners.
+            reach: Radius around a corner without a third edge, squares.
         """
         columns = self.corners[0]
-        grid_position = np.stack([ids % columns, ids // columns], axis=1).astype(float)
-        pixels, good, blur = refine_corners(reduced(gray, times), start, grid_position, reach)
-        softness = float(np.median(blur[good])) if good.any() else 0.0
-        best = max(1, int(times * softness / _SOFT))
-        if good.any() and best != times:
-            again = to_reduced(from_reduced(np.where(good[:, None], pixels, start), times), best)
-            other = refine_corners(reduced(gray, best), again, grid_position, reach)
-            if other[1].sum() >= good.sum():
-                times, (pixels, good, blur) = best, other
-        if good.sum() < FEWEST_CORNERS:
+        grid = np.stack([ids % columns, ids // columns], axis=1).astype(float)
+        pixels, is_corner, blur = refine_corners(reduced(gray, times), start, grid, reach)
+        width = float(np.median(blur[is_corner])) if is_corner.any() else 0.0
+        # The size at which the edges are sharp.
+        best = max(1, int(times * width / _SHARP_WIDTH))
+        if is_corner.any() and best != times:
+            rough = from_reduced(np.where(is_corner[:, None], pixels, start), times)
+            other = refine_corners(reduced(gray, best), to_reduced(rough, best), grid, reach)
+            if other[1].sum() >= is_corner.sum():
+                times = best
+                pixels, is_corner, blur = other
+        if is_corner.sum() < FEWEST_CORNERS:
             return None
         first = np.array(self.origin) + self.square
-        points = np.hstack([first + grid_position * self.square, np.zeros((len(ids), 1))])
-        there = from_reduced(pixels[good], times)
-        return FoundPattern(points[good], there, ids[good], times * float(np.median(blur[good])))
+        points = np.hstack([first + grid * self.square, np.zeros((len(ids), 1))])
+        return FoundPattern(
+            points[is_corner],
+            from_reduced(pixels[is_corner], times),
+            ids[is_corner],
+            times * float(np.median(blur[is_corner])),
+        )
 
 
 @dataclass(frozen=True)
@@ -165,102 +186,116 @@ class ChessboardPattern(Pattern):
     """A chessboard, counted by its inner corners as OpenCV and ROS do.
 
     Attributes:
-        columns, rows: Inner corners; one less than squares.
+        columns: Inner corners in a row; one less than squares.
+        rows: Inner corners in a column.
         square: Side of a square, metres.
 
     Raises:
-        CalibrationError: Fewer than 3 x 3 inner corners, or a size that cannot be meant.
+        CalibrationError: Fewer than 3 x 3 inner corners, or an implausible size.
     """
 
-    name, counted, uncounted = "chessboard", "inner corners", 1
+    name = "chessboard"
+    counted = "inner corners"
+    uncounted = 1
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = to_gray(image)
         times = times_smaller(gray)
-        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        flags |= cv2.CALIB_CB_FAST_CHECK
         with quiet():
-            good, corners = cv2.findChessboardCorners(
+            success, corners = cv2.findChessboardCorners(
                 reduced(gray, times), (self.columns, self.rows), flags=flags
             )
-        if not good or corners is None:
+        if not success or corners is None:
             return None
         start = np.asarray(corners, dtype=float).reshape(-1, 2)
-        return self._fitted(gray, times, start, np.arange(len(start)), _SQUARE_REACH)
+        return self._refined(gray, times, start, np.arange(len(start)), _SQUARE_REACH)
 
 
 @dataclass(frozen=True)
 class CharucoPattern(Pattern):
-    """A chessboard with markers in its white squares: found in part, and never turned the wrong way.
+    """A chessboard with markers in its white squares. It is found in part, and its way up is known.
 
     Attributes:
-        columns, rows: Squares, as OpenCV counts them here.
+        columns: Squares in a row, as OpenCV counts them here.
+        rows: Squares in a column.
         square: Side of a square, metres.
         marker: Side of a marker, metres.
-        dictionary: Of the markers, whose ids count from 0.
-        legacy: The pattern of OpenCV before 4.6: white upper left square where the rows are even.
+        dictionary: Dictionary of the markers, whose ids count from 0.
+        legacy: Layout of OpenCV before 4.6: white upper left square if the rows are even.
 
     Raises:
-        CalibrationError: Fewer than 3 x 3 squares, markers larger than squares, a dictionary too small,
-            or a size that cannot be meant.
+        CalibrationError: Fewer than 3 x 3 squares, markers larger than squares, a dictionary with
+            too few markers, or an implausible size.
     """
 
     marker: float
     dictionary: str = "DICT_5X5_50"
     legacy: bool = False
 
-    name, counted, uncounted = "ChArUco board", "squares", 0
+    name = "ChArUco board"
+    counted = "squares"
+    uncounted = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_length("a marker", self.marker)
         if self.marker >= self.square:
             raise CalibrationError(
-                f"markers of {1e3 * self.marker:g} mm do not go into squares of {1e3 * self.square:g} mm",
+                f"markers of {1e3 * self.marker:g} mm do not go into squares of "
+                f"{1e3 * self.square:g} mm",
                 hint="a marker is about three quarters of a square",
             )
-        needed, there = self.columns * self.rows // 2, dictionary_size(self.dictionary)
-        if needed > there:
+        needed = self.columns * self.rows // 2
+        available = dictionary_size(self.dictionary)
+        if needed > available:
             raise CalibrationError(
                 f"a board of {self.columns}x{self.rows} squares needs {needed} markers; "
-                f"{self.dictionary} has {there}",
+                f"{self.dictionary} has {available}",
                 hint="take a larger dictionary of the same cells, for example DICT_5X5_250",
             )
 
     @property
-    def plain(self) -> float:
-        return min(_PLAIN, (self.square - self.marker) / 2 / self.square)
+    def gap(self) -> float:
+        """White between a marker and the sides of its square, metres."""
+        return (self.square - self.marker) / 2
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = to_gray(image)
         times = times_smaller(gray)
         found = self._find(gray, times)
-        if times > 1 and (found is None or len(found.ids) < self.corners[0] * self.corners[1]):
+        columns, rows = self.corners
+        if times > 1 and (found is None or len(found.ids) < columns * rows):
             # A board far away in a large picture is too small in a reduced one.
-            whole = self._find(gray, 1)
-            if whole is not None and (found is None or len(whole.ids) > len(found.ids)):
-                return whole
+            at_full_size = self._find(gray, 1)
+            if at_full_size is not None and (
+                found is None or len(at_full_size.ids) > len(found.ids)
+            ):
+                return at_full_size
         return found
 
     def _find(self, gray: Image, times: int) -> FoundPattern | None:
-        """The pattern as found in the picture that is so many times smaller."""
+        """Find the pattern in a picture reduced by ``times``."""
         with quiet():
             corners, ids, _, _ = _charuco_detector(self).detectBoard(reduced(gray, times))
         if ids is None or corners is None:
             return None
         numbers = np.asarray(ids, dtype=np.int64).reshape(-1)
         start = np.asarray(corners, dtype=float).reshape(-1, 2)
-        lines = [len(np.unique(n)) for n in (numbers % self.corners[0], numbers // self.corners[0])]
-        if len(numbers) < FEWEST_CORNERS or min(lines) < _FEWEST_LINES:
+        columns = len(np.unique(numbers % self.corners[0]))
+        rows = len(np.unique(numbers // self.corners[0]))
+        if len(numbers) < FEWEST_CORNERS or min(columns, rows) < _MIN_LINES:
             return None
-        gap = (self.square - self.marker) / 2 / self.square
-        return self._fitted(gray, times, start, numbers, _GAP_REACH * gap)
+        return self._refined(gray, times, start, numbers, _GAP_REACH * self.gap / self.square)
 
     def black(self) -> Array:
         boxes = [super().black()]
         for number, (column, row) in enumerate(self.marker_squares()):
-            gap = (self.square - self.marker) / 2
-            offset = np.array([column * self.square + gap, row * self.square + gap, 0.0, 0.0])
-            boxes.append(marker_boxes(self.dictionary, number, self.marker) + offset)
+            x = column * self.square + self.gap
+            y = row * self.square + self.gap
+            marker = marker_boxes(self.dictionary, number, self.marker)
+            boxes.append(marker + np.array([x, y, 0.0, 0.0]))
         return np.concatenate(boxes)
 
     @property
@@ -268,69 +303,75 @@ class CharucoPattern(Pattern):
         return not (self.legacy and self.rows % 2 == 0)
 
     def marker_squares(self) -> list[tuple[int, int]]:
-        """Column and row of the white squares, in the order of the markers' ids."""
+        """Return column and row of the white squares, in the order of the markers' ids."""
         return self._every_other_square(1 if self._starts_black else 0)
 
 
 @lru_cache(maxsize=8)
 def _charuco_detector(pattern: CharucoPattern) -> Any:
     board = cv2.aruco.CharucoBoard(
-        (pattern.columns, pattern.rows), pattern.square, pattern.marker, marker_dictionary(pattern.dictionary)
+        (pattern.columns, pattern.rows),
+        pattern.square,
+        pattern.marker,
+        marker_dictionary(pattern.dictionary),
     )
     board.setLegacyPattern(pattern.legacy)
     return cv2.aruco.CharucoDetector(board)
 
 
-def _check_length(what: str, length: float) -> None:
-    # A print of more than a metre a square, or less than a millimetre, is a mistake of the unit.
-    if not 1e-3 <= length <= 1.0:
-        meant = f": {length:g} mm are {1e-3 * length:g}" if 1.0 <= length <= 1000.0 else ", 0.001 to 1"
-        raise CalibrationError(f"{what} of {length:g} m is not possible", hint=f"give metres{meant}")
+def _check_length(name: str, length: float) -> None:
+    if not _MIN_LENGTH <= length <= _MAX_LENGTH:
+        hint = "give metres, 0.001 to 1"
+        if _MAX_LENGTH <= length <= 1e3 * _MAX_LENGTH:
+            hint = f"give metres: {length:g} mm are {1e-3 * length:g}"
+        raise CalibrationError(f"{name} of {length:g} m is not possible", hint=hint)
 
 
-def check_millimetres(what: str, length: float, least: float = 1.0) -> None:
-    """Raises ``CalibrationError`` for a length in millimetres that no print has."""
-    if not least <= length <= 1000.0:
-        meant = f": is {1e3 * length:g} mm meant?" if least <= 1e3 * length <= 1000.0 else ""
-        raise CalibrationError(
-            f"{what} of {length:g} mm is not possible", hint=f"give {least:g} to 1000 mm{meant}"
-        )
+def check_millimetres(name: str, length: float, least: float = 1.0) -> None:
+    """Check a length of a print.
 
+    Args:
+        name: Name of the length in messages.
+        length: Length, mm.
+        least: Smallest possible length, mm.
 
-# ------------------------------------------------------------------------------------------
-# Which pattern a picture really shows, when it is not the one that was said; and patterns as text.
-
-
-# Pictures that must show a pattern before the rest need not be asked.
-_ENOUGH_VOTES = 3
+    Raises:
+        CalibrationError: No print has this length.
+    """
+    if not least <= length <= _MAX_LENGTH_MM:
+        hint = f"give {least:g} to {_MAX_LENGTH_MM:g} mm"
+        if least <= 1e3 * length <= _MAX_LENGTH_MM:
+            hint = f"{hint}: is {1e3 * length:g} mm meant?"
+        raise CalibrationError(f"{name} of {length:g} mm is not possible", hint=hint)
 
 
 def fitting_pattern(pattern: Pattern, images: Sequence[Image]) -> Pattern | None:
-    """The pattern itself, or what it must be where only that is found in the pictures; None when nothing is.
+    """Return the pattern in pictures: the given one, or a similar one; None if there is none.
 
-    Tried: a ChArUco board of the old layout, columns and rows the other way round, and one row or column
-    more or less (a chessboard is easily miscounted: squares instead of inner corners).  A chance find in one
-    picture is outvoted by the others; of candidates that are found equally often the first is taken.
+    Similar ones are a ChArUco board of the old layout, columns and rows exchanged, and one row or
+    column more or less, because a chessboard is easily miscounted. A chance find in one picture is
+    outvoted by the others. Of patterns that are found equally often the first is returned.
     """
-    candidates = (pattern, *_relatives(pattern))
+    candidates = (pattern, *_similar(pattern))
     votes = dict.fromkeys(candidates, 0)
     for image in images:
         for candidate in candidates:
             votes[candidate] += candidate.find(image) is not None
         if max(votes.values()) >= _ENOUGH_VOTES:
             break
-    best = max(candidates, key=lambda one: votes[one])
+    best = max(candidates, key=lambda candidate: votes[candidate])
     return best if votes[best] else None
 
 
 def larger_chessboard(pattern: Pattern, images: Sequence[Image]) -> ChessboardPattern | None:
-    """The chessboard of which only a part was taken, where most of the pictures show it; None: none.
+    """Return the larger chessboard in most pictures, or None if there is none.
 
-    OpenCV also finds a smaller chessboard than is there: which part of it differs from picture to picture.
+    OpenCV also finds a part of a chessboard. Which part differs from picture to picture.
     """
     if not isinstance(pattern, ChessboardPattern):
         return None
-    wider, taller = pattern.columns + 1, pattern.rows + 1
+    wider = pattern.columns + 1
+    taller = pattern.rows + 1
     for columns, rows in ((wider, taller), (wider, pattern.rows), (pattern.columns, taller)):
         candidate = ChessboardPattern(columns, rows, pattern.square)
         if 2 * sum(candidate.find(image) is not None for image in images) > len(images):
@@ -338,44 +379,48 @@ def larger_chessboard(pattern: Pattern, images: Sequence[Image]) -> ChessboardPa
     return None
 
 
-def _relatives(pattern: Pattern) -> list[Pattern]:
+def _similar(pattern: Pattern) -> list[Pattern]:
+    c = pattern.columns
+    r = pattern.rows
     if isinstance(pattern, CharucoPattern):
-        transposed = dataclasses.replace(pattern, columns=pattern.rows, rows=pattern.columns)
-        both = [dataclasses.replace(p, legacy=old) for p in (pattern, transposed) for old in (False, True)]
-        return [p for p in both if p != pattern]
-    c, r = pattern.columns, pattern.rows
+        others: list[Pattern] = []
+        for base in (pattern, dataclasses.replace(pattern, columns=r, rows=c)):
+            for legacy in (False, True):
+                other = dataclasses.replace(base, legacy=legacy)
+                if other != pattern:
+                    others.append(other)
+        return others
     sizes = [(c - 1, r - 1), (r, c), (c + 1, r + 1), (c - 1, r), (c, r - 1), (c + 1, r), (c, r + 1)]
-    good = [s for s in dict.fromkeys(sizes) if min(s) >= _LEAST_COUNT and s != (c, r)]
-    return [ChessboardPattern(a, b, pattern.square) for a, b in good]
+    possible = [s for s in dict.fromkeys(sizes) if min(s) >= _MIN_COUNT and s != (c, r)]
+    return [ChessboardPattern(columns, rows, pattern.square) for columns, rows in possible]
 
 
 def describe(pattern: Pattern) -> str:
-    """The pattern as text."""
-    what = f"{pattern.name} of {pattern.columns}x{pattern.rows} {pattern.counted}"
+    """Return a pattern as text."""
+    text = f"{pattern.name} of {pattern.columns}x{pattern.rows} {pattern.counted}"
     square = f"{1e3 * pattern.square:g} mm"
     if not isinstance(pattern, CharucoPattern):
-        return f"{what} (squares {square})"
+        return f"{text} (squares {square})"
     layout = ", layout of OpenCV before 4.6" if pattern.legacy else ""
-    return f"{what} ({square}, markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}{layout})"
+    marker = f"{1e3 * pattern.marker:g} mm"
+    return f"{text} ({square}, markers {marker}, {pattern.dictionary}{layout})"
 
 
 PatternKind = Literal["charuco", "chessboard"]
 
-#: A marker's side in squares, where it is not given.
-MARKER_SHARE = 0.73
-
 
 @dataclass(frozen=True)
 class PatternRequest:
-    """What somebody said of a pattern; None where the usual will do.
+    """A pattern with lengths in millimetres. Numbers that are None have a default.
 
     Attributes:
         kind: ``charuco`` or ``chessboard``.
         columns: charuco: squares (8); chessboard: inner corners (9).
         rows: The same downwards (6; 6).
         square_mm: Side of a square (30; 25).
-        marker_mm: Side of a marker of a charuco board; by default ``MARKER_SHARE`` squares, to whole mm.
-        dictionary: Of its markers.
+        marker_mm: Side of a marker of a ChArUco board; by default ``MARKER_SHARE`` squares, to whole
+            millimetres.
+        dictionary: Dictionary of its markers.
     """
 
     kind: PatternKind = "charuco"
@@ -386,12 +431,12 @@ class PatternRequest:
     dictionary: str = "DICT_5X5_50"
 
     def pattern(self) -> Pattern:
-        """The pattern.
+        """Return the pattern.
 
         Raises:
-            CalibrationError: No such pattern can be.
+            CalibrationError: The pattern is impossible.
         """
-        columns, rows, square = _USUAL[self.kind]
+        columns, rows, square = _DEFAULTS[self.kind]
         columns = columns if self.columns is None else self.columns
         rows = rows if self.rows is None else self.rows
         square = square if self.square_mm is None else self.square_mm
@@ -402,11 +447,8 @@ class PatternRequest:
             return ChessboardPattern(columns, rows, square / 1e3)
         marker = self.marker_mm
         if marker is None:
-            # Whole millimetres can be measured; in a small square they would be too coarse.
-            share = MARKER_SHARE * square
-            marker = float(round(share)) if square >= 10.0 else share
+            # Whole millimetres can be measured.
+            marker = MARKER_SHARE * square
+            marker = float(round(marker)) if square >= _WHOLE_MM_SQUARE else marker
         check_millimetres("a marker", marker)
         return CharucoPattern(columns, rows, square / 1e3, marker / 1e3, self.dictionary)
-
-
-_USUAL = {"charuco": (8, 6, 30.0), "chessboard": (9, 6, 25.0)}

@@ -142,14 +142,25 @@ class PoseProblem:
 
     def judge(self, motion: _Motion) -> tuple[Array, Array]:
         """Return the RMS distance of the points in px and the sum of squares of each group (m,)."""
-        rotation, position = motion
-        camera = self.points.reshape(-1, 3) @ rotation.T + position
-        normalized = camera[:, :2] / np.maximum(camera[:, 2:], _MIN_DEPTH)
-        difference = normalized - self.normalized.reshape(-1, 2)
-        pixels = (self.to_pixels @ difference[:, :, None]).reshape(self.count, -1)
+        difference = self._differences([motion])[0]
         residual = self.whiteners @ difference.reshape(self.count, -1, 1)
-        distance = np.sqrt((pixels**2).sum(axis=1) / self.size)
-        return distance, (residual[:, :, 0] ** 2).sum(axis=1)
+        return self.pixel_errors([motion])[0], (residual[:, :, 0] ** 2).sum(axis=1)
+
+    def pixel_errors(self, motions: Sequence[_Motion]) -> Array:
+        """Return the RMS distance of the points of each group (s, m), px, for s poses."""
+        differences = self._differences(motions)
+        pixels = np.einsum("pij,spj->spi", self.to_pixels, differences)
+        squares = (pixels**2).reshape(len(motions), self.count, -1).sum(axis=2)
+        return np.asarray(np.sqrt(squares / self.size))
+
+    def _differences(self, motions: Sequence[_Motion]) -> Array:
+        """Return projected minus measured normalised coordinates (s, m k, 2) for s poses."""
+        rotations = np.array([rotation for rotation, _ in motions])
+        positions = np.array([position for _, position in motions])
+        points = self.points.reshape(-1, 3)
+        camera = points @ rotations.transpose(0, 2, 1) + positions[:, None]
+        projected = camera[:, :, :2] / np.maximum(camera[:, :, 2:], _MIN_DEPTH)
+        return np.asarray(projected - self.normalized.reshape(-1, 2))
 
     def fit(self, start: _Motion) -> Minimum[_Motion]:
         """Return the pose of the least squares from ``start``."""
@@ -233,9 +244,9 @@ def _pose_fit(problem: PoseProblem, fit: Minimum[_Motion]) -> PoseFit:
 
 def _consensus(problem: PoseProblem, starts: Sequence[_Motion]) -> tuple[list[int], _Motion]:
     """Return the groups that agree with each other, and their pose."""
-    errors = [problem.judge(start)[0] for start in starts]
+    errors = problem.pixel_errors(starts)
     # The median decides: up to half of the groups may be wrong.
-    best = int(np.argmin([np.median(error) for error in errors]))
+    best = int(np.argmin(np.median(errors, axis=1)))
     # A single marker's tilt is inaccurate, so no group is rejected yet. The better half makes the
     # first fit.
     order = np.argsort(errors[best], kind="stable")

@@ -149,7 +149,7 @@ class Registrar:
         self._last: BoardObservation | None = None
 
     def track(self, frame: Frame) -> BoardObservation | None:
-        """Return the board in a frame. The last observation stays valid for a quarter of a second."""
+        """Return the board in a frame. An observation stays valid for a quarter of a second."""
         if self._tracker is None:
             return None
         observation = self._tracker.observe(frame)

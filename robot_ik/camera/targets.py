@@ -452,6 +452,7 @@ def find_corners(
     ids: frozenset[int] | None = None,
     *,
     select: Callable[[Sequence[Detection]], list[Detection]] = list,
+    max_pixels: int | None = None,
 ) -> list[tuple[int, Corners]]:
     """Detect and refine markers in a frame.
 
@@ -462,6 +463,7 @@ def find_corners(
         ids: Ids of the wanted markers. If a quick detection finds all of them, the slower thorough
             one is skipped. None for all ids of the dictionary.
         select: Returns the detections to refine. The others are left out.
+        max_pixels: See ``refine_markers``.
 
     Returns:
         Ids and corners, sorted by id. An id comes twice if two copies of the marker are visible.
@@ -476,12 +478,12 @@ def find_corners(
     if ids is not None:
         detections = detector.detect_quickly(gray)
         if ids <= {d.id for d in detections}:
-            corners = _refine(gray, select(detections), dictionary, intrinsics)
+            corners = _refine(gray, select(detections), dictionary, intrinsics, max_pixels)
             if all(c.refined for _, c in corners):
                 return [(i, c) for i, c in corners if c.verified]
             # The corners of the quick detection may be too inaccurate to start from.
     detections = select(detector.detect(gray))
-    corners = _refine(gray, detections, dictionary, intrinsics)
+    corners = _refine(gray, detections, dictionary, intrinsics, max_pixels)
     return [(i, c) for i, c in corners if c.verified]
 
 
@@ -496,11 +498,15 @@ def _check_input(frame: Frame, intrinsics: CameraIntrinsics) -> None:
 
 
 def _refine(
-    gray: Image, detections: list[Detection], dictionary: str, intrinsics: CameraIntrinsics
+    gray: Image,
+    detections: list[Detection],
+    dictionary: str,
+    intrinsics: CameraIntrinsics,
+    max_pixels: int | None,
 ) -> list[tuple[int, Corners]]:
     ids = [d.id for d in detections]
     pixels = [d.corners for d in detections]
-    corners = refine_markers(gray, pixels, ids, dictionary, intrinsics)
+    corners = refine_markers(gray, pixels, ids, dictionary, intrinsics, max_pixels=max_pixels)
     return list(zip(ids, corners, strict=True))
 
 

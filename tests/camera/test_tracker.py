@@ -219,3 +219,14 @@ def test_unverified_corners_are_not_used(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_corners_state_how_accurate_they_are() -> None:
     corners = Corners(np.zeros((4, 2)), np.zeros((4, 2)), 0.04 * np.eye(8), refined=True)
     assert corners.sigma == pytest.approx(0.2)
+
+
+def test_a_limit_of_pixels_costs_little_accuracy() -> None:
+    board = marker_grid(5, 4, 0.03, 0.0075)
+    pose = Pose((0.0, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.3, 0.1, 0.0])))
+    frame = board_picture(board, pose)
+    (tracked,) = Tracker(CAMERA, [board]).observe(frame)
+    whole = board.find(frame, CAMERA)
+    assert whole is not None and len(tracked.ids) == len(whole.ids) == 20
+    assert whole.sigma < tracked.sigma < 2.0 * whole.sigma
+    assert tracked.pose.distance(pose)[0] < 5e-5

@@ -46,7 +46,9 @@ class Coverage:
     missing: tuple[str, ...]
 
 
-def cover(found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]) -> Coverage:
+def cover(
+    found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]
+) -> Coverage:
     """Accounts for views of pictures of ``size`` px, each with its ``rotation_camera_board`` (3, 3)."""
     parts = np.zeros((3, 3), dtype=np.int64)
     for view in found:
@@ -71,13 +73,19 @@ def _tilt(rotation: Array) -> Array:
 def _spacing(view: FoundPattern) -> float:
     """Pixels per metre of the board: the root of the ratio of the areas that the corners span."""
     spans = [
-        np.sqrt(max(float(np.linalg.det(np.cov(p.T))), 0.0)) for p in (view.pixels, view.points_board[:, :2])
+        np.sqrt(max(float(np.linalg.det(np.cov(p.T))), 0.0))
+        for p in (view.pixels, view.points_board[:, :2])
     ]
     return float(np.sqrt(spans[0] / spans[1])) if spans[1] > 0 else 0.0
 
 
 def _missing(parts: NDArray[np.int64], tilts: Array, spacings: Array) -> list[str]:
-    missing = [f"the board in the {PARTS[r][c]}" for r in range(3) for c in range(3) if parts[r, c] < _VIEWS]
+    missing = [
+        f"the board in the {PARTS[r][c]}"
+        for r in range(3)
+        for c in range(3)
+        if parts[r, c] < _VIEWS
+    ]
     for side, direction in TILTS.items():
         if not len(tilts) or (tilts @ np.array(direction)).max() < TILT_DEG:
             missing.append(f"its {side} side tilted away")

@@ -169,7 +169,9 @@ def locate_camera(
     view = _averaged(views, start)
     sample = HandEyeSample(Pose(), view)
 
-    def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
+    def linear(
+        mount: Mount, weights: Sequence[Array] | None
+    ) -> tuple[LinearViews, Sequence[Array]]:
         views, left = compress(mount, [sample], intrinsics, weights)
         return views, corner_misses(left, _scale(left[0]))
 

@@ -46,14 +46,22 @@ def _doubts(camera: CameraIntrinsics, rms: float, hold_out: float, coverage: Cov
     if views < ENOUGH_VIEWS:
         found.append(f"only {views} views: take {ENOUGH_VIEWS} or more")
     if _focal_share(camera) > _FOCAL_DOUBT:
-        found.append(f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more")
+        found.append(
+            f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more"
+        )
     centre = max(camera.std[2:4])
     if centre > _CENTRE_DOUBT * camera.width:
-        found.append(f"the principal point is only known to {centre:.1f} px: tilt more, into the corners")
+        found.append(
+            f"the principal point is only known to {centre:.1f} px: tilt more, into the corners"
+        )
     if rms > _FAIR_RMS_PX:
-        found.append(f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures")
+        found.append(
+            f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
+        )
     if hold_out > max(_HOLD_OUT_RATIO * rms, rms + 0.05):
-        found.append(f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds")
+        found.append(
+            f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds"
+        )
     return found + [f"missing: {what}" for what in coverage.missing]
 
 
@@ -159,7 +167,9 @@ def calibrate(
             break
         for k, error in zip(used, fit.per_view, strict=True):
             if error > worst:
-                left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
+                left_out[k] = (
+                    f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
+                )
     if fit.rms > _WORST_RMS_PX:
         raise CalibrationError(
             f"the calibration leaves {fit.rms:.2f} px RMS; more than {_WORST_RMS_PX:g} px is none",
@@ -200,7 +210,10 @@ class _Fit:
 
 
 def _fit(
-    found: Sequence[FoundPattern], size: tuple[int, int], coefficients: int, near: Array | None = None
+    found: Sequence[FoundPattern],
+    size: tuple[int, int],
+    coefficients: int,
+    near: Array | None = None,
 ) -> _Fit:
     """OpenCV's calibration, from nothing or from numbers that are nearly right."""
     flags = cv2.CALIB_RATIONAL_MODEL if coefficients == 8 else 0
@@ -307,6 +320,8 @@ def _reports(
 ) -> tuple[ViewReport, ...]:
     errors = dict(zip(used, fit.per_view, strict=True))
     return tuple(
-        ViewReport(v.name, len(v.found.ids), float(errors[k]) if k in errors else None, left_out.get(k, ""))
+        ViewReport(
+            v.name, len(v.found.ids), float(errors[k]) if k in errors else None, left_out.get(k, "")
+        )
         for k, v in enumerate(views)
     )

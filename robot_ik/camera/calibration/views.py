@@ -122,8 +122,12 @@ class ViewGatherer:
             self._identify_pattern(last=True)
         self._check_counts()
         if self._without and self._found_any:
-            names = ", ".join(self._without[:_NAMED]) + (", …" if len(self._without) > _NAMED else "")
-            self.notices.append(f"not seen well enough in {len(self._without)} of the pictures: {names}")
+            names = ", ".join(self._without[:_NAMED]) + (
+                ", …" if len(self._without) > _NAMED else ""
+            )
+            self.notices.append(
+                f"not seen well enough in {len(self._without)} of the pictures: {names}"
+            )
 
     @property
     def coverage(self) -> Coverage:
@@ -146,7 +150,9 @@ class ViewGatherer:
             for number, image in enumerate(images):
                 self.offer(Frame(image, 0.0, number), f"picture {number + 1}", selective=False)
         elif other is not None:
-            counted = "squares" if isinstance(other, CharucoPattern) else "inner corners, not squares"
+            counted = (
+                "squares" if isinstance(other, CharucoPattern) else "inner corners, not squares"
+            )
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in the pictures, but a {describe(other)}",
                 hint=f"--columns {other.columns} --rows {other.rows} ({counted})",
@@ -167,7 +173,9 @@ class ViewGatherer:
         elif 0 < len(self.views) < len(self._without):
             other = fitting_pattern(self.pattern, list(self._unmatched)[-_IDENTIFIED:])
             if other is not None and other != self.pattern:
-                self.notices.append(f"most of the pictures show a {describe(other)}{_option_text(other)}")
+                self.notices.append(
+                    f"most of the pictures show a {describe(other)}{_option_text(other)}"
+                )
 
     def _is_still(self, found: FoundPattern, size: tuple[int, int]) -> bool:
         before = self._previous
@@ -190,9 +198,7 @@ class ViewGatherer:
 def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
     """What to look at when the pattern and all that is nearly the same were not found."""
     if not isinstance(pattern, CharucoPattern):
-        return (
-            "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
-        )
+        return "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
     guess = guess_dictionary(images[-_IDENTIFIED:], min_count=_BOARD_MARKERS)
     if guess is None:
         return (
@@ -216,7 +222,9 @@ def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, floa
     good, rotation_vector, shift = cv2.solvePnP(found.points_board, found.pixels, k, np.zeros(5))
     if not good:
         return np.eye(3), 1.0
-    rotation = np.asarray(cv2.Rodrigues(np.asarray(rotation_vector, dtype=float).reshape(3))[0], dtype=float)
+    rotation = np.asarray(
+        cv2.Rodrigues(np.asarray(rotation_vector, dtype=float).reshape(3))[0], dtype=float
+    )
     return rotation, float(np.asarray(shift, dtype=float).reshape(3)[2])
 
 

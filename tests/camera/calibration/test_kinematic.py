@@ -21,6 +21,7 @@ from robot_ik.camera.calibration.kinematic import (
 )
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import Observation
+from robot_ik.cli.arm_camera import unobservable_text
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot
@@ -129,7 +130,7 @@ def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
     found = fit(views, robot, **loose)
     assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
     assert found.found == ("joint2", "joint3", "joint4", "joint5")
-    texts = {one.joint: one.text for one in found.unobservable}
+    texts = {one.joint: unobservable_text(one, "link6") for one in found.unobservable}
     assert "the offset of joint1 and the rotation of the camera about z of the world" in texts["joint1"]
     assert "the offset of joint6 and the rotation of the board about" in texts["joint6"]
     np.testing.assert_allclose(found.offsets[1:5], offsets[1:5], atol=np.deg2rad(0.02))
@@ -153,7 +154,10 @@ def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
     views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
     found = fit(views, robot, frame="link5")
     (one,) = found.unobservable
-    assert one.joint == "joint6" and one.text == "the offset of joint6 does not show in these views"
+    assert (
+        one.joint == "joint6"
+        and unobservable_text(one, "link5") == "the offset of joint6 does not show in these views"
+    )
     assert np.isinf(one.sigma)
     held = fit(views, robot, frame="link5", hold=["joint6", "joint2"])
     assert held.unobservable == () and held.offsets[1] == held.sigma[1] == 0.0

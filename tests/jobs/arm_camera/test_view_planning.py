@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.calibration.handeye import Mount, compress, rotation_spread
+from robot_ik.camera.calibration.handeye import Mount, compress
+from robot_ik.camera.calibration.pose_means import rotation_spread
 from robot_ik.camera.targets import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
