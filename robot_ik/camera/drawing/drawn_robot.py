@@ -86,7 +86,9 @@ class DrawnRobot:
         # A scene and its camera in one scale give one picture.
         return Pose(pose_base_camera.position / self.scale, pose_base_camera.wxyz)
 
-    def draw(self, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose) -> Drawing:
+    def draw(
+        self, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+    ) -> Drawing:
         """Draw the robot and its shadow.
 
         Args:
@@ -99,7 +101,9 @@ class DrawnRobot:
         """
         faces = faces_in_picture(self.model, qpos, intrinsics, self.camera(pose_board_camera))
         if self.scale != 1.0:
-            faces = replace(faces, inverse=faces.inverse / self.scale, points=faces.points * self.scale)
+            faces = replace(
+                faces, inverse=faces.inverse / self.scale, points=faces.points * self.scale
+            )
         box = bounding_box(faces, *intrinsics.size)
         if box == EMPTY:
             return Drawing()
@@ -184,8 +188,10 @@ def _hide_shadow(
 
 
 def _plane_inverse_depth(box: Box, intrinsics: CameraIntrinsics, pose_camera_plane: Pose) -> Array:
-    """Return the inverse depth (h, w) of the plane at the pixels of the box, 0 where it is behind."""
+    """Return the inverse depth (h, w) of the plane at the pixels of a box, 0 behind the lens."""
     rays = ray_field(intrinsics).box(*box)
     normal = pose_camera_plane.rotation[:, 2]
     distance = pose_camera_plane.position @ normal
-    return np.maximum((rays[..., 0] * normal[0] + rays[..., 1] * normal[1] + normal[2]) / distance, 0.0)
+    return np.maximum(
+        (rays[..., 0] * normal[0] + rays[..., 1] * normal[1] + normal[2]) / distance, 0.0
+    )

@@ -277,4 +277,6 @@ def _fitted(view: Image, width: int) -> Image:
     """Return the view scaled to a width."""
     height = round(view.shape[0] * width / view.shape[1])
     interpolation = cv2.INTER_AREA if width < view.shape[1] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(view, (width, height), interpolation=interpolation), dtype=np.uint8)
+    return np.asarray(
+        cv2.resize(view, (width, height), interpolation=interpolation), dtype=np.uint8
+    )

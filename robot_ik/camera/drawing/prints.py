@@ -209,7 +209,9 @@ class SeenPrint:
 
 
 @lru_cache(maxsize=64)
-def marker_print(dictionary: str, marker: int, size: float, margin: float, bleed: float = 0.0) -> Print:
+def marker_print(
+    dictionary: str, marker: int, size: float, margin: float, bleed: float = 0.0
+) -> Print:
     """Return a marker on white paper, in metres from the middle of the marker.
 
     Args:
@@ -297,7 +299,9 @@ def print_box(sheet: Print, pose_camera_print: Pose, field: RayField) -> Box | N
     return int(lower[0]), int(lower[1]), int(upper[0]), int(upper[1])
 
 
-def _borders(start: float, length: float, lower: Array, upper: Array) -> tuple[Array, NDArray[np.int64]]:
+def _borders(
+    start: float, length: float, lower: Array, upper: Array
+) -> tuple[Array, NDArray[np.int64]]:
     """Return the borders of cells along one side of the paper.
 
     And the numbers (n, 2) of the borders between which each box lies.
