@@ -13,7 +13,12 @@ import pytest
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated, check_calibration, check_model
+from robot_ik.hardware.calibration import (
+    CalibrationMismatchError,
+    calibrated,
+    check_calibration,
+    check_model,
+)
 from robot_ik.hardware.calibration_file import Calibration, load_lerobot, save_lerobot
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode

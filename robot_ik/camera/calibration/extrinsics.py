@@ -16,16 +16,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     HandEyeSample,
     Mount,
     compress,
-    corner_misses,
-    robust_mean_pose,
+    corner_residuals,
 )
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
+from robot_ik.camera.calibration.pose_means import robust_mean_pose
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.config import Position, SchemaVersion, Table, Wxyz, read_table
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import plain, toml_value, write_atomically
@@ -141,7 +141,7 @@ def today() -> str:
 
 
 def locate_camera(
-    views: Sequence[BoardView],
+    views: Sequence[Observation],
     pose_world_board: Pose,
     intrinsics: CameraIntrinsics,
     *,
@@ -151,7 +151,7 @@ def locate_camera(
 
     The frames are averaged point by point (median, then Cauchy weights), then one pose is fitted to all
     points.  Averaging takes away noise, not what is wrong in each frame alike (print, lens), so the
-    covariance is of the misses of the averaged points: it does not shrink with the number of frames.
+    covariance is of the residuals of the averaged points: it does not shrink with the number of frames.
 
     Args:
         views: Of one or more frames.
@@ -165,18 +165,18 @@ def locate_camera(
     """
     if not views:
         raise CameraError("the board was seen in no picture, so the camera's pose is not known")
-    start = robust_mean_pose([view.pose_camera_board for view in views])
+    start = robust_mean_pose([view.pose for view in views])
     view = _averaged(views, start)
     sample = HandEyeSample(Pose(), view)
 
     def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
         views, left = compress(mount, [sample], intrinsics, weights)
-        return views, corner_misses(left, _scale(left[0]))
+        return views, corner_residuals(left, _scale(left[0]))
 
     mount = Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand")
     mount, normal = fit_views(linear, mount, _CAMERA)
     # How far off each corner is, in standard deviations as stated.
-    left = np.linalg.norm(mount.miss(sample, intrinsics), axis=1) / view.sigma
+    left = np.linalg.norm(mount.residual(sample, intrinsics), axis=1) / view.sigma
     weights = cauchy_weight(left / np.sqrt(2.0) / _scale(left))
     squares, dof = float(weights @ left**2), max(2.0 * float(weights.sum()) - 6.0, 0.0)
     covariance = (_PRIOR + squares) / (_PRIOR + dof) * normal.covariance[:6, :6]
@@ -206,7 +206,7 @@ def _scale(left: Array) -> float:
     return max(float(np.median(left)) / 1.1774, 1.0)
 
 
-def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
+def _averaged(views: Sequence[Observation], start: Pose) -> Observation:
     """One view whose pixels are robust means of all frames, point by point."""
     seen: dict[tuple[float, ...], list[Array]] = {}
     for view in views:
@@ -231,7 +231,7 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
             "robot-ik camera handeye",
         )
     sigma = float(np.median([view.sigma for view in views]))
-    return BoardView(np.array(points), np.array(means), start, sigma)
+    return Observation(np.array(points), np.array(means), start, sigma)
 
 
 # --------------------------------------------------------------------------------------- file

@@ -9,17 +9,16 @@ the calibration has not seen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import FoundPattern
-from robot_ik.camera.boards.tone import Tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.patterns import FoundPattern
 from robot_ik.errors import CalibrationError
 from robot_ik.ports import Array
 
@@ -47,14 +46,22 @@ def _doubts(camera: CameraIntrinsics, rms: float, hold_out: float, coverage: Cov
     if views < ENOUGH_VIEWS:
         found.append(f"only {views} views: take {ENOUGH_VIEWS} or more")
     if _focal_share(camera) > _FOCAL_DOUBT:
-        found.append(f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more")
+        found.append(
+            f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more"
+        )
     centre = max(camera.std[2:4])
     if centre > _CENTRE_DOUBT * camera.width:
-        found.append(f"the principal point is only known to {centre:.1f} px: tilt more, into the corners")
+        found.append(
+            f"the principal point is only known to {centre:.1f} px: tilt more, into the corners"
+        )
     if rms > _FAIR_RMS_PX:
-        found.append(f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures")
+        found.append(
+            f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
+        )
     if hold_out > max(_HOLD_OUT_RATIO * rms, rms + 0.05):
-        found.append(f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds")
+        found.append(
+            f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds"
+        )
     return found + [f"missing: {what}" for what in coverage.missing]
 
 
@@ -76,20 +83,16 @@ _OUTLIER_RATIO, _OUTLIER_PX = 3.0, 0.25
 # A picture this many times as blurred as the middle one was moved.
 _BLUR_RATIO, _BLUR_PX = 1.8, 2.0
 _WORST_RMS_PX = 1.0
-# Views that tell how edges look, at least; names that are shown of those in which something is wrong.
-_FEWEST_TONES, _NAMED = 3, 4
 # Three coefficients that take away less than this of the error describe noise.
 _WORTHLESS = 1.03
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """One picture's corners, what it is called, how its edges look, and whether its pattern has markers."""
+    """The corners of one picture, and its name."""
 
     name: str
     found: FoundPattern
-    tone: Tone | None = None
-    markers: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,7 +124,6 @@ class CalibrationResult:
         coverage: Where in the picture corners were, and how the board was tilted.
         verdict: As text.
         doubts: What the verdict complains about; empty for a good calibration.
-        notes: What the camera does to its pictures, and what to change at it.
     """
 
     intrinsics: CameraIntrinsics
@@ -130,7 +132,6 @@ class CalibrationResult:
     coverage: Coverage
     verdict: str
     doubts: tuple[str, ...]
-    notes: tuple[str, ...] = ()
 
 
 def calibrate(
@@ -166,7 +167,9 @@ def calibrate(
             break
         for k, error in zip(used, fit.per_view, strict=True):
             if error > worst:
-                left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
+                left_out[k] = (
+                    f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
+                )
     if fit.rms > _WORST_RMS_PX:
         raise CalibrationError(
             f"the calibration leaves {fit.rms:.2f} px RMS; more than {_WORST_RMS_PX:g} px is none",
@@ -177,12 +180,9 @@ def calibrate(
     jackknife, hold_out = _without_each_group(found, size, coefficients, fit)
     std = tuple(float(v) for v in np.maximum(jackknife, fit.std))
     fx, fy, cx, cy = map(float, fit.numbers[:4])
-    tones = {named[k].name: tone for k in used if (tone := named[k].tone) is not None}
-    markers = any(named[k].markers for k in used)
-    shift, shift_sigma = _edge_shift(list(tones.values()))
     intrinsics = CameraIntrinsics(
         *size, fx, fy, cx, cy, tuple(fit.numbers[4:]), _MODELS[coefficients],
-        rms=fit.rms, std=std, views=len(used), name=name, edge_shift=shift, edge_shift_sigma=shift_sigma,
+        rms=fit.rms, std=std, views=len(used), name=name,
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
@@ -191,37 +191,8 @@ def calibrate(
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, _reports(named, used, fit, left_out), hold_out, coverage,
-        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones, markers),
+        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts),
     )  # fmt: skip
-
-
-def _edge_shift(tones: Sequence[Tone]) -> tuple[float | None, float | None]:
-    """Of the camera and from picture to picture, in sigmas of the blur; None from too few views."""
-    if len(tones) < _FEWEST_TONES:
-        return None, None
-    values = np.array([tone.edge_shift for tone in tones])
-    return float(np.median(values)), float(np.std(values, ddof=1))
-
-
-def _tone_notes(tones: Mapping[str, Tone], markers: bool) -> tuple[str, ...]:
-    """How far the edges of markers seem to be off, and which views are overexposed, sharpened, compressed."""
-    notes = []
-    if tones and markers:
-        pixels = float(np.median([tone.pixels for tone in tones.values()]))
-        looks = "smaller" if pixels > 0 else "larger"
-        notes.append(
-            f"edge bias {pixels:+.2f} px (dark squares look {looks}): corners of a pattern are not affected; "
-            "that of markers is estimated together with their corners"
-        )
-    views: dict[str, list[str]] = {}
-    for name, tone in tones.items():
-        for trouble in tone.troubles:
-            views.setdefault(trouble, []).append(name)
-    for trouble, names in views.items():
-        what, _, hint = trouble.partition(": ")
-        shown = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
-        notes.append(f"{len(names)} of {len(tones)} views are {what} ({shown}): {hint}")
-    return tuple(notes)
 
 
 _MODELS = {5: "plumb_bob", 8: "rational_polynomial"}
@@ -239,7 +210,10 @@ class _Fit:
 
 
 def _fit(
-    found: Sequence[FoundPattern], size: tuple[int, int], coefficients: int, near: Array | None = None
+    found: Sequence[FoundPattern],
+    size: tuple[int, int],
+    coefficients: int,
+    near: Array | None = None,
 ) -> _Fit:
     """OpenCV's calibration, from nothing or from numbers that are nearly right."""
     flags = cv2.CALIB_RATIONAL_MODEL if coefficients == 8 else 0
@@ -346,6 +320,8 @@ def _reports(
 ) -> tuple[ViewReport, ...]:
     errors = dict(zip(used, fit.per_view, strict=True))
     return tuple(
-        ViewReport(v.name, len(v.found.ids), float(errors[k]) if k in errors else None, left_out.get(k, ""))
+        ViewReport(
+            v.name, len(v.found.ids), float(errors[k]) if k in errors else None, left_out.get(k, "")
+        )
         for k, v in enumerate(views)
     )

@@ -163,7 +163,9 @@ class NormalEquations:
         return whole
 
 
-def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]) -> NormalEquations:
+def normal_equations(
+    views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]
+) -> NormalEquations:
     """Weighted least squares; ``free``: (f,) places of the unknowns that are sought."""
     rows = views.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
@@ -203,11 +205,15 @@ def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, 
     noise: ArmNoise | None = None
     damping = _FIRST_DAMPING
     for _ in range(_ITERATIONS):
-        views, misses = linear(state, corners)
+        views, residuals = linear(state, corners)
         noise = estimate_noise(views, free, noise)
         normal = normal_equations(views, noise, free)
         step, damping = _descent_step(linear, state, corners, normal, damping)
-        weighted, state, corners = corners is not None, state.plus(step), [cauchy_weight(m) for m in misses]
+        weighted, state, corners = (
+            corners is not None,
+            state.plus(step),
+            [cauchy_weight(m) for m in residuals],
+        )
         # A start may be the solution with all corners alike.
         if weighted and np.abs(step).max() < _DONE:
             break
@@ -215,7 +221,11 @@ def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, 
 
 
 def _descent_step(
-    linear: Linear[S], state: S, corners: list[Array] | None, normal: NormalEquations, damping: float
+    linear: Linear[S],
+    state: S,
+    corners: list[Array] | None,
+    normal: NormalEquations,
+    damping: float,
 ) -> tuple[Array, float]:
     """A step that lowers the cost, and the damping for the next one; zeros where none does."""
     now = normal.views.cost(normal.noise)
@@ -230,12 +240,14 @@ def _descent_step(
     return np.zeros_like(step), damping
 
 
-def cauchy_weight(misses: Array) -> Array:
-    """Weights of misses in standard deviations: 1 at 0, 95 % efficient on Gaussian noise (c = 2.385)."""
-    return np.asarray(1.0 / (1.0 + (misses / 2.385) ** 2))
+def cauchy_weight(residuals: Array) -> Array:
+    """Weights of residuals in standard deviations: 1 at 0, 95 % efficient on Gaussian noise (c = 2.385)."""
+    return np.asarray(1.0 / (1.0 + (residuals / 2.385) ** 2))
 
 
-def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None) -> ArmNoise:
+def estimate_noise(
+    views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None
+) -> ArmNoise:
     """The sizes of the arm's error, by restricted maximum likelihood, and the weight of each view, in turns.
 
     Restricted: the unknowns are fitted to the same views, so plain maximum likelihood would find the arm
@@ -266,7 +278,9 @@ def _first_weights(views: LinearViews) -> Array:
     return np.asarray(np.maximum(1.0, (off / scale).max(axis=1) / 4.0) ** -2.0)
 
 
-def _most_likely(views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None) -> Array:
+def _most_likely(
+    views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None
+) -> Array:
     """Sizes (k,) with the highest restricted likelihood, on a grid that is refined."""
     count = len(views.sources)
     grids = [_SIZES] * count if near is None else [size * _NEARBY for size in near.sizes]
@@ -310,98 +324,3 @@ def inverse(matrix: Array) -> Array:
     """Of a positive matrix whose unknowns have other units and may hardly be determined."""
     scaled, scale = _balanced(matrix)
     return np.asarray(np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale))
-
-
-# ------------------------------------------------------------------------------------------
-# Which joint offsets the views cannot tell from each other or from the camera's and the board's poses.
-#
-# Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
-# Int. J. Robotics Research 15(6), 1996; the singular values of the information matrix are the measure there.
-
-
-# Parts of a direction that are smaller than this share of its largest are not mentioned.
-_SHARE = 0.25
-# A translation that goes with a degree of the joints and is shorter is not mentioned, metres a rad.
-_LEVER = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class Unobservable:
-    """A combination of joint offsets that the views do not determine.
-
-    Attributes:
-        joint: The one that is held at 0 for it.
-        direction: (nv,) the combination, of length 1.
-        sigma: Its standard deviation, rad; infinite where the views say nothing at all.
-        text: What cannot be told apart, for people.
-    """
-
-    joint: str
-    direction: Array
-    sigma: float
-    text: str
-
-
-def joint_information(normal: NormalEquations, joints: int) -> tuple[Array, Array, Array]:
-    """What is known of the joints' offsets when the poses have taken the share that they can.
-
-    Args:
-        normal: With what is known of the poses beforehand, so that these are determined in any case.
-        joints: How many unknowns are joints; the first of the free ones are.
-
-    Returns:
-        Singular values, 1/rad^2, the largest first; directions as columns; (poses, joints): how the poses
-        go along with each joint without the views noticing.
-    """
-    h = normal.matrix
-    count = int(np.sum(normal.free < joints))
-    along = -inverse(h[count:, count:]) @ h[count:, :count]
-    information = h[:count, :count] + h[:count, count:] @ along
-    _, values, rows = np.linalg.svd(0.5 * (information + information.T), hermitian=True)
-    return values, rows.T, along
-
-
-def find_unobservable(
-    normal: NormalEquations, names: Sequence[str], unclear: float, parent: str, other: str
-) -> Unobservable | None:
-    """The worst determined combination of offsets, if its standard deviation is beyond ``unclear`` rad.
-
-    ``names`` are of all joints; ``parent`` and ``other`` are what camera and board are seen from.
-    """
-    values, directions, along = joint_information(normal, len(names))
-    if len(values) == 0 or values[-1] >= unclear**-2:
-        return None
-    free = [names[k] for k in normal.free if k < len(names)]
-    v = directions[:, -1] * np.sign(directions[int(np.argmax(np.abs(directions[:, -1]))), -1])
-    whole = np.zeros(len(names))
-    whole[normal.free[: len(free)]] = v
-    known = values[-1] > 1e-12 * values[0] and values[-1] > 1e-6
-    held = free[int(np.argmax(np.abs(v)))]
-    return Unobservable(
-        held, whole, float(values[-1] ** -0.5) if known else np.inf,
-        _unobservable_text(free, v, along @ v, parent, other),
-    )  # fmt: skip
-
-
-def _unobservable_text(free: Sequence[str], v: Array, poses: Array, parent: str, other: str) -> str:
-    big = np.abs(v) >= _SHARE * np.abs(v).max()
-    order = [int(k) for k in np.argsort(-np.abs(v), kind="stable") if big[k]]
-    parts = [f"the offset of {free[k]}" for k in order]
-    for name, seen_from, twist in (("camera", parent, poses[:6]), ("board", other, poses[6:])):
-        angle, shift = float(np.linalg.norm(twist[3:])), float(np.linalg.norm(twist[:3]))
-        if angle >= _SHARE:
-            parts.append(f"the rotation of the {name} about {_axis(twist[3:])} of {seen_from}")
-        elif shift >= _LEVER:
-            parts.append(f"the shift of the {name} along {_axis(twist[:3])} of {seen_from}")
-    if len(parts) == 1:
-        return f"{parts[0]} does not show in these views"
-    return f"{', '.join(parts[:-1])} and {parts[-1]} look the same"
-
-
-def _axis(vector: Array) -> str:
-    """``z``, or the components of a direction that is along no axis."""
-    unit = vector / np.linalg.norm(vector)
-    k = int(np.argmax(np.abs(unit)))
-    if abs(unit[k]) > 0.98:
-        return "xyz"[k]
-    return "(" + ", ".join(f"{x + 0.0:.2f}" for x in unit) + ")"

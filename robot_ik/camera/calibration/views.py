@@ -9,7 +9,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import (
+from robot_ik.camera.calibration.coverage import Coverage, cover
+from robot_ik.camera.calibration.intrinsic import CalibrationView
+from robot_ik.camera.detection import guess_dictionary, ids_text
+from robot_ik.camera.image import full_dictionary_name
+from robot_ik.camera.patterns import (
     CharucoPattern,
     FoundPattern,
     Pattern,
@@ -17,11 +21,6 @@ from robot_ik.camera.boards.patterns import (
     fitting_pattern,
     larger_chessboard,
 )
-from robot_ik.camera.boards.tone import measure_tone
-from robot_ik.camera.calibration.coverage import Coverage, cover
-from robot_ik.camera.calibration.intrinsic import CalibrationView
-from robot_ik.camera.detection import guess_dictionary
-from robot_ik.camera.image import to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
 from robot_ik.ports import Array, Image
@@ -108,10 +107,7 @@ class ViewGatherer:
         if selective and not (still and new):
             return False
         self._features.append(features)
-        tone = measure_tone(
-            to_gray(frame.image), found.pixels, found.ids, self.pattern.corners[0], self.pattern.plain
-        )
-        self.views.append(CalibrationView(name, found, tone, isinstance(self.pattern, CharucoPattern)))
+        self.views.append(CalibrationView(name, found))
         if len(self._first) < _IDENTIFIED:
             self._first.append(frame.image)
         return True
@@ -197,12 +193,16 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
         return (
             "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
         )
-    seen = guess_dictionary(images[-_IDENTIFIED:], least=_BOARD_MARKERS)
-    if seen is None:
-        return "there are no markers at all: is it a chessboard (--pattern chessboard)? Check light and focus"
-    if seen != pattern.dictionary:
-        return f"there are markers of {seen}: --dictionary {seen}, and --columns, --rows as on the print"
-    return "there are markers of its dictionary: check --columns, --rows and the two sizes against the print"
+    guess = guess_dictionary(images[-_IDENTIFIED:], min_count=_BOARD_MARKERS)
+    if guess is None:
+        return (
+            "no markers are visible; if it is a chessboard, give --pattern chessboard; else check light and "
+            "focus"
+        )
+    name, ids = guess
+    if name != full_dictionary_name(pattern.dictionary):
+        return f"{ids_text(name, ids)}: --dictionary {name}, and --columns, --rows as on the print"
+    return "markers of its dictionary are visible: check --columns, --rows and the sizes against the print"
 
 
 def _option_text(pattern: Pattern) -> str:

@@ -23,7 +23,14 @@ from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.script.file import ObjectTable, Script
 from robot_ik.jobs.script.report import ScriptReport
-from robot_ik.jobs.script.state import FAILED, PASSED, RunState, StepFailed, StepResult, error_classes
+from robot_ik.jobs.script.state import (
+    FAILED,
+    PASSED,
+    RunState,
+    StepFailed,
+    StepResult,
+    error_classes,
+)
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.motion.keyframes import column_names
@@ -54,7 +61,7 @@ def open_camera(
     if marker_at is not None:
         scene = scene.with_marker_at(*marker_at)
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
-    source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
+    source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock)
     stack.enter_context(source)
     vision = Vision(scene, source, setup, synthetic=source)
     vision.picture()
@@ -180,8 +187,6 @@ class ScriptRun(RunState):
         solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=self.solver)
         if any(step.needs_camera for step in script.steps):
             self.vision = open_camera(setup, script.marker_at, self.seed, stack)
-            if any(step.do == "follow" for step in script.steps):
-                self.vision.get_ready_to_follow()
 
     def _steps(self, progress: Progress) -> None:
         steps = self.script.steps

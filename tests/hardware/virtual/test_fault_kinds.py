@@ -6,7 +6,12 @@ from collections.abc import Callable
 
 import pytest
 
-from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusTimeoutError, ServoRefusedError
+from robot_ik.errors import (
+    BusCorruptError,
+    BusDisconnectedError,
+    BusTimeoutError,
+    ServoRefusedError,
+)
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.simulated import SimBus
