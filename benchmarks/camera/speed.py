@@ -32,13 +32,11 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.targets import MarkerTarget, find_corners, marker, marker_grid
 from robot_ik.camera.tracker import Tracker
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import PoseGoal
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array, RealClock
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers import make_solver
 
 # The marker: id, side in metres, dictionary, and distance in metres.
 _MARKER = 7
@@ -256,10 +254,9 @@ def _goals(
 def loop(effort: Effort) -> Iterator[Quantity]:
     """Measure all from picture to drawing: marker, filter, goal, joint angles, and the robot."""
     robot = load_robot(_ARM)
-    solver = make_solver("lm")
     view = _view_of(robot)
     drawn = DrawnRobot(robot.model)
-    problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
+    problem = Problem(robot, robot.forward(robot.home), solver="lm")
     for camera in CAMERAS:
         frames = moving_frames(camera, effort.count(_PICTURES), effort.seed)
         goals = _goals(_PreparedPictures(frames), camera, robot)
@@ -270,9 +267,9 @@ def loop(effort: Effort) -> Iterator[Quantity]:
             frame: Frame, goals: Any = goals, camera: Any = camera, ticks: Any = ticks, q: Array = q
         ) -> None:
             goal = goals.poll(next(ticks) * _PERIOD)
-            assert goal is not None, "a marker of the bench was not found"
-            problem.retarget(goal.target)
-            q[:] = solver.solve(problem, q).q
+            if goal is None:
+                raise RuntimeError("a marker of the bench was not found")
+            q[:] = problem.solve(q, target=goal.target).q
             drawn.draw(robot.qpos(q), camera, view).over(frame.image.copy())
 
         took = milliseconds(step, frames)

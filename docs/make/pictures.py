@@ -32,7 +32,7 @@ from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.target_files import parse_target
-from robot_ik.geometry import rotation_exp
+from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify

@@ -32,7 +32,7 @@ import math
 import numpy as np
 
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel
-from robot_ik.kernels.jit import kernel, outlined, inlined
+from robot_ik.kernels.jit import inlined, kernel, outlined
 
 # Indices of the unknowns. The first eight move the homography T from undistorted coordinates to the
 # print: T <- E T with E = [[1 + e1, e2, e0], [e4, 1 + e5, e3], [-e6, -e7, 1]]. Their value is 0

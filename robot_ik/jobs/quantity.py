@@ -1,4 +1,4 @@
-"""One measured number beside what is wanted of it: a row of the tables of camera, figure and page."""
+"""A measured number and its limit: a row in the tables of camera, figure and page."""
 
 from __future__ import annotations
 

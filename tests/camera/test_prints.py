@@ -37,7 +37,9 @@ def test_a_board_is_known_as_well_as_it_says(
     distance: float, tilt: tuple[float, float], margin: float, most: float
 ) -> None:
     """Facing the camera, where corners are weakest; aslant on paper that ends near the print."""
-    rng, off, inside = np.random.default_rng(4), [], []
+    rng = np.random.default_rng(4)
+    off = []
+    inside = []
     for seed in range(8):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=0.112, tilt_deg=tilt)
         seen = BOARD.find(frame_of(picture(pose, seed, margin)), STANDARD_CAMERA)
@@ -51,7 +53,8 @@ def test_a_board_is_known_as_well_as_it_says(
 def test_the_print_tells_a_marker_from_its_mirror_image() -> None:
     """A 50 mm marker at 1 m that leans by some degrees: the corners alone cannot tell which way."""
     target = marker(7, 0.05, DICTIONARY)
-    rng, worst = np.random.default_rng(9), 0.0
+    rng = np.random.default_rng(9)
+    worst = 0.0
     for _ in range(10):
         lean = Pose(
             wxyz=rotation_exp([*np.deg2rad(rng.uniform(-4.0, 4.0, 2)), rng.uniform(-3.0, 3.0)])
@@ -95,7 +98,7 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
 
 @pytest.mark.parametrize(("seed", "distance"), [(75, 1.8), (106, 1.4), (162, 1.4)])
 def test_the_mirror_image_is_not_taken_for_sure(seed: int, distance: float) -> None:
-    """Both poses are judged by the same pixels: by those of each its own, these were 10 degrees off."""
+    """Both poses are judged by the same pixels. With different pixels they were 10 degrees off."""
     rng = np.random.default_rng(seed)
     pose = random_pose(STANDARD_CAMERA, rng, distance, tilt_deg=(1, 30))
     image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, rng)

@@ -91,7 +91,7 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
         ("id = 21", "id = 99", r"body\[0\]: DICT_5X5_50 has no marker 99"),
         ("id = 3", "id = true", r"markers\[0\].id: True is not right; allowed: a"),
         ("wxyz = [1, 0, 1, 0]", "wxyz = [1, 0]", r"\[1\].wxyz: \[1, 0\] is not right; allowed: 4 numbers"),
-        ("wxyz = [1, 0, 1, 0]", "wxyz = [0, 0, 0, 0]", r"markers\[1\].wxyz: a quaternion of zeros"),
+        ("wxyz = [1, 0, 1, 0]", "wxyz = [0, 0, 0, 0]", r"markers\[1\].wxyz: a zero quaternion"),
         ('dictionary = "DICT_5X5_50"', 'dictionary = "DICT_5X5"', r"unknown marker dictionary 'DICT_5X5'"),
         ('"flag"\n', '"flag"\ndictionary = "DICT_5X5_50"\n', None),
         ('id = 3, size = 0.05}', 'id = 3, size = 0.05}, 7', r"markers\[1\]: 7 is not right; allowed: "),

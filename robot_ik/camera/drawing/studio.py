@@ -22,7 +22,7 @@ from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.image import Box, Float32
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
-from robot_ik.kernels.jit import kernel, inlined
+from robot_ik.kernels.jit import inlined, kernel
 from robot_ik.ports import Image
 
 Tone = tuple[float, float, float]

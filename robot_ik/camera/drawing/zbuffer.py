@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from robot_ik.kernels.jit import kernel, outlined, inlined
+from robot_ik.kernels.jit import inlined, kernel, outlined
 
 # Triangles are widened by this, in samples. Rounding then leaves no cracks between neighbours.
 _SEAM = 2e-4

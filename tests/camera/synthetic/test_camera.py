@@ -267,7 +267,7 @@ def test_scenes_that_cannot_be_are_refused() -> None:
     with pytest.raises(CameraError, match="50 is not in DICT_5X5_50"):
         photograph(desk(SyntheticMarker(50, 0.05), lens=SMALL)).read()
     with pytest.raises(CameraError, match="did you mean 'DICT_5X5_50'"):
-        photograph(desk(SyntheticMarker(1, 0.05, dictionary="DICT_5X5_51"), lens=SMALL)).read()
+        photograph(desk(SyntheticMarker(1, 0.05, dictionary="DICT_5X550"), lens=SMALL)).read()
 
 
 @pytest.mark.parametrize(
