@@ -40,8 +40,8 @@ MARKER_SHARE = 0.73
 
 # Width of an edge that is measured well, px. Around much wider ones the fit misses a part.
 _SHARP_WIDTH = 1.0
-# Radius around a corner without a third edge. ChArUco: in gaps between square and marker; the corner
-# of the nearest marker is 1.41 gaps away, and blur takes a part. Chessboard: in squares.
+# Radius around a corner without a third edge. ChArUco: in gaps between square and marker; the
+# corner of the nearest marker is 1.41 gaps away, and blur takes a part. Chessboard: in squares.
 _GAP_REACH = 1.2
 _SQUARE_REACH = 0.45
 # Smallest number of columns and of rows.
@@ -418,8 +418,8 @@ class PatternRequest:
         columns: charuco: squares (8); chessboard: inner corners (9).
         rows: The same downwards (6; 6).
         square_mm: Side of a square (30; 25).
-        marker_mm: Side of a marker of a ChArUco board; by default ``MARKER_SHARE`` squares, to whole
-            millimetres.
+        marker_mm: Side of a marker of a ChArUco board; by default ``MARKER_SHARE`` squares, to
+            whole millimetres.
         dictionary: Dictionary of its markers.
     """
 

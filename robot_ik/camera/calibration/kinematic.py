@@ -158,8 +158,8 @@ class ArmModel:
     ) -> tuple[LinearViews, Sequence[Array]]:
         """Linearise all views at a state, for ``fit_views``.
 
-        The unknowns are the joint offsets and the poses (nv + 12,). The source of the arm's error is
-        an error of each joint.
+        The unknowns are the joint offsets and the poses (nv + 12,). The source of the arm's error
+        is an error of each joint.
         """
         views, rests = compress(state.mount, self.samples(state), self.intrinsics, weights)
         by_joint = np.array([self._hand_jacobian(state, view) for view in self.views])
@@ -330,7 +330,8 @@ def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
     count = len(model.views)
     if count < LEAST_VIEWS:
         raise CalibrationError(
-            f"{count} views are too few to find the offsets of joints; at least {LEAST_VIEWS} are needed",
+            f"{count} views are too few to find the offsets of joints; at least {LEAST_VIEWS} are "
+            "needed",
             hint="take 30 that bend every joint",
         )
     if robot.nq != robot.nv:
