@@ -314,7 +314,7 @@ def _solve_pnp(points: Array, normalized: Array, method: int) -> list[_Motion]:
         return []
     motions = []
     for vector, translation in zip(rotations[:count], translations[:count], strict=True):
-        rotation, _ = cv2.Rodrigues(np.asarray(vector, dtype=float))
+        rotation = np.asarray(cv2.Rodrigues(np.asarray(vector, dtype=float))[0], dtype=float)
         position = np.asarray(translation, dtype=float).ravel()
         if np.isfinite(rotation).all() and np.isfinite(position).all() and position[2] > 0.0:
             motions.append((rotation, position))

@@ -126,7 +126,7 @@ class PoseMemory:
     """
 
     def __init__(self) -> None:
-        self._fits: list[PoseFit] = []
+        self._fits: Sequence[PoseFit] = ()
         self._odds: list[float] = []
         self._chosen = 0
         self._time = math.nan

@@ -21,9 +21,9 @@ from robot_ik.camera.calibration.handeye import (
     Mount,
     compress,
     corner_misses,
-    robust_mean_pose,
 )
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
+from robot_ik.camera.calibration.pose_means import robust_mean_pose
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.targets import Observation
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
