@@ -220,7 +220,7 @@ def locate_camera(
         raise CalibrationError(
             f"the best pose of the camera leaves the board's corners {far:.1f} px off (median); a "
             "good one "
-            f"leaves some tenths, and beyond {_MAX_ERROR:g} px it is none",
+            f"leaves some tenths, and beyond {_MAX_ERROR:g} px it is wrong",
             hint="check the sizes of the board as printed, its layout, and the calibration",
         )
     millimetres = 1e3 * pixels * depth / (0.5 * (intrinsics.fx + intrinsics.fy))

@@ -186,7 +186,7 @@ def calibrate(
                 )
     if fit.rms > _MAX_RMS:
         raise CalibrationError(
-            f"the calibration leaves {fit.rms:.2f} px RMS; more than {_MAX_RMS:g} px is none",
+            f"the calibration leaves {fit.rms:.2f} px RMS; at most {_MAX_RMS:g} px are accepted",
             hint="is the board flat, and every picture from one camera with fixed focus? A wide "
             "lens may need 8 coefficients",
         )
