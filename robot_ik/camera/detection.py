@@ -42,8 +42,8 @@ _SMOOTHED_OUTLINE_TOLERANCE = 0.02
 # Kernel of the smoothing, px: (1, 2, 1) / 4 along each axis.
 _SMOOTHING_KERNEL = (3, 3)
 # Part of the correctable bits that may be wrong. In small cells black looks narrower than it is,
-# and bits are misread. With all of them, a quarter more small markers are found, and a few false ones.
-# ``corners.py`` verifies the print. Without that check, fewer bits are corrected.
+# and bits are misread. With all of them, a quarter more small markers are found, and a few false
+# ones. ``corners.py`` verifies the print. Without that check, fewer bits are corrected.
 _CORRECTION_RATE = 1.0
 _STRICT_CORRECTION_RATE = 0.6
 # Samples of a cell along each axis. With OpenCV's 4, cells of 2 px are often misread.

@@ -1,4 +1,4 @@
-"""Which part of the picture and which tilts the views of a calibration have shown, and which are missing."""
+"""Parts of the picture and tilts that the views of a calibration show, and those missing."""
 
 from __future__ import annotations
 
@@ -17,26 +17,44 @@ PARTS = (
     ("left", "middle", "right"),
     ("lower left", "lower middle", "lower right"),
 )
-# A part counts as shown by a view that has this many corners in it, and is covered by so many views.
-_CORNERS, _VIEWS = 2, 2
-#: Sides of the board that can tilt away from the camera, with the direction of each in the picture.
+# Number of corners with which a view shows a part.
+_MIN_CORNERS = 2
+# Number of views that cover a part.
+_MIN_VIEWS = 2
+#: Sides of the board that can tilt away from the camera, and their directions in the picture.
 TILTS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "top": (0.0, -1.0), "bottom": (0.0, 1.0)}
-#: A side is tilted away from this angle on, degrees.
+#: Angle from which on a side is tilted away, degrees.
 TILT_DEG = 12.0
-# Nearest and farthest board differ less than this: all at one distance.
-_DEPTH_RATIO = 1.25
+# Ratio of the farthest to the nearest board below which all are at one distance.
+_MIN_DEPTH_RATIO = 1.25
+
+# Colours of the picture, BGR.
+_INK = (60, 60, 60)
+_DOT = (170, 90, 20)
+_COVERED = (226, 240, 226)
+_MISSING = (196, 200, 250)
+# Margin of the picture, px.
+_MARGIN = 28
+# Height of its text, px.
+_TEXT_SIZE = 13
+# Width of the disc of tilts, parts of the picture.
+_DISC_SHARE = 0.32
+# Rings of the disc of tilts, and tilt at its rim, degrees.
+_RINGS_DEG = (20, 40, 60)
+_RIM_DEG = 65.0
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """What the views have shown.
+    """Coverage by the views of a calibration.
 
     Attributes:
         size: (width, height) of the pictures, px.
         pixels: (n, 2) all corners of all views.
-        parts: (3, 3) number of views that showed each part of the picture.
-        tilts: (views, 2) in degrees, towards the side of the picture on which the board is farther away.
-        missing: As text; empty when nothing is.
+        parts: (3, 3) number of views that show each part of the picture.
+        tilts: (views, 2) in degrees, towards the side of the picture on which the board is farther
+            away.
+        missing: Missing views as text.
     """
 
     size: tuple[int, int]
@@ -49,13 +67,19 @@ class Coverage:
 def cover(
     found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]
 ) -> Coverage:
-    """Accounts for views of pictures of ``size`` px, each with its ``rotation_camera_board`` (3, 3)."""
+    """Return the coverage by some views.
+
+    Args:
+        found: The pattern in each view.
+        rotations: ``rotation_camera_board`` (3, 3) of each view.
+        size: (width, height) of the pictures, px.
+    """
     parts = np.zeros((3, 3), dtype=np.int64)
     for view in found:
         cell = np.clip((view.pixels / size * 3).astype(int), 0, 2)
         counts = np.zeros((3, 3), dtype=np.int64)
         np.add.at(counts, (cell[:, 1], cell[:, 0]), 1)
-        parts += counts >= _CORNERS
+        parts += counts >= _MIN_CORNERS
     tilts = np.array([_tilt(r) for r in rotations]).reshape(-1, 2)
     spacings = np.array([_spacing(f) for f in found])
     pixels = np.concatenate([f.pixels for f in found]) if found else np.zeros((0, 2))
@@ -63,7 +87,7 @@ def cover(
 
 
 def _tilt(rotation: Array) -> Array:
-    """Tilt vector in degrees: where in the picture the board is farther away."""
+    """Return the tilt in degrees, towards the side on which the board is farther away."""
     normal = rotation[:, 2] * (1.0 if rotation[2, 2] >= 0 else -1.0)
     across = float(np.hypot(normal[0], normal[1]))
     angle = np.degrees(np.arctan2(across, normal[2]))
@@ -71,7 +95,7 @@ def _tilt(rotation: Array) -> Array:
 
 
 def _spacing(view: FoundPattern) -> float:
-    """Pixels per metre of the board: the root of the ratio of the areas that the corners span."""
+    """Return pixels per metre: the root of the ratio of the areas that the corners span."""
     spans = [
         np.sqrt(max(float(np.linalg.det(np.cov(p.T))), 0.0))
         for p in (view.pixels, view.points_board[:, :2])
@@ -84,11 +108,11 @@ def _missing(parts: NDArray[np.int64], tilts: Array, spacings: Array) -> list[st
         f"the board in the {PARTS[r][c]}"
         for r in range(3)
         for c in range(3)
-        if parts[r, c] < _VIEWS
+        if parts[r, c] < _MIN_VIEWS
     ]
     for side, direction in TILTS.items():
         if not len(tilts) or (tilts @ np.array(direction)).max() < TILT_DEG:
             missing.append(f"its {side} side tilted away")
-    if len(spacings) > 1 and spacings.max() < _DEPTH_RATIO * spacings.min():
+    if len(spacings) > 1 and spacings.max() < _MIN_DEPTH_RATIO * spacings.min():
         missing.append("it nearer and farther")
     return missing

@@ -256,9 +256,9 @@ def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
 def start_handeye(samples: Sequence[HandEyeSample], mounting: Mounting) -> Mount:
     """Return camera and board from the poses of the views alone, without their pixels.
 
-    Two views i, j give A = M_i inverse(M_j), a motion by the arm, and B = C_i inverse(C_j), the same
-    motion seen by the camera. R_X is the rotation that turns the rotation vectors of all B into
-    those of A best. t_X is the linear least squares of (R_A - 1) t_X = R_X t_B - t_A.
+    Two views i, j give A = M_i inverse(M_j), a motion by the arm, and B = C_i inverse(C_j), the
+    same motion seen by the camera. R_X is the rotation that turns the rotation vectors of all B
+    into those of A best. t_X is the linear least squares of (R_A - 1) t_X = R_X t_B - t_A.
 
     Source: Park & Martin, Robot Sensor Calibration: Solving AX = XB on the Euclidean Group, IEEE
     Trans. Robotics and Automation 10(5), 1994. OpenCV 5 has no ``calibrateHandEye``.

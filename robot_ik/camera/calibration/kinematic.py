@@ -158,8 +158,8 @@ class ArmModel:
     ) -> tuple[LinearViews, Sequence[Array]]:
         """Linearise all views at a state, for ``fit_views``.
 
-        The unknowns are the joint offsets and the poses (nv + 12,). The source of the arm's error is
-        an error of each joint.
+        The unknowns are the joint offsets and the poses (nv + 12,). The source of the arm's error
+        is an error of each joint.
         """
         views, rests = compress(state.mount, self.samples(state), self.intrinsics, weights)
         by_joint = np.array([self._hand_jacobian(state, view) for view in self.views])

@@ -125,7 +125,7 @@ def test_noise_is_no_calibration() -> None:
     found = [
         seen(STANDARD_CAMERA, pattern_pose(BOARD, STANDARD_CAMERA, rng), rng, noise=2.0) for _ in range(10)
     ]
-    with pytest.raises(CalibrationError, match=r"leaves 2\.\d\d px RMS; more than 1 px is none"):
+    with pytest.raises(CalibrationError, match=r"leaves 2\.\d\d px RMS; at most 1 px are accepted"):
         calibrate(found, SIZE)
 
 
