@@ -28,21 +28,6 @@ TILT_DEG = 12.0
 # Ratio of the farthest to the nearest board below which all are at one distance.
 _MIN_DEPTH_RATIO = 1.25
 
-# Colours of the picture, BGR.
-_INK = (60, 60, 60)
-_DOT = (170, 90, 20)
-_COVERED = (226, 240, 226)
-_MISSING = (196, 200, 250)
-# Margin of the picture, px.
-_MARGIN = 28
-# Height of its text, px.
-_TEXT_SIZE = 13
-# Width of the disc of tilts, parts of the picture.
-_DISC_SHARE = 0.32
-# Rings of the disc of tilts, and tilt at its rim, degrees.
-_RINGS_DEG = (20, 40, 60)
-_RIM_DEG = 65.0
-
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
