@@ -46,11 +46,15 @@ help:
 	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
 	@echo 'make test-mujoco3  model, kernel, solver, hardware and figure tests with MuJoCo 3, in another one'
+	@echo 'make bench-camera  the accuracy and speed of the camera (ARGS="--quick --rows marker board")'
 	@echo 'make wheel         build wheel and sdist into dist/ and try both in an empty environment'
 	@echo 'make constraints   look for new versions of everything: rewrites constraints.txt'
 	@echo 'make clean         remove what was built, and the environments'
 	@echo
 	@echo 'PYTHON=python3.12 chooses the interpreter of .venv.'
+
+bench-camera: $(STAMP)
+	@$(PY) -m benchmarks.camera $(ARGS)
 
 reach: $(STAMP)
 	@$(PY) -m robot_ik reach $(ARGS)

@@ -12,7 +12,7 @@ import sys
 import robot_ik as rik
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import MarkerTarget, marker
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -29,11 +29,11 @@ def main(offset_deg: float = 0.0) -> None:
 
     scene = scene_for(robot)  # where table, marker and camera stand: [reach] of robot.toml
     camera = SyntheticSource(scene.synthetic(robot), lambda: servos.true_angles(config), clock=arm.clock)
-    lens, paper = scene.intrinsics, scene.dictionary
-    table = MarkerTracker(lens, paper, {scene.marker_id: scene.marker_size})
-    cube = MarkerTracker(lens, paper, {id: side for id, (side, _) in scene.cube.items()})
+    lens = scene.intrinsics
     eye = scene.pose_world_camera
-    goals = MarkerGoalSource(camera, table, eye, scene.marker_id, scene.pose_marker_tool, robot.tool)
+    table = marker(scene.marker_id, scene.marker_size, scene.dictionary)
+    cube = MarkerTarget(scene.cube, scene.dictionary)
+    goals = MarkerGoalSource(camera, lens, table, eye, scene.pose_marker_tool, robot.tool)
 
     with camera, arm:
         goal = goals.poll(arm.clock.now())
@@ -44,15 +44,15 @@ def main(offset_deg: float = 0.0) -> None:
         start = arm.read().q
         move = rik.joint_move(robot, start, rik.solve(robot, goal, start=start).require().q)
         rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
-        q, seen = arm.read().q, cube.observe_body(camera.read(), scene.cube)
+        q, seen = arm.read().q, cube.find(camera.read(), lens)
 
     print(f"servos say: {1e3 * robot.measure(q).distance(goal.target)[0]:.2f} mm from the goal")
     if seen is None:
         sys.exit("the gripper's markers are not in view")
     pose_cube_gripper = robot.forward(q, scene.cube_frame).inverse() @ robot.forward(q)
-    gripper = eye @ seen.pose_camera_body @ pose_cube_gripper
-    error = gripper.distance(goal.target)[0]
-    print(f"camera says: {1e3 * error:.2f} mm from the goal: {'REACHED' if error < 0.005 else 'NOT REACHED'}")
+    gripper = eye @ seen.pose @ pose_cube_gripper
+    miss = gripper.distance(goal.target)[0]
+    print(f"camera says: {1e3 * miss:.2f} mm from the goal: {'REACHED' if miss < 0.005 else 'NOT REACHED'}")
 
 
 if __name__ == "__main__":

@@ -12,9 +12,10 @@ import sys
 import numpy as np
 
 import robot_ik as rik
-from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
+from robot_ik.camera.latest_goals import LatestGoals
+from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import marker as marker_target
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.scene import scene_for
@@ -40,11 +41,12 @@ def main(late: bool = False) -> None:
         arm.enable()
         begin = arm.clock.now()
         synthetic = scene.synthetic(robot).with_marker(scene.marker_id, pose=marker)
-        camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock, quality="fast")
-        tracker = MarkerTracker(scene.intrinsics, scene.dictionary, {scene.marker_id: scene.marker_size})
+        camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock)
+        lens = scene.intrinsics
+        target = marker_target(scene.marker_id, scene.marker_size, scene.dictionary)
         eye, hover = scene.pose_world_camera, scene.pose_marker_tool
         options = {"predict": not late, "clock": arm.clock}
-        goals = MarkerGoalSource(camera, tracker, eye, scene.marker_id, hover, robot.tool, **options)
+        goals = MarkerGoalSource(camera, lens, target, eye, hover, robot.tool, **options)
         with LatestGoals(goals, arm.clock, rate_hz=10.0) as latest:
             rik.follow(robot, latest, sinks=[arm], solver="lm", source=arm, duration=3.0, on_tick=compare)
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -28,7 +29,9 @@ from robot_ik.errors import (
 from robot_ik.geometry import Array, Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.robot_file import RobotFile
-from robot_ik.urdf import Urdf
+
+if TYPE_CHECKING:
+    from robot_ik.urdf import Urdf
 
 logger = logging.getLogger(__name__)
 
@@ -157,7 +160,11 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
         return source.copy(), None
     text = source if isinstance(source, str) else _model_text(source)
     folder = source.parent if isinstance(source, Path) else Path()
-    urdf = Urdf.of_text(text, folder) if "<robot" in text else None
+    urdf = None
+    if "<robot" in text:
+        from robot_ik.urdf import Urdf  # here: it costs 6 ms, which an MJCF file does not need
+
+        urdf = Urdf.of_text(text, folder)
     if urdf is not None and urdf.problem[0]:
         reason, hint = urdf.problem
         raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)

@@ -18,7 +18,6 @@ from robot_ik.errors import (
     UnknownRobotError,
     close_matches,
 )
-from robot_ik.urdf import described_model
 
 SHOWN_ROBOT = "puma560"
 """Default robot of the demonstrations."""
@@ -214,6 +213,8 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     if not isinstance(given, str | os.PathLike):
         raise InvalidModelError(f"{given!r} is not a robot", hint=_EXPECTED)
     if str(name).startswith(DESCRIPTIONS):
+        from robot_ik.urdf import described_model  # here: it costs 6 ms, which few programs need
+
         description = str(name).removeprefix(DESCRIPTIONS)
         return described_model(description), RobotFile(name=description)
     path = known.get(str(name)) or Path(name).expanduser()

@@ -220,7 +220,7 @@ def test_the_api_page_lists_every_public_name() -> None:
     ("contract_id", "package", "first"),
     [
         ("layers", "", "cli"),
-        ("camera-layers", "robot_ik.camera.", "synthetic.datasets"),
+        ("camera-layers", "robot_ik.camera.", "synthetic.sources"),
         ("hardware-layers", "robot_ik.hardware.", "health"),
     ],
 )

@@ -163,7 +163,7 @@ def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
     pictures = program(EXAMPLES.parent / "docs" / "make" / "pictures.py")
     for name, scene in pictures.SCENES.items():
         path = EXAMPLES.parent / "docs" / "images" / f"{name}.png"
-        assert path.is_file(), f"python docs/make/pictures.py {name}"
+        assert path.is_file(), f"python -m docs.make.pictures {name}"
         assert cv2.imread(str(path)).shape[0] == pictures.SIZE[1]
         robot, ball = load_robot(scene.robot), pictures.example(scene.example).BALL
         model = pictures.with_ball(robot.path, ball)

@@ -26,12 +26,12 @@ from hypothesis import strategies as st
 
 import robot_ik
 from robot_ik import config, load_robot
-from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
-from robot_ik.camera.drawing.renderers import load_occluders
+from robot_ik.camera.drawing.occluders import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.target_files import load_bodies
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.figure.motion.bvh import Bvh, export_bvh
 from robot_ik.figure.motion.retarget import SkeletonMap
@@ -110,7 +110,7 @@ def _samples() -> SampleSet:
     made = SampleSet("puma560", ROBOT.joints, "gripper", "eye_in_hand", LENS)
     points = [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1, 0.1, 0.0), (0.0, 0.1, 0.0)]
     for _ in range(2):
-        made.add(ROBOT.home, BoardView(points, [(1, 2), (30, 4), (5, 60), (7, 8)], Pose((0, 0, 1)), 0.1))
+        made.add(ROBOT.home, Observation(points, [(1, 2), (30, 4), (5, 60), (7, 8)], Pose((0, 0, 1)), 0.1))
     return made
 
 
@@ -248,7 +248,7 @@ ALLOWED = {
     ("robot_ik/config.py", "*"): "the one place",
     ("robot_ik/model.py", "from_file"): "read_model, which refuses what MuJoCo lets pass",
     ("robot_ik/urdf.py", "ElementTree.fromstring"): "a text that read_model has read",
-    ("robot_ik/camera/intrinsics.py", "yaml.load"): "handed to parse",
+    ("robot_ik/camera/calibration_file.py", "yaml.load"): "handed to parse",
     ("hardware/virtual/world.py", "from_file"): "the model of a robot that load_robot has just read",
     ("hardware/stop_file.py", "json.loads"): "between processes of this program, in a folder of mode 0700",
     ("hardware/stop_file.py", "read_text"): "likewise",

@@ -1,8 +1,8 @@
 """Writes what was measured of the camera into the pages.
 
-    robot-ik bench camera --json FILE
-    python docs/make/camera_figures.py FILE    # FILE -> docs/camera.json -> the pages
-    python docs/make/camera_figures.py         # docs/camera.json, docs/performance.json -> the pages
+    make bench-camera ARGS="--json FILE"
+    python -m docs.make.camera_figures FILE    # FILE -> docs/camera.json -> the pages
+    python -m docs.make.camera_figures         # docs/camera.json, docs/performance.json -> the pages
 
 Rows of FILE take the place of those that were there; several files may be given.  A table stands between
 `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
@@ -17,9 +17,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera import ROWS
-from robot_ik.bench.camera.arm import DELAYS, compare_filters
-from robot_ik.bench.quantity import Quantity
+from benchmarks.camera.arm import DELAYS, compare_filters
+from benchmarks.camera.rows import ROWS
+from robot_ik.jobs.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
 DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
@@ -42,7 +42,7 @@ Data = dict[str, Any]
 #: Azuma's remedies as the page names them, with their options.
 _LATENCY_CASES = {
     "nothing": "`--sync latest`",
-    "less delay (half)": "search only near the last find, newest picture",
+    "less delay (half)": "half of the delay, newest picture",
     "image shifting": "`--shift`",
     "prediction": "`--predict`",
     "prediction and shifting": "`--predict --shift`",
@@ -120,7 +120,7 @@ def _with_bounds(one: Quantity | None) -> str:
 
 def prediction(data: Data, others: Data) -> str:
     """Errors of a waving hand by the age of its picture."""
-    lines = ["| age | as it was seen | predicted | 1 € filter |", "| ---: | ---: | ---: | ---: |"]
+    lines = ["| age | as it was seen | predicted |", "| ---: | ---: | ---: |"]
     for delay, *values in data["prediction"]:
         lines.append(f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |")
     return "\n".join([*lines, ""])
@@ -148,7 +148,7 @@ def headlines(data: Data, others: Data) -> str:
     cold, warm = cells["auto", "cold"], cells["lm", "warm"]
     bench, pictures = (
         "[`robot-ik bench`](docs/reference/performance.md)",
-        "[`robot-ik bench camera`](docs/reference/camera_accuracy.md)",
+        "[`make bench-camera`](docs/reference/camera_accuracy.md)",
     )
     spread = f"{cold['median']:.0f} µs median, {cold['mean']:.0f} µs mean"
     rows = [

@@ -11,13 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from robot_ik.camera.drawing.painter import surface_points
+from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.image import write_image
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.session import FigureFrame
-from robot_ik.jobs.figure import FigureRequest, Painter, run_figure, watch
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.jobs.figure import FigureRequest, FilmMaker, run_figure, watch
+from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.ports import Array, Image
 
 FOLDER = Path(__file__).resolve().parents[1] / "images" / "figure"
@@ -47,7 +48,7 @@ def off_the_ball(figure: Figure, frame: FigureFrame) -> float:
 def strip(
     figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
 ) -> Image:
-    """Some of the frames (n, nq) beside each other, photographed by the project's own rays."""
+    """Some of the frames (n, nq) beside each other, painted."""
     optics = lens(2 * _STRIP_WIDTH, 560)
     picks = np.linspace(0, len(q) - 1, count).astype(int)
     moved = q[picks].copy()
@@ -55,7 +56,7 @@ def strip(
         moved[:, :2] -= moved[:, :2].copy()
     points = np.concatenate([*(surface_points(figure.model, row) for row in moved), np.zeros((1, 3))])
     camera = fitted_camera(points, view_deg, optics)
-    tiles = [photograph(figure.model, row, camera, optics, 0.0).image for row in moved]
+    tiles = [photograph([Body(figure.model, row)], optics, camera, SEAMLESS).image for row in moved]
     whole = np.concatenate(tiles, axis=1)
     return np.asarray(cv2.resize(whole, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
@@ -75,7 +76,7 @@ def main(folder: Path) -> None:
         pick = shown[len(shown) // 2] if action == "walk" else shown[-1]
         if action == "jump":  # the palm at the ball
             pick = min(shown, key=lambda frame: off_the_ball(figure, frame))
-        save(f"decision-{action}", Painter(figure.robot, size=(480, 480)).paint(pick))
+        save(f"decision-{action}", FilmMaker(figure.robot, size=(480, 480)).picture(pick))
 
     def only(name: str, frames: list[FigureFrame]) -> Array:
         return np.array([frame.q for frame in frames if frame.action == name])

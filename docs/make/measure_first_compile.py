@@ -47,12 +47,12 @@ import time
 import cv2
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import find_corners
 image = cv2.imread({str(PHOTOGRAPH)!r})
 height, width = image.shape[:2]
 camera = CameraIntrinsics(width, height, 600.0, 600.0, width / 2, height / 2)
 before = time.perf_counter(), time.process_time()
-assert len(MarkerTracker(camera, "DICT_6X6_250").observe(Frame(image, 0.0, 0))) == 6
+assert len(find_corners(Frame(image, 0.0, 0), camera, "DICT_6X6_250")) == 6
 print(time.perf_counter() - before[0], time.process_time() - before[1])
 """
 

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.camera.drawing.painter import surface_points
+from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.figure.actions import take
 from robot_ik.figure.figure import RATE as FIGURE_RATE
 from robot_ik.figure.figure import Figure, load_figure
@@ -33,7 +34,7 @@ from robot_ik.figure.jump import jump
 from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored
 from robot_ik.figure.poses import BEND, REACH, find_pose
 from robot_ik.goals import PosePriorGoal
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.pose_prior import PosePrior
@@ -247,7 +248,8 @@ def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
             points = np.concatenate([surface_points(robot.model, robot.qpos(one)) for one in (robot.home, q)])
             optics = lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
-            row.append(photograph(robot.model, robot.qpos(q), camera, optics, 0.0).image)
+            body = Body(robot.model, robot.qpos(q))
+            row.append(photograph([body], optics, camera, SEAMLESS).image)
         rows.append(np.hstack(row))
     ok, data = cv2.imencode(".png", np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     assert ok

@@ -1,7 +1,7 @@
-"""Draws the pictures of these pages: `python docs/make/pictures.py [NAME …]`.
+"""Draws the pictures of these pages: `python -m docs.make.pictures [NAME …]`.
 
 docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the solution of the
-example of that name, with its ball.  calibration.png: what is printed, shown to the camera, still missing.
+example of that name, with its ball.  calibration.png: the printed board and two views of it.
 No OpenGL, nothing random: the same program draws the same picture.
 """
 
@@ -21,21 +21,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.camera.boards.board import parse_board
-from robot_ik.camera.boards.patterns import CharucoPattern
-from robot_ik.camera.calibration.coverage import cover, coverage_picture
-from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
-from robot_ik.camera.registration import BoardWatcher, Registrar
-from robot_ik.camera.sheets.page import rasterize
+from benchmarks.camera.pictures import pattern_set
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.prints import Print
+from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
+from robot_ik.camera.patterns import CharucoPattern
+from robot_ik.camera.registration import BoardTracker, Registrar
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
-from robot_ik.camera.synthetic.photograph import QUALITIES
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.synthetic.sensor import SensorModel
+from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.jobs.robot_setup import Rehearsal
 
 Image = NDArray[np.uint8]
@@ -103,7 +104,7 @@ def draw(scene: Scene) -> Image:
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())
     camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
-    photos = [photograph(model, qpos, camera, optics, floor) for qpos in poses]
+    photos = [photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor) for qpos in poses]
     columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)
     air = round(_AIR * SIZE[0])
     seen = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)
@@ -111,20 +112,22 @@ def draw(scene: Scene) -> Image:
 
 
 def calibration() -> Image:
-    """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
-    board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
-    shown = list(pattern_set(board, camera, 20, seed=2, sensor=SensorModel(noise=1.0)))
-    found = [view for view in (board.find(image) for image, _ in shown) if view is not None]
-    tiles = [rasterize(make_sheet_page(SheetRequest("charuco")), 60.0)]
-    tiles += [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image, _ in shown[1:3]]
-    for tile, corners in zip(tiles[1:], found[1:3], strict=True):
-        for x, y in corners.pixels:
+    """Draw the printed board and two views of it with its corners."""
+    board = CharucoPattern(8, 6, 0.03, 0.022)
+    views = list(pattern_set(board, STANDARD_CAMERA, 3, seed=2, sensor=SensorModel(noise=1.0)))
+    page = make_sheet_page(SheetRequest("charuco"))
+    scale = 60.0 / 25.4
+    width, height = round(page.width * scale), round(page.height * scale)
+    paper = (0.0, 0.0, float(width), float(height))
+    sheet = Print.of_boxes(page.boxes[:, :4] * scale, paper, page.boxes[:, 4])
+    tiles = [sheet.flat(width, height)]
+    for image, _ in views[1:]:
+        tile = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+        view = board.find(image)
+        for x, y in [] if view is None else view.pixels:
             cv2.circle(tile, (round(16 * x), round(16 * y)), 72, (40, 110, 250), 2, cv2.LINE_AA, 4)
-    rows = [np.concatenate([_tile(tile, 400, 300) for tile in tiles], axis=1)]
-    rotations = [pose.rotation for _, pose in shown]
-    parts = [cover(found[:n], rotations[:n], camera.size) for n in (3, 20)]
-    rows.append(np.concatenate([coverage_picture(part, 600) for part in parts], axis=1))
-    return np.concatenate(rows)
+        tiles.append(tile)
+    return np.concatenate([_tile(tile, 400, 300) for tile in tiles], axis=1)
 
 
 def _tile(image: Image, width: int, height: int) -> Image:
@@ -162,14 +165,14 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
     still = BoardMotion((0.0, 0.0), np.radians(20.0) if objects is None else 0.0, middle=(0.0, 0.0))
     source, clock = synthetic_scene(640, 420, motion=still, occluders=objects)
     near = Pose.look_at((0.12, -0.66, 0.46), (0.0, 0.05, 0.13))
-    source.scene, source.quality = replace(source.scene, pose_world_camera=near), QUALITIES["full"]
+    source.scene = replace(source.scene, pose_world_camera=near)
     clock.sleep_until(1.0)
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
     low, high = heights(robot)
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
-    watcher = BoardWatcher(parse_board(BOARD), optics)
-    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, objects), optics)
+    tracker = BoardTracker(parse_target(BOARD), optics)
+    registrar = Registrar(tracker, DrawnRobot(robot.model, base, scale, objects), optics)
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home))[0]
 
 

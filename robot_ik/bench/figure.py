@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.quantity import Quantity
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
@@ -37,6 +36,7 @@ from robot_ik.figure.gait import (
 from robot_ik.figure.jump import jump
 from robot_ik.figure.poses import touches_itself
 from robot_ik.figure.session import FigureSession
+from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array
 
 NORM_DEG: Mapping[str, tuple[float, ...]] = {

@@ -1,4 +1,4 @@
-"""Cameras and network streams: a thread keeps only the newest picture, stamped when it was grabbed."""
+"""Cameras and network streams: a thread keeps the newest picture with the time it was taken."""
 
 from __future__ import annotations
 
@@ -20,9 +20,19 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.ports import Image
 
-#: Whether this system lets its cameras be listed, without opening any.  macOS and Windows tell them only to
-#: programs that use their own video interfaces, which OpenCV's Python wheel does not expose.
+#: Whether cameras can be listed without opening them. macOS and Windows list them only through
+#: their own video interfaces, which OpenCV's Python wheel does not expose.
 CAN_LIST = sys.platform.startswith("linux")
+
+#: Longest time that ``read`` waits for a picture, s.
+DEFAULT_TIMEOUT = 2.0
+# Opening a camera switches it on and may take seconds. A dead URL must not block the program.
+_OPEN_TIMEOUT = 10.0
+# Longest time that ``close`` waits for the thread, s.
+_CLOSE_TIMEOUT = 1.0
+# A camera sometimes loses a picture. After this many failures in a row it is gone.
+_MAX_FAILURES = 5
+_FRAME_COUNT = cv2.CAP_PROP_FRAME_COUNT
 
 
 @dataclass(frozen=True)
@@ -30,12 +40,12 @@ class CameraDevice:
     """One video device.
 
     Attributes:
-        index: What ``open_source`` takes as a number.
-        path: Its device file.
-        name: What the camera calls itself; empty where the system does not say.
-        stable: A name that survives replugging, empty where there is none.
+        index: Number for ``open_source``.
+        path: Device file.
+        name: Name of the camera by its driver; empty if unknown.
+        stable: Path that survives replugging; empty if there is none.
         usable: Whether this user may read and write it.
-        pictures: False for a camera's further nodes, which carry its metadata and no pictures.
+        pictures: False for further nodes of a camera, which carry metadata and no pictures.
     """
 
     index: int
@@ -47,15 +57,16 @@ class CameraDevice:
 
 
 def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevice, ...]:
-    """Video devices in the order of their numbers (Linux only; none elsewhere).
+    """Return the video devices in the order of their numbers (on Linux; elsewhere none).
 
     Args:
         dev: Folder of device files.
-        sys_root: Where the kernel lists their names.
+        sys_root: Folder in which the kernel lists their names.
     """
     if not CAN_LIST:
         return ()
-    stable = {os.path.realpath(name): name for name in sorted(glob.glob(f"{dev}/v4l/by-id/*"), reverse=True)}
+    links = sorted(glob.glob(f"{dev}/v4l/by-id/*"), reverse=True)
+    stable = {os.path.realpath(link): link for link in links}
     cameras = []
     for path in glob.glob(f"{dev}/video*"):
         node = os.path.basename(path)
@@ -69,7 +80,7 @@ def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevic
                 _text_of(folder / "name"),
                 stable.get(os.path.realpath(path), ""),
                 os.access(path, os.R_OK | os.W_OK),
-                # The kernel counts the nodes of one camera from 0, and the first is the one with pictures.
+                # The kernel counts the nodes of a camera from 0. The first one has the pictures.
                 _text_of(folder / "index") in ("", "0"),
             )
         )
@@ -77,41 +88,32 @@ def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevic
 
 
 def _text_of(path: Path) -> str:
-    """What a file of the kernel's says; empty where it cannot be read."""
+    """Return the text of a kernel file; empty if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
 
 
-DEFAULT_TIMEOUT = 2.0
-# Opening a camera switches it on and may take seconds; a dead URL must not hang the program.
-_OPEN_TIMEOUT_S = 10.0
-_CLOSE_TIMEOUT_S = 1.0
-# A camera drops a picture now and then; this many in a row mean that it is gone.
-_FAILURES_ALLOWED = 5
-_FRAME_COUNT = cv2.CAP_PROP_FRAME_COUNT
-
-
 class DeviceSource(FrameSource):
     """A camera by index or path, or a stream by URL.
 
-    ``read`` waits for a picture newer than the last one it gave, so a slow reader skips pictures and never
-    works on old ones.
+    ``read`` waits for a picture newer than the last one that it returned, so a slow reader skips
+    pictures and never gets old ones.
 
     Args:
         device: Index, device path or URL.
-        size: (width, height) in pixels to ask for; what comes is verified.
-        timeout: Seconds that ``read`` waits; None: ``DEFAULT_TIMEOUT``.
-        opener: For tests: gives a ``cv2.VideoCapture`` or something with its methods.
+        size: (width, height) to request, px. The delivered size is verified.
+        timeout: Longest time that ``read`` waits, s; None: ``DEFAULT_TIMEOUT``.
+        opener: For tests: returns a ``cv2.VideoCapture`` or an object with its methods.
 
     Attributes:
         live: False for a URL that names a film.
-        label: What it is called in errors: number or path, and the name that the camera gives itself.
+        label: Name in messages: number or path, and the name of the camera.
 
     Raises:
-        CameraNotFoundError: It cannot be opened, or gives no first picture.
-        FrameSizeError: Pictures have another size than asked for.
+        CameraNotFoundError: It cannot be opened, or delivers no first picture.
+        FrameSizeError: Pictures do not have the requested size.
     """
 
     live = True
@@ -128,13 +130,15 @@ class DeviceSource(FrameSource):
         self.label = _label(device)
         self.timeout = DEFAULT_TIMEOUT if timeout is None else timeout
         self._capture: Any = opener() if opener else _open(device)
-        # A film that a server holds has a length; what is sent as it happens has none.
-        is_film = isinstance(device, str) and "://" in device and self._capture.get(_FRAME_COUNT) > 0
+        # A film on a server has a length, a live stream has none.
+        is_film = (
+            isinstance(device, str) and "://" in device and self._capture.get(_FRAME_COUNT) > 0
+        )
         self.live = not is_film
         if size is not None:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        # Fewer buffered pictures, less delay; drivers that cannot do it refuse without harm.
+        # Fewer buffered pictures, less delay. Drivers that cannot do it ignore it.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         self._news = threading.Condition()
         self._latest: Frame | None = None
@@ -147,7 +151,7 @@ class DeviceSource(FrameSource):
 
     def _check_first(self, size: tuple[int, int] | None) -> None:
         with self._news:
-            self._news.wait_for(lambda: self._latest is not None or self._ended, _OPEN_TIMEOUT_S)
+            self._news.wait_for(lambda: self._latest is not None or self._ended, _OPEN_TIMEOUT)
             first = self._latest
         if first is None:
             self.close()
@@ -160,13 +164,13 @@ class DeviceSource(FrameSource):
             raise FrameSizeError(
                 f"camera {self.label} was asked for {size[0]}x{size[1]} px and delivers "
                 f"{first.size[0]}x{first.size[1]} px",
-                hint="ask for a size that the camera has; the calibration must be made at that size",
+                hint="request a size that the camera has, and calibrate at that size",
             )
         self.size = first.size
 
     def _grab(self) -> None:
         sequence = failures = 0
-        while not self._stop and failures < _FAILURES_ALLOWED:
+        while not self._stop and failures < _MAX_FAILURES:
             good, image = self._next_image()
             stamp = time.monotonic()
             if not good or image is None:
@@ -177,7 +181,7 @@ class DeviceSource(FrameSource):
                 self._latest = Frame(image, stamp, sequence)
                 self._news.notify_all()
             sequence += 1
-        # Released by the thread that reads: a driver must not be closed under the feet of a waiting read().
+        # The reading thread releases the camera: a driver must not be closed during a read.
         self._capture.release()
         with self._news:
             self._ended = True
@@ -200,7 +204,7 @@ class DeviceSource(FrameSource):
         if ended:
             raise FrameTimeoutError(
                 f"camera {self.label} stopped delivering pictures after {self._given + 1}",
-                hint="was it unplugged? Plug it in and open the source again; its number may have changed",
+                hint="was it unplugged? Plug it in and open it again; its number may differ",
             )
         raise FrameTimeoutError(
             f"no new picture from camera {self.label} for {self.timeout:g} s",
@@ -220,8 +224,8 @@ class DeviceSource(FrameSource):
     def close(self) -> None:
         self._stop = True
         if self._thread is not threading.current_thread():
-            # A read() that hangs is left behind; its thread releases the camera when it returns.
-            self._thread.join(timeout=_CLOSE_TIMEOUT_S)
+            # If a read blocks, its thread releases the camera when the read returns.
+            self._thread.join(timeout=_CLOSE_TIMEOUT)
 
 
 def _label(device: int | str) -> str:
@@ -237,10 +241,13 @@ def _open(device: int | str) -> Any:
     if CAN_LIST and not is_url:
         path = Path(f"/dev/video{device}") if isinstance(device, int) else Path(device)
         _check_device(device, path)
-    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT_S)]
-    limits += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT_S)]
+    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT)]
+    limits += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT)]
     with quiet():
-        capture = cv2.VideoCapture(device, cv2.CAP_FFMPEG, limits) if is_url else cv2.VideoCapture(device)
+        if is_url:
+            capture = cv2.VideoCapture(device, cv2.CAP_FFMPEG, limits)
+        else:
+            capture = cv2.VideoCapture(device)
     if not capture.isOpened():
         capture.release()
         hint = "check the address with a browser" if is_url else _camera_hint()
@@ -262,4 +269,4 @@ def _camera_hint() -> str:
     cameras = ", ".join(camera.path for camera in find_cameras())
     if cameras:
         return f"cameras here: {cameras}"
-    return "no camera was found here; a picture, a film, a folder or a URL does as well"
+    return "no camera was found; give a picture, a film, a folder or a URL instead"

@@ -1,13 +1,12 @@
-"""The one place that knows how OpenCV 4.8+ and 5.x differ, and that keeps OpenCV quiet.
+"""OpenCV without its differences: dictionaries, grey and reduced pictures, picture files.
 
-OpenCV 5 returns (N, 2) and (N,) where 4.x returned (N, 1, 2) and (N, 1); subtracting one from the other
-broadcasts silently to N x N.  Everything that comes out of OpenCV is therefore reshaped here.
+OpenCV 5 returns (N, 2) and (N,) where 4.x returned (N, 1, 2) and (N, 1). Subtracting one from the
+other broadcasts silently to N x N. Arrays from OpenCV are therefore reshaped.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import re
 import zlib
@@ -27,16 +26,26 @@ Float32 = NDArray[np.float32]
 #: Pixels (x0, y0, x1, y1), half open.
 Box = tuple[int, int, int, int]
 
-# FFMPEG inside OpenCV has a log level of its own, read once, before the first film is opened; -8 is silence.
-# Whoever has set it keeps what he set.
+# FFMPEG inside OpenCV has its own log level, which is read before the first film is opened. -8 is
+# silence. A value that the user has set is kept.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
+# Log level of OpenCV without messages.
 _SILENT = 0
+# Detectors use a neighbourhood that suits pictures up to this longer side, px.
+LARGE = 3000
+# Longer side of a reduced picture, px.
+_REDUCED_SIZE = 2000
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".ogv")
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+# Number of files that a hint names.
+_NAMED_FILES = 8
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """OpenCV's own messages on stderr off for a while: failures are reported by our errors."""
+    """Silence OpenCV's own messages on stderr. Our errors report the failures."""
     # Releases before 4.11 have the same two functions under another name.
     log = getattr(cv2.utils, "logging", cv2)
     before = log.getLogLevel()
@@ -48,16 +57,16 @@ def quiet() -> Iterator[None]:
 
 
 def dictionary_names() -> tuple[str, ...]:
-    """Names of the predefined marker dictionaries of the installed OpenCV."""
-    # Upper case throughout: OpenCV has some names twice, as 36h11 and 36H11.
+    """Return the names of the predefined marker dictionaries of the installed OpenCV."""
+    # OpenCV has some names twice, as 36h11 and 36H11.
     return tuple(sorted({name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}))
 
 
-def marker_dictionary(name: str) -> Any:
-    """The predefined dictionary ``name``, for example ``DICT_5X5_50``.
+def full_dictionary_name(name: str) -> str:
+    """Return OpenCV's name of a dictionary: ``DICT_5X5_50`` of ``5x5_50``.
 
     Raises:
-        CameraError: No such dictionary; the close names are listed.
+        CameraError: Unknown dictionary; close names are listed.
     """
     names = dictionary_names()
     wanted = name.strip().upper()
@@ -65,86 +74,67 @@ def marker_dictionary(name: str) -> Any:
         wanted = f"DICT_{wanted}"
     if wanted not in names:
         raise CameraError(unknown_name_text("marker dictionary", name, names))
+    return wanted
+
+
+def marker_dictionary(name: str) -> Any:
+    """Return the predefined dictionary ``name``, for example ``DICT_5X5_50``.
+
+    Raises:
+        CameraError: Unknown dictionary; close names are listed.
+    """
+    wanted = full_dictionary_name(name)
     number = next(getattr(cv2.aruco, name) for name in dir(cv2.aruco) if name.upper() == wanted)
     return cv2.aruco.getPredefinedDictionary(number)
 
 
 def dictionary_size(name: str) -> int:
-    """Number of markers in the dictionary ``name``; ids run from 0 to one less."""
+    """Return the number of markers of a dictionary. Ids are 0 to one less."""
     return int(marker_dictionary(name).bytesList.shape[0])
 
 
 def marker_bits(name: str, marker_id: int) -> Image:
-    """Cells (n, n) of a marker with its one-cell black border, 0 black and 255 white.
+    """Return the cells (n, n) of a marker with its black border of one cell: 0 black, 255 white.
 
     Raises:
-        CameraError: Unknown dictionary, or an id beyond it.
+        CameraError: Unknown dictionary, or an id that it does not have.
     """
     dictionary = marker_dictionary(name)
     count = dictionary_size(name)
     if not 0 <= marker_id < count:
-        raise CameraError(f"marker id {marker_id} is not in {name}", hint=f"its ids are 0 to {count - 1}")
+        raise CameraError(
+            f"marker id {marker_id} is not in {name}", hint=f"its ids are 0 to {count - 1}"
+        )
     side = int(dictionary.markerSize) + 2
-    return np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side), dtype=np.uint8)
+    bits = cv2.aruco.generateImageMarker(dictionary, int(marker_id), side)
+    return np.asarray(bits, dtype=np.uint8)
 
 
 def marker_boxes(name: str, marker_id: int, size: float) -> Array:
-    """A marker's black cells (n, 4): x, y (down), width and height from its upper left corner.
+    """Return the black cells (n, 4) of a marker.
 
-    ``size`` is the side of its black border, in any unit.
+    The columns are x, y (down), width and height from its upper left corner.
+
+    Args:
+        name: OpenCV's name of the dictionary.
+        marker_id: Id in the dictionary.
+        size: Side of the black border, in any unit.
 
     Raises:
-        CameraError: Unknown dictionary, or an id beyond it.
+        CameraError: Unknown dictionary, or an id that it does not have.
     """
     bits = marker_bits(name, marker_id)
     cell = size / len(bits)
     row, column = np.nonzero(bits == 0)
-    return np.stack([column * cell, row * cell, np.full(len(row), cell), np.full(len(row), cell)], axis=1)
-
-
-def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], list[float]]]:
-    """Both poses of a square seen in undistorted normalised coordinates (IPPE_SQUARE).
-
-    Args:
-        points: (4, 3) metres, in the order (-,+) (+,+) (+,-) (-,-), z = 0.
-        normalized: (4, 2) undistorted normalised coordinates.
-
-    Returns:
-        Up to two pairs of rotation vector (3,) and translation (3,), best first; empty when the four corners
-        are degenerate.
-    """
-    try:
-        found, rotations, translations, _ = cv2.solvePnPGeneric(
-            points, np.ascontiguousarray(normalized), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
-        )
-    except cv2.error:
-        return []
-    if not found:
-        return []
-    poses = []
-    for vector, shift in zip(rotations, translations, strict=True):
-        rotation, translation = np.ravel(vector).tolist(), np.ravel(shift).tolist()
-        if all(map(math.isfinite, rotation + translation)):
-            poses.append((rotation, translation))
-    return poses
-
-
-# ------------------------------------------------------------------------------------------
-# Pictures in a whole part of their size: a large or soft picture is searched there, and loses nothing.
-#
-# A reduced pixel is the mean of ``times`` x ``times`` pixels, so that noise and the place of edges are kept.
-
-
-# Detectors look at so many pixels round a pixel as suits pictures of up to this longer side, px.
-LARGE = 3000
-_WANTED = 2000
+    sides = np.full(len(row), cell)
+    return np.stack([column * cell, row * cell, sides, sides], axis=1)
 
 
 def to_gray(image: Image) -> Image:
-    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture.
+    """Return the grey picture (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) one.
 
     Raises:
-        CameraError: It is no such picture.
+        CameraError: It is not such a picture.
     """
     known = isinstance(image, np.ndarray)
     if not known or image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
@@ -159,49 +149,47 @@ def to_gray(image: Image) -> Image:
 
 
 def times_smaller(image: Image) -> int:
-    """How many times smaller a picture (h, w, …) is to be searched; 1: as it is."""
+    """Return the factor by which a picture (h, w, ...) is reduced for a search; 1: not reduced."""
     longer = max(image.shape[:2])
-    return 1 if longer <= LARGE else -(-longer // _WANTED)
+    return 1 if longer <= LARGE else -(-longer // _REDUCED_SIZE)
 
 
-def reduced(gray: Image, times: float) -> Image:
-    """The picture (h, w) so many times smaller, without the last columns and rows that fill no pixel.
+def reduced(gray: Image, times: int) -> Image:
+    """Return a picture (h, w) reduced by a whole factor.
 
-    ``times`` is whole; or 0.5, and the picture becomes larger.
+    A reduced pixel is the mean of ``times`` x ``times`` pixels, so that noise falls and edges keep
+    their place. The last columns and rows that do not fill a pixel are left out.
     """
     if times == 1:
         return gray
-    height, width = (int(n / times) for n in gray.shape)
-    whole = gray[: round(height * times), : round(width * times)]
-    how = cv2.INTER_AREA if times > 1 else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=how), dtype=np.uint8)
+    height = gray.shape[0] // times
+    width = gray.shape[1] // times
+    part = gray[: height * times, : width * times]
+    small = cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
 
 
 def to_reduced(pixels: Array, times: float) -> Array:
-    """Places (…, 2) of a picture in the one that is so many times smaller, pixel centres being whole."""
+    """Return the pixels (..., 2) of a picture in the one reduced by ``times``.
+
+    Whole numbers are the centres of pixels.
+    """
     return (pixels + 0.5) / times - 0.5
 
 
 def from_reduced(pixels: Array, times: float) -> Array:
-    """The way back."""
+    """Return the pixels (..., 2) of a picture in the one before it was reduced by ``times``."""
     return (pixels + 0.5) * times - 0.5
 
 
-# ------------------------------------------------------------------------------------------
-# Picture files: read as the sensor saw them, written whole; and what lies beside a wrong name.
-
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".ogv")
-
-
 def read_image(path: Path | str) -> Image:
-    """A picture file as BGR (height, width, 3) uint8, in the sensor's own orientation.
+    """Read a picture file as BGR (height, width, 3) uint8, in the orientation of the sensor.
 
-    The orientation mark of cameras (EXIF) is ignored: lens distortion belongs to the sensor's axes.
+    The orientation mark of cameras (EXIF) is ignored: lens distortion belongs to the axes of the
+    sensor.
 
     Raises:
-        CameraNotFoundError: The file is missing or no picture.
+        CameraNotFoundError: The file is missing or not a picture.
     """
     path = Path(path)
     try:
@@ -212,24 +200,30 @@ def read_image(path: Path | str) -> Image:
         ) from None
     image = None
     if data.size and _is_whole(data.tobytes()):
-        # It raises where the header of a file says more pixels than a picture may have.
+        # OpenCV raises if the header states more pixels than a picture may have.
         with quiet(), contextlib.suppress(cv2.error):
             image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise CameraNotFoundError(
-            f"{path} is not a picture that OpenCV can read", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
+            f"{path} is not a picture that OpenCV can read",
+            hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}",
         )
     return np.asarray(image, dtype=np.uint8)
 
 
 def _is_whole(data: bytes) -> bool:
-    """Whether a PNG has its chunks, with right checksums, to the end; else libpng itself writes to stderr."""
-    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
+    """Return whether a PNG is complete, with correct checksums.
+
+    Of a damaged one libpng writes to stderr.
+    """
+    if not data.startswith(_PNG_SIGNATURE):
         return True
-    at, kind = 8, b""
+    at = len(_PNG_SIGNATURE)
+    kind = b""
     while kind != b"IEND" and at + 12 <= len(data):
         end = at + 8 + int.from_bytes(data[at : at + 4], "big")
-        kind, checksum = data[at + 4 : at + 8], int.from_bytes(data[end : end + 4], "big")
+        kind = data[at + 4 : at + 8]
+        checksum = int.from_bytes(data[end : end + 4], "big")
         if kind[:1].isupper() and zlib.crc32(data[at + 4 : end]) != checksum:
             return False
         at = end + 4
@@ -237,27 +231,27 @@ def _is_whole(data: bytes) -> bool:
 
 
 def first_size(files: Sequence[Path]) -> tuple[int, int]:
-    """(width, height) of the first picture that can be read.
+    """Return (width, height) of the first picture that can be read.
 
     Raises:
-        CameraNotFoundError: None can; it is of the first one.
+        CameraNotFoundError: No file can be read. The error is that of the first one.
     """
-    trouble: CameraNotFoundError | None = None
+    first_error: CameraNotFoundError | None = None
     for file in files:
         try:
             height, width = read_image(file).shape[:2]
         except CameraNotFoundError as error:
-            trouble = trouble or error
+            first_error = first_error or error
         else:
             return width, height
-    raise trouble or CameraNotFoundError("there are no pictures")
+    raise first_error or CameraNotFoundError("there are no pictures")
 
 
 def natural_sort(paths: Iterable[Path]) -> list[Path]:
-    """Paths sorted as people count: numbers in names by their value."""
+    """Return paths sorted naturally: numbers in names by their value."""
 
     def key(path: Path) -> list[str | int]:
-        # Text and numbers take turns.
+        # Text and numbers alternate.
         parts = re.split(r"(\d+)", path.name.lower())
         return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
@@ -265,24 +259,29 @@ def natural_sort(paths: Iterable[Path]) -> list[Path]:
 
 
 def neighbours(path: Path) -> str:
-    """What is there beside a path that is not: the pictures and films of its folder."""
+    """Return a hint for a missing path: the pictures and films of its folder."""
     folder = path.parent
     if not folder.is_dir():
         return f"the folder {folder} does not exist"
     known = IMAGE_SUFFIXES + VIDEO_SUFFIXES
-    found = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
-    shown = ", ".join(f.name for f in found[:8]) + (", …" if len(found) > 8 else "")
+    files = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
     where = "this folder" if folder == Path() else str(folder)
-    return f"{where} holds {shown}" if found else f"{where} holds no pictures or films"
+    if not files:
+        return f"{where} holds no pictures or films"
+    shown = ", ".join(f.name for f in files[:_NAMED_FILES])
+    if len(files) > _NAMED_FILES:
+        shown += ", …"
+    return f"{where} holds {shown}"
 
 
 def write_image(path: Path, image: Image) -> None:
-    """Writes a picture, whole or not at all; the suffix says how.
+    """Write a picture in the format of the suffix. The file is whole or not written.
 
     Raises:
-        OutputError: The suffix is none of a picture, or the folder is missing or not writable.
+        OutputError: The suffix is not that of a picture, or the folder is missing or not writable.
     """
-    good, data = False, None
+    good = False
+    data = None
     if path.suffix.lower() in IMAGE_SUFFIXES:
         good, data = cv2.imencode(path.suffix.lower(), image)
     if not good or data is None:

@@ -1,33 +1,34 @@
-"""What is known of one camera's optics: focal lengths, principal point, lens distortion.
+"""Intrinsics of a camera: focal lengths, principal point, lens distortion.
 
-Conventions are OpenCV's: camera frame x right, y down, z forward; pixel (0, 0) is the *centre* of the
-upper left pixel, so the image spans -0.5 .. width - 0.5.
+Conventions are OpenCV's: camera frame x right, y down, z forward. Pixel (0, 0) is the *centre* of
+the upper left pixel, so the image spans -0.5 to width - 0.5.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import logging
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike
 
 from robot_ik.camera import lens
-from robot_ik.config import LARGEST_NUMBER, parse, read_text, shown
-from robot_ik.errors import CalibrationError, ConfigError
+from robot_ik.camera.calibration_file import HINT, calibration_text, read_calibration
+from robot_ik.errors import CalibrationError
 from robot_ik.files import write_atomically
 from robot_ik.ports import Array
 
-# A focal length of 0.3 widths sees 118 degrees, one of 5 widths 11 degrees: what arms are watched with.
-_FOCAL_RANGE = (0.3, 5.0)
+# Plausible focal lengths, widths of the picture. 0.3 sees 118 degrees, 5 sees 11 degrees.
+_MIN_FOCAL = 0.3
+_MAX_FOCAL = 5.0
+# Rounding a side to whole pixels changes the aspect ratio by up to half a pixel.
+_MAX_ROUNDING = 0.51
+# Number of points along each side of the picture for its extent.
+_RIM_POINTS = 65
 
 
 @dataclass(frozen=True)
@@ -35,23 +36,23 @@ class CameraIntrinsics:
     """Pinhole camera with lens distortion, for pictures of one size.
 
     Attributes:
-        width, height: Picture size in pixels that the numbers below are for.
-        fx, fy: Focal lengths in pixels.
-        cx, cy: Principal point in pixels (integer pixel centres).
+        width: Width of the pictures, px.
+        height: Height of the pictures, px.
+        fx: Focal length along x, px.
+        fy: Focal length along y, px.
+        cx: Column of the principal point, px (integer pixel centres).
+        cy: Row of the principal point, px.
         distortion: Coefficients in OpenCV's order, see ``robot_ik.camera.lens``.
         model: ``plumb_bob``, ``rational_polynomial`` or ``equidistant`` (fisheye).
-        rms: Reprojection error of the calibration in pixels, when known.
-        std: Standard deviations of fx, fy, cx, cy, then of the coefficients, when known.
-        views: Number of pictures in the calibration, when known.
-        name: Camera name, for people.
-        date: When it was calibrated (ISO 8601), when known.
-        edge_shift: How far edges seem to lie in the black, in sigmas of their blur, when known: what the
-            camera's tone curve does.  What is expected of a picture, not a curve to undo.
-        edge_shift_sigma: Its standard deviation from picture to picture.
+        rms: Reprojection error of the calibration, px; None if unknown.
+        std: Standard deviations of fx, fy, cx, cy, then of the coefficients; empty if unknown.
+        views: Number of pictures in the calibration; None if unknown.
+        name: Name of the camera.
+        date: Date of the calibration (ISO 8601); empty if unknown.
 
     Raises:
-        CalibrationError: A number is not finite, a size or focal length not positive, or the number of
-            coefficients does not fit the model.
+        CalibrationError: A number is not finite, a size or focal length not positive, or the number
+            of coefficients does not fit the model.
     """
 
     width: int
@@ -67,8 +68,6 @@ class CameraIntrinsics:
     views: int | None = None
     name: str = "camera"
     date: str = ""
-    edge_shift: float | None = None
-    edge_shift_sigma: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distortion", tuple(float(v) for v in self.distortion))
@@ -79,8 +78,8 @@ class CameraIntrinsics:
         allowed = lens.COEFFICIENTS[self.model]
         if len(self.distortion) not in allowed:
             raise CalibrationError(
-                f"{len(self.distortion)} distortion coefficients do not fit the model {self.model!r}, "
-                f"which has {' or '.join(map(str, allowed))}",
+                f"{len(self.distortion)} distortion coefficients do not fit the model "
+                f"{self.model!r}, which has {' or '.join(map(str, allowed))}",
                 hint="order: k1 k2 p1 p2 k3 (plumb_bob), and k4 k5 k6 (rational_polynomial)",
             )
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
@@ -93,10 +92,12 @@ class CameraIntrinsics:
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Least and greatest normalised coordinates (2,) on the rim of the picture."""
-        x, y = np.linspace(-0.5, self.width - 0.5, 65), np.linspace(-0.5, self.height - 0.5, 65)
-        sides = [(x, 0 * x + v) for v in y[[0, -1]]] + [(0 * y + v, y) for v in x[[0, -1]]]
-        rim = self.undistort(np.concatenate([np.stack(side, axis=1) for side in sides]))
+        """Smallest and largest normalised coordinates (2,) on the rim of the picture."""
+        x = np.linspace(-0.5, self.width - 0.5, _RIM_POINTS)
+        y = np.linspace(-0.5, self.height - 0.5, _RIM_POINTS)
+        sides = [np.stack([x, np.full_like(x, v)], axis=1) for v in y[[0, -1]]]
+        sides += [np.stack([np.full_like(y, v), y], axis=1) for v in x[[0, -1]]]
+        rim = self.undistort(np.concatenate(sides))
         return np.nanmin(rim, axis=0), np.nanmax(rim, axis=0)
 
     @property
@@ -111,11 +112,15 @@ class CameraIntrinsics:
 
     @cached_property
     def digest(self) -> str:
-        """Twelve hexadecimal digits over all that maps points to pixels: how other files name this camera."""
-        kept = np.trim_zeros(np.array(self.distortion), "b").tolist()  # no lens, or one of zeros: the same
+        """Hash (12 hexadecimal digits) of all numbers that map points to pixels.
+
+        Other files name the camera by it.
+        """
+        # Zeros at the end are the same lens as no coefficients.
+        kept = np.trim_zeros(np.array(self.distortion), "b").tolist()
         numbers = [float(v) for v in (self.fx, self.fy, self.cx, self.cy, *kept)]
-        text = " ".join([self.model, str(int(self.width)), str(int(self.height)), *map(repr, numbers)])
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        words = [self.model, str(int(self.width)), str(int(self.height)), *map(repr, numbers)]
+        return hashlib.sha256(" ".join(words).encode()).hexdigest()[:12]
 
     @cached_property
     def coefficients(self) -> Array:
@@ -124,20 +129,19 @@ class CameraIntrinsics:
 
     @cached_property
     def radius_limit(self) -> float:
-        """Largest ``|(X, Y)| / Z`` at which the lens model is still one to one; beyond it, it folds back."""
+        """Largest ``|(X, Y)| / Z`` at which the lens model is one to one. Beyond, it folds back."""
         return float(lens.lens_vector(self)[lens.LIMIT])
 
-    # ------------------------------------------------------------------------------ mapping
-
     def project(self, points: ArrayLike) -> Array:
-        """Pixels of points in the camera frame.
+        """Return the pixels of points in the camera frame.
 
         Args:
             points: (n, 3) or (3,), metres.
 
         Returns:
-            (n, 2) or (2,) distorted pixels; NaN for points not in front of the camera (z <= 0).  Points
-            beyond ``radius_limit`` are projected as OpenCV does, although they cannot be seen there.
+            (n, 2) or (2,) distorted pixels; NaN for points that are not in front of the camera
+            (z <= 0). Points beyond ``radius_limit`` are projected as OpenCV does, although they are
+            not visible there.
         """
         p = np.asarray(points, dtype=float)
         flat = p.reshape(-1, 3)
@@ -147,49 +151,62 @@ class CameraIntrinsics:
         return self.distort(normalized).reshape(*p.shape[:-1], 2)
 
     def distort(self, normalized: Array) -> Array:
-        """Undistorted normalised coordinates (n, 2) -> distorted pixels (n, 2)."""
+        """Return the distorted pixels (n, 2) of undistorted normalised coordinates (n, 2)."""
         return self._mapped(lens.distort_points, normalized, 2)
 
     def undistort(self, pixels: ArrayLike) -> Array:
-        """Distorted pixels (n, 2) -> undistorted normalised coordinates (n, 2), exact to 1e-9.
+        """Return the undistorted normalised coordinates (n, 2) of distorted pixels (n, 2).
 
-        NaN where the lens model has no inverse.
+        They are exact to 1e-9. NaN where the lens model has no inverse.
         """
-        return self._mapped(lens.undistort_points, np.asarray(pixels, dtype=float).reshape(-1, 2), 2)
+        flat = np.asarray(pixels, dtype=float).reshape(-1, 2)
+        return self._mapped(lens.undistort_points, flat, 2)
 
     def unproject(self, pixels: ArrayLike) -> Array:
-        """Rays (n, 3) or (3,) with z = 1 in the camera frame, of pixels (n, 2) or (2,)."""
+        """Return the rays (n, 3) or (3,) with z = 1, camera frame, of pixels (n, 2) or (2,)."""
         p = np.asarray(pixels, dtype=float)
         normalized = self.undistort(p)
         rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
         return rays.reshape(*p.shape[:-1], 3)
 
     def pixel_jacobian(self, normalized: Array) -> Array:
-        """Derivative (n, 2, 2) of pixels with respect to undistorted normalised coordinates (n, 2)."""
+        """Return the derivative (n, 2, 2) of pixels by normalised coordinates (n, 2)."""
         return self._mapped(lens.pixel_jacobians, normalized, 2, 2)
 
+    def point_jacobian(self, points: Array) -> Array:
+        """Return the derivative (n, 2, 3) of pixels by points (n, 3) in front of the camera."""
+        depth = points[:, 2]
+        by_point = np.zeros((len(points), 2, 3))
+        by_point[:, 0, 0] = 1.0 / depth
+        by_point[:, 1, 1] = 1.0 / depth
+        by_point[:, :, 2] = -points[:, :2] / depth[:, None] ** 2
+        return np.asarray(self.pixel_jacobian(points[:, :2] / depth[:, None]) @ by_point)
+
     def _mapped(self, kernel: Callable[..., None], points: Array, *shape: int) -> Array:
-        """What a kernel of ``lens`` makes (n, *shape) of points (n, 2)."""
+        """Return what a kernel of ``lens`` writes (n, *shape) for points (n, 2)."""
         result = np.empty((len(points), *shape))
         kernel(lens.lens_vector(self), np.ascontiguousarray(points, dtype=float), result)
         return result
 
-    # ----------------------------------------------------------------------- size and sense
-
     def scaled(self, width: int, height: int) -> CameraIntrinsics:
-        """The same camera delivering resized pictures.
+        """Return the intrinsics of resized pictures.
 
         The half pixel between pixel centre and pixel edge is respected: c' = (c + 1/2) s - 1/2.
 
         Raises:
-            CalibrationError: The aspect ratio is another one: a crop, whose place is unknown.
+            CalibrationError: The aspect ratio differs: the pictures are cropped somewhere.
         """
-        sx, sy = width / self.width, height / self.height
-        # Rounding a side to whole pixels may bend the ratio by half a pixel, no more.
-        if abs(sx * self.height - height) > 0.51 and abs(sy * self.width - width) > 0.51:
+        sx = width / self.width
+        sy = height / self.height
+        is_crop = (
+            abs(sx * self.height - height) > _MAX_ROUNDING
+            and abs(sy * self.width - width) > _MAX_ROUNDING
+        )
+        if is_crop:
             raise CalibrationError(
-                f"the calibration is for {self.width}x{self.height} px; pictures of {width}x{height} px "
-                "have another aspect ratio, so they are cropped in an unknown place",
+                f"the calibration is for {self.width}x{self.height} px; pictures of "
+                f"{width}x{height} px have another aspect ratio, so they are cropped in an unknown "
+                "place",
                 hint="set the camera to the calibrated size, or calibrate at this size",
             )
         return dataclasses.replace(
@@ -205,268 +222,77 @@ class CameraIntrinsics:
         )
 
     def require_size(self, width: int, height: int) -> None:
-        """Checks that pictures of this size are the calibrated ones.
+        """Check that pictures have the calibrated size.
 
         Raises:
-            CalibrationError: They are not; the hint says whether scaling would do.
+            CalibrationError: They have another one. The hint says whether scaling is possible.
         """
         if (width, height) == self.size:
             return
         try:
             self.scaled(width, height)
             hint = (
-                f"same aspect ratio: set the camera to {self.width}x{self.height} px, or calibrate at this "
-                f"size; for pictures that were only resized, in Python: intrinsics.scaled({width}, {height})"
+                f"same aspect ratio: set the camera to {self.width}x{self.height} px, or calibrate "
+                "at this size; for pictures that were only resized, in Python: "
+                f"intrinsics.scaled({width}, {height})"
             )
         except CalibrationError:
-            hint = "another aspect ratio: set the camera to the calibrated size, or calibrate at this size"
+            hint = (
+                "another aspect ratio: set the camera to the calibrated size, or calibrate at this "
+                "size"
+            )
         raise CalibrationError(
-            f"the calibration is for {self.width}x{self.height} px, the picture has {width}x{height} px",
+            f"the calibration is for {self.width}x{self.height} px, the picture has "
+            f"{width}x{height} px",
             hint=hint,
         )
 
     def require_plausible(self) -> None:
-        """Checks that the numbers can belong to a camera that watches an arm.
+        """Check that the numbers can belong to a camera that watches an arm.
 
         Raises:
-            CalibrationError: Focal length outside 0.3 to 5 picture widths, or principal point outside
-                the picture: usually a calibration of another size, or one that went wrong.
+            CalibrationError: Focal length outside 0.3 to 5 picture widths, or principal point
+                outside the picture: usually a calibration of another size, or a failed one.
         """
-        low, high = (f * max(self.width, self.height) for f in _FOCAL_RANGE)
+        hint = "was the file made for another picture size? Calibrate again with tilted views"
+        longer = max(self.width, self.height)
+        lower = _MIN_FOCAL * longer
+        upper = _MAX_FOCAL * longer
         for name, f in (("fx", self.fx), ("fy", self.fy)):
-            if not low <= f <= high:
+            if not lower <= f <= upper:
                 raise CalibrationError(
                     f"{name} = {f:.6g} px is implausible for {self.width}x{self.height} px; "
-                    f"expected {low:.6g} to {high:.6g} px",
-                    hint="was the file made for another picture size? Calibrate again with tilted views",
+                    f"expected {lower:.6g} to {upper:.6g} px",
+                    hint=hint,
                 )
         if not (0 <= self.cx <= self.width - 1 and 0 <= self.cy <= self.height - 1):
             raise CalibrationError(
                 f"the principal point ({self.cx:.6g}, {self.cy:.6g}) px is outside the picture of "
                 f"{self.width}x{self.height} px",
-                hint="was the file made for another picture size? Calibrate again with tilted views",
+                hint=hint,
             )
-
-    # -------------------------------------------------------------------------------- files
 
     @classmethod
     def load(cls, path: Path | str) -> CameraIntrinsics:
-        """Reads a calibration file (own format, OpenCV FileStorage YAML, ROS camera_info YAML).
+        """Load a calibration file: own format, OpenCV FileStorage YAML, ROS camera_info YAML.
 
         Raises:
-            CalibrationError: The file is missing, no camera file, lacks a key, or is implausible.
+            CalibrationError: The file is missing, not a camera file, lacks a key, or is
+                implausible.
         """
-        return _load(Path(path))
+        fields = read_calibration(Path(path))
+        try:
+            intrinsics = cls(**fields)
+            intrinsics.require_plausible()
+        except CalibrationError as error:
+            hint = error.hint or HINT
+            raise CalibrationError(f"{path}: {error.args[0]}", hint=hint) from None
+        return intrinsics
 
     def save(self, path: Path | str) -> None:
-        """Writes a file that OpenCV, ROS and any YAML reader understand; whole or not at all.
+        """Write a file that OpenCV, ROS and any YAML reader understand. It is whole or not at all.
 
         Raises:
             OutputError: The file cannot be written.
         """
-        write_atomically(Path(path), _text(self))
-
-
-# ------------------------------------------------------------------------------------------
-# Camera calibration files: one format that OpenCV's FileStorage, ROS and plain YAML readers share.
-#
-# Written: header ``%YAML 1.0`` (with a space), keys of ROS ``camera_info``, and ``dt: d`` inside each matrix,
-# which FileStorage needs and the others ignore.  Read: that, FileStorage's own (``%YAML:1.0`` and
-# ``!!opencv-matrix``, keys ``camera_matrix``, ``K`` or ``M1``), and plain ROS YAML.
-
-
-logger = logging.getLogger("robot_ik.camera")
-
-
-# Ours refuses to calibrate so badly; files of others are read, with a warning.
-_POOR_RMS_PX = 1.0
-_MATRIX_KEYS = ("camera_matrix", "K", "M1", "cameraMatrix", "intrinsic_matrix")
-_DISTORTION_KEYS = ("distortion_coefficients", "D", "D1", "dist", "distCoeffs", "dist_coeffs")
-_MODEL_NAMES = {
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "rational_polynomial": "rational_polynomial",
-    "equidistant": "equidistant",
-    "fisheye": "equidistant",
-    "kannala_brandt": "equidistant",
-}
-
-
-class _Loader(yaml.SafeLoader):
-    """Plain YAML plus OpenCV's tag for matrices, without aliases.
-
-    No calibration program writes aliases. A few lines of them can expand to gigabytes.
-    """
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases are not supported")
-        return super().compose_node(parent, index)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", partial(_Loader.construct_mapping, deep=True))
-
-
-_HINT = (
-    "a camera file has image_width, image_height, camera_matrix and distortion_coefficients, "
-    "as OpenCV or ROS camera calibration writes it"
-)
-
-
-def _yaml(text: str) -> Any:
-    return yaml.load(text, Loader=_Loader)
-
-
-def _load(path: Path) -> CameraIntrinsics:
-    try:
-        text = read_text(path, "the camera calibration", errors="replace")
-        # FileStorage writes "%YAML:1.0", which no YAML reader accepts; the directive says nothing we need.
-        text = re.sub(r"\A\ufeff?%YAML[^\n]*\n", "", text)
-        content = parse(text, path, "YAML", _yaml)
-    except ConfigError as error:
-        raise CalibrationError(error.args[0], hint=_HINT) from None
-    if not isinstance(content, dict):
-        raise CalibrationError(f"{path} is not a camera calibration: it has no keys", hint=_HINT)
-    try:
-        intrinsics = _intrinsics(content)
-        intrinsics.require_plausible()
-    except CalibrationError as error:
-        raise CalibrationError(f"{path}: {error.args[0]}", hint=error.hint or _HINT) from None
-    if intrinsics.rms is not None and intrinsics.rms > _POOR_RMS_PX:
-        logger.warning(
-            "%s: its reprojection error is %.2f px; a good calibration has less than %g px: calibrate again",
-            path, intrinsics.rms, _POOR_RMS_PX,
-        )  # fmt: skip
-    return intrinsics
-
-
-def _intrinsics(content: Mapping[str, Any]) -> CameraIntrinsics:
-    width, height = _whole(content, "image_width"), _whole(content, "image_height")
-    matrix = _numbers(_first(content, _MATRIX_KEYS), "camera matrix")
-    if matrix.size != 9:
-        raise CalibrationError(f"the camera matrix has {matrix.size} numbers, not 9")
-    k = matrix.reshape(3, 3)
-    if abs(k[0, 1]) > 1e-9 * abs(k[0, 0]) or not np.allclose(k[2], (0, 0, 1)):
-        raise CalibrationError(
-            f"the camera matrix is not of the form [fx 0 cx; 0 fy cy; 0 0 1]: {k.tolist()}",
-            hint="a skewed pixel grid is not supported; calibrate without skew",
-        )
-    coefficients = _numbers(_first(content, _DISTORTION_KEYS), "distortion coefficients")
-    model, distortion = _model(content, coefficients)
-    return CameraIntrinsics(
-        width=width,
-        height=height,
-        fx=float(k[0, 0]),
-        fy=float(k[1, 1]),
-        cx=float(k[0, 2]),
-        cy=float(k[1, 2]),
-        distortion=distortion,
-        model=model,
-        rms=_optional(content, "avg_reprojection_error"),
-        std=tuple(_numbers(content.get("intrinsics_std_dev", []), "standard deviations")),
-        views=next((_whole(content, key) for key in ("views", "nframes") if key in content), None),
-        name=str(content.get("camera_name", "camera")),
-        date=str(content.get("calibration_time", content.get("calibration_date", ""))),
-        edge_shift=_optional(content, "edge_shift"),
-        edge_shift_sigma=_optional(content, "edge_shift_std_dev"),
-    )
-
-
-def _first(content: Mapping[str, Any], names: tuple[str, ...]) -> Any:
-    for name in names:
-        if name in content:
-            return content[name]
-    have = ", ".join(map(str, content)) or "nothing"
-    raise CalibrationError(f"it lacks the key {' or '.join(names[:3])}; it has {have}")
-
-
-def _numbers(value: Any, what: str) -> Array:
-    data = value.get("data", []) if isinstance(value, dict) else value
-    try:
-        flat = np.array(data, dtype=float).ravel()
-    except (TypeError, ValueError):
-        raise CalibrationError(f"the {what} must be numbers, not {shown(data)}") from None
-    if not (np.abs(flat) <= LARGEST_NUMBER).all():  # words such as "nan" are numbers to YAML
-        raise CalibrationError(f"the {what} must be finite, not {shown(flat.tolist())}")
-    return flat
-
-
-def _whole(content: Mapping[str, Any], key: str) -> int:
-    value = _first(content, (key,))
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
-        raise CalibrationError(f"{key} must be a whole number, not {shown(value)}")
-    return int(value)
-
-
-def _optional(content: Mapping[str, Any], key: str) -> float | None:
-    if key not in content:
-        return None
-    found = _numbers(content[key], key)
-    if found.size != 1:
-        raise CalibrationError(f"{key} must be one number, not {shown(content[key])}")
-    return float(found[0])
-
-
-def _model(content: Mapping[str, Any], numbers: Array) -> tuple[str, tuple[float, ...]]:
-    """Model name and coefficients; OpenCV pads with zeros and does not say the model."""
-    given = str(content.get("distortion_model", "")).lower()
-    if given in _MODEL_NAMES:
-        model = _MODEL_NAMES[given]
-    elif given:
-        raise CalibrationError(f"unknown distortion_model {given!r}; known: {', '.join(_MODEL_NAMES)}")
-    else:
-        model = "plumb_bob" if not np.any(numbers[5:]) else "rational_polynomial"
-    fits = lens.COEFFICIENTS[model]
-    size = next((n for n in sorted(fits) if n >= len(numbers)), max(fits))
-    if np.any(numbers[size:]):
-        raise CalibrationError(
-            f"{len(numbers)} distortion coefficients (thin prism or tilted sensor) are not supported",
-            hint="calibrate with the plumb_bob (5) or rational (8) model",
-        )
-    padded = np.zeros(size)
-    padded[: min(size, len(numbers))] = numbers[:size]
-    return model, tuple(padded)
-
-
-# -------------------------------------------------------------------------------------- writing
-
-
-def _number(value: float) -> str:
-    """Shortest text that reads back bit-equal and that YAML 1.1 takes for a float (1e-05 would be a word)."""
-    mantissa, mark, exponent = repr(float(value)).partition("e")
-    if mark and "." not in mantissa:
-        mantissa += ".0"
-    return mantissa + mark + exponent
-
-
-def _matrix(key: str, values: Array) -> str:
-    rows, cols = values.shape
-    data = ", ".join(_number(v) for v in values.ravel())
-    return f"{key}:\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [{data}]\n"
-
-
-def _text(camera: CameraIntrinsics) -> str:
-    distortion = np.atleast_2d(camera.coefficients if camera.distortion else np.zeros(5))
-    projection = np.hstack([camera.matrix, np.zeros((3, 1))])
-    name = re.sub(r"[^\w .-]", "_", camera.name) or "camera"
-    text = (
-        f'%YAML 1.0\n---\nimage_width: {camera.width}\nimage_height: {camera.height}\ncamera_name: "{name}"\n'
-        + _matrix("camera_matrix", camera.matrix)
-        + f"distortion_model: {camera.model}\n"
-        + _matrix("distortion_coefficients", distortion)
-        + _matrix("rectification_matrix", np.eye(3))
-        + _matrix("projection_matrix", projection)
-    )
-    if camera.rms is not None:
-        text += f"avg_reprojection_error: {_number(camera.rms)}\n"
-    if camera.std:
-        text += _matrix("intrinsics_std_dev", np.atleast_2d(np.array(camera.std)))
-    if camera.views is not None:
-        text += f"views: {camera.views}\n"
-    if camera.edge_shift is not None:
-        text += f"edge_shift: {_number(camera.edge_shift)}\n"
-        text += f"edge_shift_std_dev: {_number(camera.edge_shift_sigma or 0.0)}\n"
-    if camera.date:
-        # OpenCV writes its samples' time under this key; quoted, or YAML would make a date of it.
-        text += f'calibration_time: "{camera.date}"\n'
-    return text
+        write_atomically(Path(path), calibration_text(self))

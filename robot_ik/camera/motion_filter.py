@@ -1,8 +1,9 @@
-"""Where an object seen by a camera is now: a filter over time-stamped poses, and prediction that knows rest.
+"""Filter over time-stamped poses of an object, with prediction that knows rest.
 
-``MotionFilter`` is a Kalman filter with constant velocity, on position and (as error state) on orientation.
-It estimates where the object is at any time near the last picture.  The horizon of the prediction fades to
-zero at low speed: an object that lies still is not shaken by the noise of its own velocity.
+``MotionFilter`` is a Kalman filter with constant velocity, on position and (as error state) on
+orientation. It estimates the pose of an object at any time near the last picture. The horizon of
+the prediction fades to zero at low speed, so that the noise of the velocity does not shake a
+resting object.
 """
 
 from __future__ import annotations
@@ -19,11 +20,33 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_to_matrix, rotation_exp
 from robot_ik.ports import Array
 
-_POSE, _RATE = slice(0, 6), slice(6, 12)
+# Parts of the state.
+_POSE = slice(0, 6)
+_RATE = slice(6, 12)
+
+# Speeds at which prediction begins, m/s and rad/s. From twice as much it is complete. Speeds that
+# the filter cannot tell from rest count as rest, too.
+_REST_SPEED = (0.015, 0.10)
+# Longest time to predict, s.
+_MAX_PREDICTION = 0.15
+# Squared Mahalanobis distance beyond which an observation is an outlier: one in 10 000 correct
+# ones, with six degrees of freedom.
+_GATE = 27.9
+# This many outliers in a row mean that the object was moved. The filter restarts there.
+_OUTLIERS_TO_RESTART = 3
+# After this time without an observation the filter restarts, s.
+_RESTART_TIME = 1.0
+# A speed counts from this many of its standard deviations on. The noise of three axes seldom
+# reaches it.
+_SURE_SIGMAS = 4.0
+# Square of a speed that no camera tells from rest. It keeps the noise of an exact camera regular.
+_TINY_SPEED = 1e-18
+# Weight of the newest observation in the estimate of how well prediction works.
+_NEWEST_WEIGHT = 0.3
 
 
 class Update(StrEnum):
-    """What became of an observation."""
+    """What the filter did with an observation."""
 
     STARTED = "started"
     TAKEN = "taken"
@@ -36,9 +59,10 @@ class Prediction(NamedTuple):
     """A pose at one time.
 
     Attributes:
-        pose: Where the object is.
-        covariance: (6, 6): position (m) over rotation (rad), axes of the observations, about the origin.
-        velocity: (6,): m/s over rad/s, same axes; zero while it counts as resting.
+        pose: Pose of the object.
+        covariance: (6, 6): position (m) over rotation (rad), axes of the observations, about the
+            origin of the pose.
+        velocity: (6,): m/s over rad/s, same axes; zero while the object counts as resting.
     """
 
     pose: Pose
@@ -48,14 +72,15 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True)
 class FilterOptions:
-    """What is assumed of the motion.  The defaults are for something moved by hand.
+    """Assumptions about the motion. The defaults are for an object moved by hand.
 
     Attributes:
-        process_noise: Standard deviation of what the velocity changes in a time t is this times √t: m/s and
-            rad/s per √s.  Larger follows faster motion and trusts single pictures more.
-        initial_speed_sigma: Standard deviation of a velocity of which nothing is known yet, m/s and rad/s.
-        least_sigma: Least standard deviation that an observation is believed to have, m and rad: print and
-            lens are never as good as the corners.
+        process_noise: In a time t the velocity changes by this times the root of t (standard
+            deviation), m/s and rad/s per root of s. A larger value follows faster motion and trusts
+            single pictures more.
+        initial_speed_sigma: Standard deviation of an unknown velocity, m/s and rad/s.
+        least_sigma: Smallest standard deviation of an observation, m and rad: print and lens are
+            less accurate than the corners.
     """
 
     process_noise: tuple[float, float] = (0.5, 4.0)
@@ -63,126 +88,124 @@ class FilterOptions:
     least_sigma: tuple[float, float] = (5e-5, 5e-4)
 
 
-# Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds that the filter
-# cannot tell from rest count as rest, too.
-_REST_SPEED = (0.015, 0.10)
-# Longest time to predict, s.
-_LONGEST_PREDICTION = 0.15
-# Squared Mahalanobis distance beyond which an observation is an outlier: one of 10 000 good ones is, with six
-# degrees of freedom.  So many in a row are none: the object was moved, and the filter restarts there.
-_GATE, _OUTLIERS_TO_RESTART = 27.9, 3
-# After this time without an observation the filter starts again, s.
-_RESTART_AFTER = 1.0
-# A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
-_SURE = 4.0
-# Square of a speed that no camera tells from rest: keeps the noise of a perfect one from being singular.
-_TINY = 1e-18
-# Of the newest observation in what is known of how well prediction does.
-_NEW_SHARE = 0.3
-
-
 class MotionFilter:
     """Constant-velocity Kalman filter on position and orientation.
 
     The error state is (position, rotation, velocity, angular velocity), each along the axes of the
-    observations; the rotation error θ is on the left, R_true = exp(θ) R.  Velocity is a random walk
-    (Bar-Shalom, Li & Kirubarajan 2001, eq. 6.2.2-4); error state on SO(3) after Solà 2017 (arXiv:1711.02508,
-    section 7, with the error in the outer frame).
+    observations. The rotation error w is on the left, R_true = exp(w) R. Velocity is a random walk
+    (Bar-Shalom, Li & Kirubarajan 2001, eq. 6.2.2-4). Error state on SO(3) after Solà 2017
+    (arXiv:1711.02508, section 7, with the error in the outer frame).
 
     Args:
-        options: What is assumed of the motion.
+        options: Assumptions about the motion.
 
     Attributes:
-        time: Of the last observation taken, s; NaN before the first.
-        moving: (2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict.
+        time: Time of the last observation taken, s; NaN before the first.
+        moving: (2,) how much the object counts as moving and as turning: 0 at rest, 1 when fast
+            enough to predict.
     """
 
     def __init__(self, options: FilterOptions | None = None) -> None:
         self.options = options or FilterOptions()
-        # (6, 6) variance that the velocity gains in each second, and the least variance of an observation.
+        # (6, 6) variance that the velocity gains per second.
         self._density = np.diag(np.repeat(np.square(self.options.process_noise), 3))
         self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
         self.reset()
 
     @property
     def started(self) -> bool:
-        """Whether anything was observed yet."""
-        return bool(self.time == self.time)
+        """Whether there was an observation."""
+        return not math.isnan(self.time)
 
     def reset(self) -> None:
-        """Forgets everything."""
-        self.time, self.moving = float("nan"), np.zeros(2)
+        """Forget all observations."""
+        self.time = math.nan
+        self.moving = np.zeros(2)
 
-    def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
-        self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
-        self._rejected, self._rejected_at = 0, -np.inf
-        # Covariance of the state, and how far noise of the observations alone moves one at rest.
+    def _begin(self, time: float, pose: Pose, noise: Array, update: Update) -> Update:
+        self.time = float(time)
+        self._pose = pose
+        self._rate = np.zeros(6)
+        self._rejected = 0
+        self._rejected_time = -math.inf
+        # Covariance of the state, and the scatter of the state at rest by noise alone.
         self._spreads = np.zeros((2, 12, 12))
         self._spreads[:, _POSE, _POSE] = noise
-        self._spreads[0, _RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
-        # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
-        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
-        return how
+        speeds = np.repeat(np.square(self.options.initial_speed_sigma), 3)
+        self._spreads[0, _RATE, _RATE] = np.diag(speeds)
+        # Mean squared errors (2, 2) of prediction and of holding, in position and rotation.
+        self._errors = np.zeros((2, 2))
+        self.moving = np.zeros(2)
+        return update
 
     def update(self, time: float, pose: Pose, covariance: ArrayLike) -> Update:
-        """Takes an observation.
+        """Take an observation.
 
         Args:
-            time: When it was made, s, on any one clock.
-            pose: What was observed.
-            covariance: (6, 6) of it: position (m) over rotation (rad), same axes, about the pose's origin.
+            time: Time of the observation, s, on any one clock.
+            pose: Observed pose.
+            covariance: (6, 6): position (m) over rotation (rad), same axes, about the origin of the
+                pose.
 
         Returns:
-            What became of it.  One that is not newer than the last is ``LATE`` and changes nothing.
+            What the filter did with it. An observation that is not newer than the last one is
+            ``LATE`` and changes nothing.
 
         Raises:
-            CameraError: The time is not finite, or the covariance is no covariance.
+            CameraError: The time is not finite, or the covariance is not a covariance.
         """
         noise = self._noise(time, covariance)
         if not self.started:
             return self._begin(time, pose, noise, Update.STARTED)
-        if time <= max(self.time, self._rejected_at):
+        if time <= max(self.time, self._rejected_time):
             return Update.LATE
-        if time - self.time > _RESTART_AFTER:
+        if time - self.time > _RESTART_TIME:
             return self._begin(time, pose, noise, Update.RESTARTED)
+
         predicted, spreads = self._advanced(time - self.time)
         innovation = pose.minus(predicted)
         spread = spreads[0, _POSE]
-        weighted = np.linalg.solve(
-            spread[:, _POSE] + noise, np.concatenate([spread, innovation[:, None]], axis=1)
-        )
-        gain, distance = weighted[:, :12].T, innovation @ weighted[:, 12]
+        right = np.concatenate([spread, innovation[:, None]], axis=1)
+        weighted = np.linalg.solve(spread[:, _POSE] + noise, right)
+        gain = weighted[:, :12].T
+        distance = innovation @ weighted[:, 12]
         if not distance <= _GATE:
-            self._rejected, self._rejected_at = self._rejected + 1, time
+            self._rejected += 1
+            self._rejected_time = time
             if self._rejected >= _OUTLIERS_TO_RESTART:
                 return self._begin(time, pose, noise, Update.RESTARTED)
             return Update.OUTLIER
-        change = gain @ innovation
+
+        errors = np.stack([innovation, pose.minus(self._pose)]).reshape(2, 2, 3)
+        self._errors += _NEWEST_WEIGHT * (np.sum(errors**2, axis=2) - self._errors)
         keep = np.eye(12)
         keep[:, _POSE] -= gain
-        # How the observation was met by prediction and by holding.
-        missed = np.stack([innovation, pose.minus(self._pose)]).reshape(2, 2, 3)
-        self._misses += _NEW_SHARE * (np.sum(missed**2, axis=2) - self._misses)
-        self._spreads = _symmetric(keep @ spreads @ keep.T + gain @ noise @ gain.T)  # Joseph's form
-        self._pose, self._rate = predicted.plus(change[_POSE]), self._rate + change[_RATE]
-        self.time, self._rejected, self._rejected_at = time, 0, -np.inf
-        self.moving = self._how_much_moving()
+        # Joseph's form stays symmetric and positive.
+        self._spreads = _symmetric(keep @ spreads @ keep.T + gain @ noise @ gain.T)
+        change = gain @ innovation
+        self._pose = predicted.plus(change[_POSE])
+        self._rate = self._rate + change[_RATE]
+        self.time = time
+        self._rejected = 0
+        self._rejected_time = -math.inf
+        self.moving = self._moving()
         return Update.TAKEN
 
     def predict(self, time: float) -> Prediction:
-        """Where the object is at ``time``: with the velocity, as far as it can be told from rest.
+        """Return the pose at ``time``, moved by the velocity as far as this differs from rest.
 
-        Times before the last observation are taken for its time.
+        A time before the last observation counts as its time.
 
         Raises:
-            CameraError: Nothing was observed yet, or the time is not finite.
+            CameraError: There was no observation, or the time is not finite.
         """
         if not self.started or not np.isfinite(time):
             raise CameraError(
-                "a motion filter cannot predict before its first observation, nor for a time of nan",
+                "a motion filter cannot predict before its first observation, nor for a time of "
+                "nan",
                 hint="call update first",
             )
-        span = min(max(time - self.time, 0.0), _LONGEST_PREDICTION)
+        span = min(max(time - self.time, 0.0), _MAX_PREDICTION)
         shares = np.repeat(self.moving, 3)
         horizon = span * shares
         pose = self._pose.plus(horizon * self._rate)
@@ -192,40 +215,43 @@ class MotionFilter:
         spread = spread + self._density * horizon**3 / 3.0
         return Prediction(pose, _symmetric(spread), self._rate * shares)
 
-    # ------------------------------------------------------------------------------------ inside
-
-    def _how_much_moving(self) -> Array:
-        """(2,) ``moving``, by the last observation."""
+    def _moving(self) -> Array:
+        """Return ``moving`` (2,) after the last observation."""
         rates = self._rate.reshape(2, 3)
-        shaking = np.stack([self._spreads[1, 6:9, 6:9], self._spreads[1, 9:, 9:]]) + _TINY * np.eye(3)
-        # In its own direction: depth shakes ten times as much as what lies across the view.
-        sure = np.sqrt(np.sum(rates * np.linalg.solve(shaking, rates[..., None])[..., 0], axis=1))
+        blocks = [self._spreads[1, 6:9, 6:9], self._spreads[1, 9:, 9:]]
+        noise = np.stack(blocks) + _TINY_SPEED * np.eye(3)
+        # In the direction of the speed: depth is ten times as noisy as the directions across.
+        weighted = np.linalg.solve(noise, rates[..., None])[..., 0]
+        sigmas = np.sqrt(np.sum(rates * weighted, axis=1))
         speeds = np.sqrt(np.sum(rates**2, axis=1))
-        shares = np.clip(np.minimum(speeds / _REST_SPEED, sure / _SURE) - 1.0, 0.0, 1.0)
+        shares = np.minimum(speeds / _REST_SPEED, sigmas / _SURE_SIGMAS) - 1.0
+        shares = np.clip(shares, 0.0, 1.0)
         shares = shares * shares * (3.0 - 2.0 * shares)
-        missed, held = np.sqrt(self._misses)
-        # Whole where prediction misses by less than half of what holding does, nothing where by as much.
-        earned = np.clip(2.0 - 2.0 * missed / np.maximum(held, 1e-12), 0.0, 1.0)
+        by_prediction, by_holding = np.sqrt(self._errors)
+        # Complete if prediction has less than half of the error of holding, none if it has as much.
+        earned = np.clip(2.0 - 2.0 * by_prediction / np.maximum(by_holding, 1e-12), 0.0, 1.0)
         return shares * earned
 
     def _noise(self, time: float, covariance: ArrayLike) -> Array:
         noise = np.array(covariance, dtype=float)
-        good = noise.shape == (6, 6) and bool(np.isfinite(noise).all()) and math.isfinite(time)
-        noise = _symmetric(noise) if good else noise
-        if not good or np.linalg.eigvalsh(noise)[0] < -1e-9 * abs(noise.trace()):
+        is_finite = noise.shape == (6, 6) and bool(np.isfinite(noise).all()) and math.isfinite(time)
+        noise = _symmetric(noise) if is_finite else noise
+        if not is_finite or np.linalg.eigvalsh(noise)[0] < -1e-9 * abs(noise.trace()):
             raise CameraError(
-                f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be filtered",
+                f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be "
+                "filtered",
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
         return noise + self._least_noise
 
     def _advanced(self, span: float) -> tuple[Pose, Array]:
-        """Pose and ``_spreads`` (2, 12, 12) ``span`` seconds after the last observation."""
+        """Return pose and ``_spreads`` (2, 12, 12) ``span`` seconds after the last observation."""
         step = np.eye(12)
         step[3:6, 3:6] = quat_to_matrix(rotation_exp(span * self._rate[3:]))
         step[_POSE, _RATE] = span * np.eye(6)
         spreads = step @ self._spreads @ step.T
-        gained, spread = span * self._density, spreads[0]
+        gained = span * self._density
+        spread = spreads[0]
         spread[_POSE, _POSE] += gained * span**2 / 3.0
         spread[_POSE, _RATE] += gained * span / 2.0
         spread[_RATE, _POSE] += gained * span / 2.0
@@ -235,57 +261,3 @@ class MotionFilter:
 
 def _symmetric(matrix: Array) -> Array:
     return np.asarray(0.5 * (matrix + matrix.mT))
-
-
-# ------------------------------------------------------------------------------------------
-# The 1 € filter: calms a pose that is shown, or that an arm rests at.
-
-
-# Hz of cut-off more for each m/s, and for each rad/s; and cut-off of the speed itself, Hz.
-_MORE_CUTOFF, _RATE_CUTOFF = (20.0, 2.0), 1.0
-
-
-class OneEuro:
-    """The 1 € filter (Casiez, Roussel & Vogel 2012) on a pose: calm at rest, quick in motion, always behind.
-
-    For poses that are shown, or that an arm shall rest at; not for following.
-
-    Args:
-        cutoff: Least cut-off frequency, Hz: lower is calmer at rest.
-    """
-
-    def __init__(self, cutoff: float = 1.0) -> None:
-        if not cutoff > 0.0:
-            raise CameraError("a 1 € filter needs a positive cut-off frequency", hint="for example 1.0 Hz")
-        self._cutoff = cutoff
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets everything: the next pose comes out as it goes in."""
-        self._time = float("nan")
-        self._raw = self._shown = Pose()
-        self._rate = np.zeros(6)
-
-    def update(self, time: float, pose: Pose) -> Pose:
-        """The calmed pose at ``time``, s; a time that is not later changes nothing."""
-        if np.isnan(self._time):
-            self._time, self._raw, self._shown = time, pose, pose
-            return pose
-        span = time - self._time
-        if not span > 0.0:
-            return self._shown
-        self._rate += _share(_RATE_CUTOFF, span) * (pose.minus(self._raw) / span - self._rate)
-        speeds = np.linalg.norm(self._rate.reshape(2, 3), axis=1)
-        shares = [
-            _share(self._cutoff + k * float(speed), span)
-            for k, speed in zip(_MORE_CUTOFF, speeds, strict=True)
-        ]
-        self._shown = self._shown.plus(np.repeat(shares, 3) * pose.minus(self._shown))
-        self._time, self._raw = time, pose
-        return self._shown
-
-
-def _share(cutoff: float, span: float) -> float:
-    """Weight of a new value in exponential smoothing: Casiez et al. 2012, section "Filtering"."""
-    tau = 1.0 / (2.0 * np.pi * cutoff)
-    return float(1.0 / (1.0 + tau / span))

@@ -1,6 +1,6 @@
-"""The virtual robot in the camera's picture, in time: kept on a board from picture to picture.
+"""Keep a virtual robot on a board from picture to picture.
 
-``LatencyOptions`` are the measures against delay; who draws it is in ``camera/drawing/renderers.py``.
+``LatencyOptions`` are the measures against delay. ``drawing/drawn_robot.py`` draws the robot.
 """
 
 from __future__ import annotations
@@ -12,133 +12,104 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.camera.boards.board import MarkerBoard, PatternBoard
-from robot_ik.camera.drawing.renderers import Artist, Drawing, DrawnRobot
+from robot_ik.camera.drawing.drawn_robot import Drawing, DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import MotionFilter
-from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import MarkerTarget, Observation, Target
+from robot_ik.camera.tracker import Tracker
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image
 
-#: Pixels (2,) of corners by where they are on the board, metres.
+#: Pixels (2,) of points by their position on the board, metres.
 Points = Mapping[tuple[float, ...], Array]
 Sync = Literal["tracked", "latest"]
 
-# A board that is lost for longer is not drawn upon any more, seconds.
-_HOLD_S = 0.25
-# Believed of a pattern, whose pose comes without a covariance: metres and radians.
-_PATTERN_SIGMA = (2e-4, 1e-3)
+# Nothing is drawn on a board that has been lost for longer than this, s.
+_HOLD = 0.25
+# The rotation and zoom between two pictures are estimated if the points are spread by more than
+# this, px^2.
+_MIN_SPREAD = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A board in one picture.
+class BoardObservation:
+    """A board in one picture, and a marker beside it.
 
     Attributes:
-        pose_camera_board: Its middle: x right, y up, z out of the print.
-        covariance: (6, 6) of it, as in ``BodyObservation``.
-        points: Where its corners were seen.
-        marker: The other marker, when it was asked for and seen.
-        error: RMS reprojection error, px.
-        time: Of the picture.
+        board: The board. Its frame: x right, y up, z out of the print; a robot stands there.
+        marker: The marker that is followed; None if there is none or it is not visible.
     """
 
-    pose_camera_board: Pose
-    covariance: Array
-    points: Points
-    marker: MarkerObservation | None
-    error: float
-    time: float
+    board: Observation
+    marker: Observation | None = None
+
+    @property
+    def pose_board_marker(self) -> Pose | None:
+        """Pose of the marker in the board's frame; None if it is not visible."""
+        if self.marker is None:
+            return None
+        return self.board.pose.inverse().compose(self.marker.pose)
 
 
-class BoardWatcher:
-    """Finds a board, and another marker, in pictures; keeps to the neighbourhood of the last find.
+class BoardTracker:
+    """Finds a board, and another marker, in the pictures of one camera.
 
     Args:
-        board: See ``parse_board``.
-        intrinsics: Of the pictures' size.
-        other: Id and side in metres of a marker that is not on the board.
-        window: Search only near the last find (Azuma's first measure: less delay).
-        dictionary: Of that marker, where the board has none.
+        board: The board.
+        intrinsics: Intrinsics of the pictures.
+        marker: A marker that is not on the board, or None.
     """
 
     def __init__(
-        self,
-        board: MarkerBoard | PatternBoard,
-        intrinsics: CameraIntrinsics,
-        other: tuple[int, float] | None = None,
-        *,
-        window: bool = True,
-        dictionary: str = "DICT_5X5_50",
+        self, board: Target, intrinsics: CameraIntrinsics, marker: MarkerTarget | None = None
     ) -> None:
-        self._board, self._intrinsics, self._other = board, intrinsics, other
-        sizes = {} if other is None else dict([other])
-        if isinstance(board, MarkerBoard):
-            sizes |= {id: side for id, (side, _) in board.layout.items()}
-            dictionary = board.dictionary
-        self._tracker = MarkerTracker(intrinsics, dictionary, sizes, window=window) if sizes else None
+        self.board = board
+        self._tracker = Tracker(intrinsics, [board] if marker is None else [board, marker])
 
-    def see(self, frame: Frame) -> Seen | None:
-        """The board in a picture; None when it is not there.
+    def observe(self, frame: Frame) -> BoardObservation | None:
+        """Return the board in a picture; None if it is not visible.
 
         Raises:
-            CalibrationError: The picture has not the size of the calibration.
+            CalibrationError: The frame does not have the size of the intrinsics.
         """
-        tracker, marker = self._tracker, None
-        if tracker is not None and self._other is not None:
-            others = tracker.observe(frame, self._other[:1])
-            marker = others[0] if len(others) == 1 else None
-        if isinstance(self._board, PatternBoard):
-            view = self._board.see(frame, self._intrinsics)
-            if view is None:
-                return None
-            middle, pixels = self._board.layout[0][1], view.pixels
-            on_board, pose = middle.inverse().apply(view.points), view.pose_camera_board.compose(middle)
-            covariance = np.diag(np.repeat(np.square(_PATTERN_SIGMA), 3))
-            off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - pixels
-            error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-        else:
-            if tracker is None:
-                raise RuntimeError("a board of markers needs a tracker")
-            body = tracker.observe_body(frame, self._board.layout)
-            if body is None:
-                return None
-            found = tracker.corners(frame)
-            pixels = np.concatenate([found[i].corners for i in body.ids])
-            on_board, pose = self._board.corners(body.ids), body.pose_camera_body
-            covariance, error = body.covariance, body.reprojection_error
-        points = dict(zip(map(tuple, on_board.tolist()), pixels, strict=True))
-        return Seen(pose, covariance, points, marker, error, frame.time)
+        board = None
+        marker = None
+        for observation in self._tracker.observe(frame):
+            if observation.target is self.board:
+                board = observation.seen_from(self.board.pose_target_stand)
+            else:
+                marker = observation
+        return None if board is None else BoardObservation(board, marker)
 
 
 def optical_motion(before: Points, after: Points) -> Array:
-    """Shift, rotation and zoom (2, 3) in the picture from the corners of one observation to the next.
+    """Return the shift, rotation and zoom (2, 3) in the picture from one observation to the next.
 
-    Least squares over the corners seen twice: z' = a z + b with complex pixels; only a shift for one corner.
+    Least squares over the points in both observations: z' = a z + b with complex pixels. Of a
+    single point only the shift is known.
     """
     common = [point for point in before if point in after]
     if not common:
         return np.eye(2, 3)
-    z = np.array([complex(*before[k]) for k in common])
-    w = np.array([complex(*after[k]) for k in common])
+    z = np.array([complex(*before[point]) for point in common])
+    w = np.array([complex(*after[point]) for point in common])
     spread = z - z.mean()
     power = float(np.vdot(spread, spread).real)
-    a = np.vdot(spread, w - w.mean()) / power if power > 1.0 else 1.0 + 0.0j
+    a = np.vdot(spread, w - w.mean()) / power if power > _MIN_SPREAD else 1.0 + 0.0j
     b = w.mean() - a * z.mean()
     return np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag]])
 
 
 @dataclass(frozen=True)
 class LatencyOptions:
-    """What is done about delay: Azuma 1997, section 4.4.
+    """Measures against delay (Azuma 1997, section 4.4).
 
     Attributes:
-        sync: ``tracked`` shows the picture the pose was measured in: the video waits for the tracker.
-            ``latest`` shows the newest one.
-        predict: Draw where the board will be when the picture shown was taken (Kalman).
-        shift: Move the finished drawing by how the board's corners moved in the picture.
+        sync: ``tracked`` shows the picture in which the pose was measured: the video waits for the
+            tracker. ``latest`` shows the newest picture.
+        predict: Draw where the board will be when the picture shown was taken (Kalman filter).
+        shift: Move the finished drawing by the motion of the board's points in the picture.
     """
 
     sync: Sync = "tracked"
@@ -147,22 +118,20 @@ class LatencyOptions:
 
 
 class Registrar:
-    """Tracks, draws and puts together.
+    """Tracks a board, draws a robot on it, and composes the picture.
 
     Args:
-        watcher: Finds the board; None for a camera whose place is known.
-        artist: Draws.
+        tracker: Finds the board; None for a camera whose pose is known.
         drawn: The robot.
-        intrinsics: Of the pictures.
-        latency_options: What is done about delay.
-        pose_board_camera: Where the camera is when there is no ``watcher``.
-        alpha: 1 hides what is behind the robot, 0 the robot.
+        intrinsics: Intrinsics of the pictures.
+        latency_options: Measures against delay.
+        pose_board_camera: Pose of the camera if there is no ``tracker``.
+        alpha: Opacity of the robot, from 0 to 1.
     """
 
     def __init__(
         self,
-        watcher: BoardWatcher | None,
-        artist: Artist,
+        tracker: BoardTracker | None,
         drawn: DrawnRobot,
         intrinsics: CameraIntrinsics,
         latency_options: LatencyOptions | None = None,
@@ -170,56 +139,73 @@ class Registrar:
         pose_board_camera: Pose | None = None,
         alpha: float = 1.0,
     ) -> None:
-        self.drawn, self.artist, self.latency_options = drawn, artist, latency_options or LatencyOptions()
-        self._watcher, self._intrinsics, self._alpha = watcher, intrinsics, alpha
+        self.drawn = drawn
+        self.latency_options = latency_options or LatencyOptions()
+        self._tracker = tracker
+        self._intrinsics = intrinsics
+        self._alpha = alpha
         self._fixed = None if pose_board_camera is None else pose_board_camera.inverse()
         self._filter = MotionFilter() if self.latency_options.predict else None
-        self._last: Seen | None = None
+        self._last: BoardObservation | None = None
 
-    def track(self, frame: Frame) -> Seen | None:
-        """Looks for the board; the last observation counts a quarter of a second longer."""
-        if self._watcher is None:
+    def track(self, frame: Frame) -> BoardObservation | None:
+        """Return the board in a frame. An observation stays valid for a quarter of a second."""
+        if self._tracker is None:
             return None
-        seen = self._watcher.see(frame)
-        if seen is not None:
-            self._last = seen
+        observation = self._tracker.observe(frame)
+        if observation is not None:
+            self._last = observation
             if self._filter is not None:
-                self._filter.update(seen.time, seen.pose_camera_board, seen.covariance)
-        elif self._last is not None and frame.time - self._last.time > _HOLD_S:
+                board = observation.board
+                self._filter.update(board.time, board.pose, board.covariance)
+        elif self._last is not None and frame.time - self._last.board.time > _HOLD:
             self._last = None
         return self._last
 
-    def compose(self, seen: Seen | None, shown: Frame, qpos: ArrayLike) -> tuple[Image, Drawing | None]:
-        """The picture ``shown`` with the robot at ``qpos`` (nq,), drawn for ``seen``, and the drawing.
+    def compose(
+        self, observation: BoardObservation | None, shown: Frame, qpos: ArrayLike
+    ) -> tuple[Image, Drawing | None]:
+        """Return the picture ``shown`` with the robot at ``qpos`` (nq,), and the drawing.
 
-        That is None when there was no board to stand on.
+        The drawing is None if there is no board to stand on.
         """
-        pose, motion = self.place(seen, shown)
+        pose, motion = self.place(observation, shown)
         if pose is None:
             return shown.image, None
-        drawing = self.artist.draw(self.drawn, qpos, self._intrinsics, pose.inverse())
+        drawing = self.drawn.draw(qpos, self._intrinsics, pose.inverse())
         if motion is not None:
             drawing = drawing.shifted(motion, *self._intrinsics.size)
         image = shown.image.copy()
         drawing.over(image, self._alpha)
         return image, drawing
 
-    def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
-        """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""
-        if self._watcher is None:
+    def place(
+        self, observation: BoardObservation | None, shown: Frame
+    ) -> tuple[Pose | None, Array | None]:
+        """Return ``pose_camera_board`` to draw for, and the motion (2, 3) of the finished drawing.
+
+        Either is None if there is none.
+        """
+        if self._tracker is None:
             return self._fixed, None
-        if seen is None:
+        if observation is None:
             return None, None
-        pose = seen.pose_camera_board
+        board = observation.board
+        pose = board.pose
         if self._filter is not None and self._filter.started:
             pose = self._filter.predict(shown.time).pose
-        if not self.latency_options.shift or not shown.time > seen.time:
+        if not self.latency_options.shift or not shown.time > board.time:
             return pose, None
-        now = self._watcher.see(shown)
+        now = self._tracker.observe(shown)
         if now is None:
             return pose, None
+        after = _points(now.board.points, now.board.pixels)
         if self._filter is None:
-            return pose, optical_motion(seen.points, now.points)
-        # the drawing is of the predicted board already: only what the prediction lacks is left
-        where = self._intrinsics.project(pose.apply(list(now.points)))
-        return pose, optical_motion(dict(zip(now.points, where, strict=True)), now.points)
+            return pose, optical_motion(_points(board.points, board.pixels), after)
+        # The drawing is of the predicted board. Only the error of the prediction is left.
+        predicted = self._intrinsics.project(pose.apply(now.board.points))
+        return pose, optical_motion(_points(now.board.points, predicted), after)
+
+
+def _points(points: Array, pixels: Array) -> Points:
+    return dict(zip(map(tuple, points.tolist()), pixels, strict=True))

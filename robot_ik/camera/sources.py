@@ -1,7 +1,7 @@
-"""Where pictures come from: photographs, folders, films, cameras, network streams.
+"""Sources of pictures: photographs, folders, films, cameras, network streams.
 
-``open_source`` opens a source from one text; ``Frame`` and ``FrameSource`` are defined here.  Cameras with
-their thread are in ``device``, pictures that are computed in ``synthetic``.
+``open_source`` opens a source from a text. ``Frame`` and ``FrameSource`` are defined here. Cameras
+and their thread are in ``device``, computed pictures in ``synthetic``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,11 @@ from robot_ik.camera.image import (
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.ports import Closing, Image
 
-_DEFAULT_RATE_HZ = 30.0  # of folders, and of films that do not state theirs
+# Rate of folders, and of films that do not state theirs, Hz.
+_DEFAULT_RATE_HZ = 30.0
+# Plausible rates of a film, Hz.
+_MIN_RATE_HZ = 0.1
+_MAX_RATE_HZ = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +46,11 @@ class Frame:
 
     Attributes:
         image: (height, width, 3) uint8, BGR, raw (with lens distortion).
-        time: Seconds on the machine's monotonic clock when it was grabbed; of files: opening time plus
-            position in the film.
-        sequence: Counts the source's pictures from 0; a gap means pictures were skipped.
-        truth: What a synthetic camera knows about the scene.  For tests only: nothing that tracks may
-            read it; hand over ``without_truth()``.
+        time: Time at which it was taken, s, on the machine's monotonic clock. For files: time of
+            opening plus position in the film.
+        sequence: Number of the picture from 0. After a gap pictures were skipped.
+        truth: Truth about the scene from a synthetic camera. For tests only: trackers must not read
+            it; pass ``without_truth()`` to them.
     """
 
     image: Image
@@ -60,15 +64,18 @@ class Frame:
         return int(self.image.shape[1]), int(self.image.shape[0])
 
     def without_truth(self) -> Frame:
-        """The same picture with nothing but the picture."""
+        """Return the same frame without its truth."""
         return dataclasses.replace(self, truth=None)
 
 
 class FrameSource(Closing, ABC):
-    """Gives pictures one by one; a context manager, and an iterator up to the last picture.
+    """Gives pictures one by one. A context manager, and an iterator up to the last picture.
 
-    Every source says itself whether it is live, and what wraps a source passes that on: an arm is moved and
-    goals are predicted before a live one only.
+    Every source states whether it is live, and a wrapper passes that on: only before a live source
+    an arm is moved and goals are predicted.
+
+    Attributes:
+        size: (width, height) of the pictures, px.
     """
 
     size: tuple[int, int]
@@ -76,21 +83,21 @@ class FrameSource(Closing, ABC):
     @property
     @abstractmethod
     def live(self) -> bool:
-        """Whether a picture shows what is there when it is read.
+        """Whether a picture shows the scene at the time of reading.
 
-        False for what is recorded or computed beforehand: photographs, folders, films, also over a network.
+        False for recorded or computed pictures: photographs, folders, films, also over a network.
         """
 
     @abstractmethod
     def read(self) -> Frame:
-        """The next picture; the newest one where the source is a camera.
+        """Return the next picture, or the newest one if the source is a camera.
 
         Raises:
             FrameTimeoutError: No more pictures, or none in time.
         """
 
     def newest(self) -> Frame | None:
-        """The newest picture at once, or None when there is none newer than the last one given.
+        """Return the newest picture without waiting, or None if there is no new one.
 
         Raises:
             FrameTimeoutError: No more pictures.
@@ -98,11 +105,11 @@ class FrameSource(Closing, ABC):
         return self.read()
 
     def close(self) -> None:
-        """Lets go of the device or file; may be called twice."""
+        """Release the device or file. May be called twice."""
 
     @property
     def exhausted(self) -> bool:
-        """Whether ``read`` would find nothing more."""
+        """Whether there are no more pictures."""
         return False
 
     def __iter__(self) -> Iterator[Frame]:
@@ -111,7 +118,7 @@ class FrameSource(Closing, ABC):
 
 
 class ImageSource(FrameSource):
-    """One photograph: every ``read`` gives the same frame, with the same time and number."""
+    """One photograph: every ``read`` returns the same frame, with the same time and number."""
 
     live = False
 
@@ -132,7 +139,7 @@ class ImageSource(FrameSource):
 class FolderSource(FrameSource):
     """The pictures of a folder in natural order (frame2 before frame10).
 
-    One that is none raises in its turn.
+    A file that is not a picture raises an error when it is read.
     """
 
     live = False
@@ -141,7 +148,8 @@ class FolderSource(FrameSource):
         self.path = Path(path)
         if not self.path.is_dir():
             raise CameraNotFoundError(f"there is no folder {self.path}", hint=neighbours(self.path))
-        self.files = natural_sort(f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
+        files = [f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES]
+        self.files = natural_sort(files)
         if not self.files:
             kinds = f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
             raise CameraNotFoundError(f"the folder {self.path} holds no pictures", hint=kinds)
@@ -156,7 +164,8 @@ class FolderSource(FrameSource):
     def read(self) -> Frame:
         if self.exhausted:
             raise FrameTimeoutError(f"all {len(self.files)} pictures of {self.path} have been read")
-        index, self._next = self._next, self._next + 1
+        index = self._next
+        self._next += 1
         return Frame(read_image(self.files[index]), self._start + index / _DEFAULT_RATE_HZ, index)
 
 
@@ -180,10 +189,11 @@ class VideoSource(FrameSource):
                 hint=f"usual kinds: {', '.join(VIDEO_SUFFIXES)}",
             )
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
-        self.rate_hz = rate if np.isfinite(rate) and 0.1 < rate < 1000.0 else _DEFAULT_RATE_HZ
+        is_plausible = _MIN_RATE_HZ < rate < _MAX_RATE_HZ
+        self.rate_hz = rate if is_plausible else _DEFAULT_RATE_HZ
         self._start = time.monotonic()
         self._count = 0
-        # One picture is read ahead: only so is the end known before it is asked for.
+        # One picture is read ahead, so that ``exhausted`` is known before the next read.
         self._lookahead: Image | None = np.asarray(image, dtype=np.uint8)
         self.size = (int(image.shape[1]), int(image.shape[0]))
 
@@ -208,11 +218,15 @@ class VideoSource(FrameSource):
 
 
 def require_frame(frame: object) -> None:
-    """Raises ``CameraError`` for what is no ``Frame``: a bare picture, a path, None."""
+    """Check that an object is a ``Frame``, not a bare picture, a path or None.
+
+    Raises:
+        CameraError: It is another object.
+    """
     if not isinstance(frame, Frame):
         raise CameraError(
             f"a Frame is wanted, not {'None' if frame is None else type(frame).__name__}",
-            hint='take one from a source: open_source("photo.png").read(); of an array: Frame(image, 0.0, 0)',
+            hint='read one: open_source("photo.png").read(); from an array: Frame(image, 0.0, 0)',
         )
 
 
@@ -222,38 +236,42 @@ def open_source(
     size: tuple[int, int] | None = None,
     timeout: float | None = None,
 ) -> FrameSource:
-    """Opens ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
+    """Open a source of pictures.
 
     Args:
-        text: Index of a camera, path or URL.
-        size: (width, height) in pixels; asked of a camera, required of everything else.
-        timeout: Seconds a camera or stream may stay without a new picture.
+        text: Index of a camera, path, URL or synthetic scene: ``0``, ``/dev/video0``, ``clip.mp4``,
+            ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
+        size: (width, height) in pixels: requested from a camera, required of every other source.
+        timeout: Longest time without a new picture from a camera or stream, s.
 
     Raises:
-        CameraNotFoundError: It cannot be opened; the hint says what exists.
-        FrameSizeError: A camera does not deliver ``size``, or the file has another one.
+        CameraNotFoundError: It cannot be opened. The hint lists what exists.
+        FrameSizeError: A camera does not deliver ``size``, or a file has another one.
     """
     text = str(text).strip()
     if text.startswith("file://"):
         text = url2pathname(urlsplit(text).path)
-    is_node = text.startswith("/dev/") and not Path(text).is_file()  # a file of /dev/shm is no device
+    # A file in /dev/shm is not a device.
+    is_node = text.startswith("/dev/") and not Path(text).is_file()
     if text.isdigit() or is_node or re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text):
         device = int(text) if text.isdigit() else text
         return _opener("device", "DeviceSource")(device, size=size, timeout=timeout)
     computed = text.startswith("synthetic:")
-    source = _opener("synthetic.datasets", "open_moving")(text) if computed else _open_file(text)
+    source = _opener("synthetic.sources", "open_moving")(text) if computed else _open_file(text)
     if size is not None and source.size != size:
         source.close()
         raise FrameSizeError(
-            f"{text} has pictures of {source.size[0]}x{source.size[1]} px, not {size[0]}x{size[1]} px",
+            f"{text} has pictures of {source.size[0]}x{source.size[1]} px, not "
+            f"{size[0]}x{size[1]} px",
             hint="use the picture size of the calibration",
         )
     return source
 
 
 def _opener(module: str, name: str) -> Callable[..., FrameSource]:
-    """What opens a source that is not a file: those modules build on this one."""
-    opener: Callable[..., FrameSource] = getattr(importlib.import_module(f"robot_ik.camera.{module}"), name)
+    """Return the function that opens another kind of source. Its module builds on this one."""
+    loaded = importlib.import_module(f"robot_ik.camera.{module}")
+    opener: Callable[..., FrameSource] = getattr(loaded, name)
     return opener
 
 

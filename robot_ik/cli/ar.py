@@ -66,8 +66,6 @@ class ArOptions:
     """The marker to follow."""
     marker_size: Annotated[float, arg(metavar="M")] = 0.05
     """Side of its black square, metres."""
-    backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
-    """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
     occluders: Annotated[Path | None, single("FILE")] = None
     """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
@@ -79,7 +77,7 @@ class ArOptions:
     shift: bool = False
     """Move the finished drawing by the board's motion in the picture (for --sync latest)."""
     alpha: Annotated[float, Range(0.0, 1.0)] = 1.0
-    """1 hides what is behind the robot, 0 the robot."""
+    """Opacity of the robot, from 0 to 1."""
     shadow: bool = True
     """Draw the shadow on the board's plane."""
     out: Annotated[str, single("FILE.mp4|FILE.png|DIR", "ar.mp4, else the folder ar")] = ""
@@ -93,7 +91,7 @@ class ArOptions:
     """Of the synthetic camera's noise."""
     json: Json = False
     self_test: bool = False
-    """Measure how well drawings lie on pictures: rows projection, gl, overlay, latency of bench camera."""
+    """Measure how well drawings lie on pictures, against OpenCV's projection and exact truth."""
 
 
 def run(options: ArOptions) -> int:
@@ -108,7 +106,7 @@ def run(options: ArOptions) -> int:
     if report.notice:
         console.say(report.notice, style="yellow")
     if options.json:
-        names = ("pictures", "drawn", "scale", "backend", "reprojection_px", "interrupted")
+        names = ("pictures", "drawn", "scale", "reprojection_px", "interrupted")
         facts = {name: getattr(report, name) for name in names}
         file = None if report.file is None else str(report.file)
         console.print_json({"file": file, **facts, "track_and_draw_hz": report.rate_hz})
@@ -125,7 +123,7 @@ def _print(report: ArReport) -> None:
     speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
     facts = console.facts(
         ("pictures", f"{report.pictures}, the robot in {report.drawn}"),
-        ("drawn", f"by {report.backend} at {report.scale:.3g} of its size"),
+        ("scale", f"drawn at {report.scale:.3g} of its size"),
         *(board if np.isfinite(report.reprojection_px) else ()),
         ("speed", f"{speed} pictures/s tracked and drawn"),
     )
@@ -173,15 +171,16 @@ def _check(options: ArOptions) -> None:
 
 
 def run_self_test(*, json: bool = False) -> int:
-    """The rows of ``robot-ik bench camera`` about drawing: 0 when all is within its limits, else 1."""
-    from robot_ik.bench.camera import Effort, MeasuredRows
-    from robot_ik.cli.bench import chosen_rows, print_figures
+    """Measure how well drawings lie on pictures: 0 if all figures are within their limits, else 1."""
+    from robot_ik.cli.bench import show_quantities
+    from robot_ik.jobs.ar.self_test import self_test
 
-    rows, found = chosen_rows(("projection", "gl", "overlay", "latency")), MeasuredRows()
-    with console.progress() as bar:
-        found.measure(rows, Effort(), console.shares_on(bar, "measuring"))
+    with console.busy("measuring"):
+        figures = list(self_test())
+    good = all(figure.passed is not False for _, figure in figures)
     if json:
-        console.print_json({"good": not found.failed, **found.facts()})
+        rows = [{"row": name, **figure.facts()} for name, figure in figures]
+        console.print_json({"good": good, "figures": rows})
     else:
-        print_figures(found)
-    return console.NOT_ACHIEVED if found.failed else console.DONE
+        show_quantities("row", figures)
+    return console.DONE if good else console.NOT_ACHIEVED

@@ -40,6 +40,7 @@ from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.kinematic import PoseError
+    from robot_ik.camera.calibration.observability import Unobservable
     from robot_ik.jobs.arm_camera.handeye import ArmCameraReport, HandEyeReport, HandEyeRequest
     from robot_ik.jobs.arm_camera.samples import SampleSet
     from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
@@ -48,6 +49,12 @@ if TYPE_CHECKING:
 
 Report = TypeVar("Report")
 VIEWS = Range(4, 100, " views")
+# Parts of a direction smaller than this share of its largest are not named.
+_NAMED_SHARE = 0.25
+# A shift that goes with a rotation of the joints is named from this length on, metres per rad.
+_NAMED_LEVER = 0.02
+# Cosine of the angle to an axis up to which a direction is along it.
+_ALONG_AXIS = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,14 +89,14 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     Raises:
         ConfigError, CameraError: A malformed option.
     """
-    from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.target_files import parse_target
 
     without = f"an arm without servos has no {why_servos}"
     require(options.bus != "none", "--bus", without, "sim, pty or a serial port")
     return {
         "robot": options.robot or resolved_robot(options.arm, options.bus),
         "arm_file": options.arm,
-        "board": parse_board(options.board, options.dictionary) if options.board else None,
+        "board": parse_target(options.board, options.dictionary) if options.board else None,
     }
 
 
@@ -419,6 +426,41 @@ def _verify_request(options: CameraVerifyOptions) -> VerifyRequest:
 # What ``robot-ik camera verify`` prints: tables for people, JSON for programs.
 
 
+def unobservable_text(found: Unobservable, frame: str) -> str:
+    """Return what the views cannot tell apart, in one sentence.
+
+    Args:
+        found: The combination of joint offsets.
+        frame: Frame of the robot that carries the board.
+    """
+    largest = np.abs(found.direction).max()
+    order = np.argsort(-np.abs(found.direction), kind="stable")
+    parts = []
+    for k in order.tolist():
+        if abs(found.direction[k]) >= _NAMED_SHARE * largest:
+            parts.append(f"the offset of {found.joints[k]}")
+    for name, parent, twist in (
+        ("camera", "the world", found.poses[:6]),
+        ("board", frame, found.poses[6:]),
+    ):
+        if np.linalg.norm(twist[3:]) >= _NAMED_SHARE:
+            parts.append(f"the rotation of the {name} about {_axis_text(twist[3:])} of {parent}")
+        elif np.linalg.norm(twist[:3]) >= _NAMED_LEVER:
+            parts.append(f"the shift of the {name} along {_axis_text(twist[:3])} of {parent}")
+    if len(parts) == 1:
+        return f"{parts[0]} does not show in these views"
+    return f"{', '.join(parts[:-1])} and {parts[-1]} look the same"
+
+
+def _axis_text(vector: Array) -> str:
+    """Return ``z``, or the components of a direction that is along no axis."""
+    unit = vector / np.linalg.norm(vector)
+    k = int(np.argmax(np.abs(unit)))
+    if abs(unit[k]) > _ALONG_AXIS:
+        return "xyz"[k]
+    return "(" + ", ".join(f"{x + 0.0:.2f}" for x in unit) + ")"
+
+
 def _print_verified(report: VerifyReport, allowed_mm: float) -> None:
     """Errors of each pose, sums by region, offsets."""
     console.show(_poses(report), _regions("the arm as it is", report.judged(corrected=False)))
@@ -430,7 +472,7 @@ def _print_verified(report: VerifyReport, allowed_mm: float) -> None:
     if report.fit is not None:
         console.show(_offset_table(report))
         for one in report.fit.unobservable:
-            console.result(f"{one.text}: {one.joint} is held")
+            console.result(f"{unobservable_text(one, report.samples.frame)}: {one.joint} is held")
         title = "with these zeros: each pose by the fit to all others"
         console.show(_regions(title, report.judged(corrected=True)))
     if report.unseen:
@@ -513,7 +555,10 @@ def _verify_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[s
             "offsets_rad": fit.offsets,
             "sigma_rad": [sigma if name in fit.found else None for name, sigma in sigmas],
             "true_rad": report.samples.true_offsets,
-            "held": [{"joint": one.joint, "why": one.text} for one in fit.unobservable],
+            "held": [
+                {"joint": one.joint, "why": unobservable_text(one, report.samples.frame)}
+                for one in fit.unobservable
+            ],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,
             "residual_px": fit.residual_px,

@@ -1,4 +1,4 @@
-"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure; the camera."""
+"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import numpy as np
 from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
     Json,
@@ -23,23 +22,20 @@ from robot_ik.cli.arguments import (
     request_of,
     several,
     single,
-    wrong,
 )
-from robot_ik.errors import unknown_name_text
 from robot_ik.files import write_atomically
-from robot_ik.jobs.results import claimed, require_plots, results_folder, save_json
+from robot_ik.jobs.results import require_plots, results_folder, save_json
 
 if TYPE_CHECKING:
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
-    from robot_ik.bench.quantity import Quantity
+    from robot_ik.jobs.quantity import Quantity
     from robot_ik.solvers.base import Solver
 
 
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 
 
-_ROWS = f"Which rows of the table: {', '.join(row.name for row in ROWS)}."
 _FILES = ("bench.json", "success-*.png", "convergence-*.png", "growth.png")
 
 
@@ -51,7 +47,7 @@ class BenchOptions:
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
     Writes bench.json and plots; Ctrl-C keeps what is done. See also:
-    `robot-ik bench camera --help`, `robot-ik bench figure --help`.
+    `robot-ik bench figure --help`.
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
@@ -260,83 +256,3 @@ def run_figure(options: BenchFigureOptions) -> int:
     else:
         show_quantities("motion", rows)
     return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik bench camera``: every figure of the camera beside what is wanted of it.
-
-
-@dataclass(frozen=True)
-class BenchCameraOptions:
-    """Measures the camera on synthetic pictures whose truth is known, and prints it beside what is wanted.
-
-    Accuracy is the same on every machine.  Times are processor time of one thread, the best of three rounds,
-    and beside it time by the clock, which depends on what else runs, as delays do.
-    Ctrl-C keeps what is done.
-
-    Exit code 0 where every row was measured and is as wanted, else 1.
-    """
-
-    rows: Annotated[tuple[str, ...], several("NAME", "all", _ROWS)] = ()
-    skip: Annotated[tuple[str, ...], several("NAME")] = ()
-    """Leave these rows out."""
-    quick: bool = False
-    """A tenth of the pictures: for a look, not for the record."""
-    json: Annotated[Path | None, single("FILE")] = None
-    """Write the figures there, too."""
-    overwrite: Overwrite = False
-    seed: int = 1
-    """Of pictures and noise."""
-    photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""
-    """Real pictures without markers, for false finds; with chessboards of 9 × 6 corners, for real corners."""
-
-
-def run_camera(options: BenchCameraOptions) -> int:
-    """Measures, prints and writes."""
-    from robot_ik.bench.methods.results import this_machine
-
-    rows = chosen_rows(options.rows, options.skip)
-    if "photographs" in options.rows and not options.photographs:
-        raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
-    if options.photographs and not Path(options.photographs).is_dir():
-        raise wrong("--photographs", f"{options.photographs} is no folder", "a folder of pictures")
-    effort, found = Effort(options.quick, options.seed, options.photographs), MeasuredRows()
-    with claimed(options.json, overwrite=options.overwrite):
-        try:
-            with console.progress() as bar:
-                found.measure(rows, effort, console.shares_on(bar, "measuring"))
-        finally:
-            # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
-            if found.figures:
-                print_figures(found)
-                if options.json is not None:
-                    facts = {"schema": 2, "machine": this_machine().model_dump(mode="json")}
-                    facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
-                    save_json(options.json, facts)
-                    console.say(f"figures: {options.json}", "dim")
-    return console.NOT_ACHIEVED if found.failed or found.unmeasured else console.DONE
-
-
-def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
-    """The rows of these names, all when none is given, without those that are skipped.
-
-    Raises:
-        ConfigError: No such row, or none is left.
-    """
-    known = {row.name: row for row in ROWS}
-    for option, given in (("--rows", names), ("--skip", skipped)):
-        for name in given:
-            if name not in known:
-                raise wrong(option, unknown_name_text("row", name, list(known)))
-    chosen = [known[name] for name in dict.fromkeys(names or known) if name not in skipped]
-    if not chosen:
-        raise wrong("--skip", "no row is left", "fewer names")
-    return chosen
-
-
-def print_figures(found: MeasuredRows) -> None:
-    """What was measured, and what was not."""
-    remarks = [f"not measured: {', '.join(found.unmeasured)}"] if found.unmeasured else []
-    remarks += [] if found.complete else ["not all measured"]
-    rows = ((name, one) for name, figures in found.figures.items() for one in figures)
-    show_quantities("row", rows, *remarks)

@@ -201,7 +201,7 @@ def _searched_pictures(
     drawings: DrawingFolder | None,
 ) -> list[PictureMarkers]:
     """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
-    from robot_ik.camera.bodies import load_bodies
+    from robot_ik.camera.target_files import load_bodies
     from robot_ik.jobs.pictures import MarkerFinder, find_markers
 
     if not options.images:
@@ -374,7 +374,7 @@ class CameraPrintOptions:
     kind: Positional[Literal["marker", "board", "cube", "charuco", "chessboard"]]
     """marker (one or more), board (markers in a grid), cube (to cut out and fold), charuco, chessboard."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
-    """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
+    """Where to write the PDF."""
     size_mm: Annotated[float | None, single("MM", "by kind")] = None
     """Side of a marker's black square (50; cube 40), or of a pattern's square (charuco 30, chessboard 25)."""
     columns: Annotated[int | None, single("N", "by kind")] = None
@@ -393,8 +393,6 @@ class CameraPrintOptions:
     """Side of the markers inside a charuco board."""
     page: Literal["a4", "letter", "a3"] = "a4"
     """Paper; it is turned when that makes it fit."""
-    dpi: int = 300
-    """Pixels per inch of a .png."""
     overwrite: Overwrite = False
     body: Annotated[Path | None, single("FILE", "none")] = None
     """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
@@ -411,7 +409,7 @@ def run_print(options: CameraPrintOptions) -> int:
         if options.body is not None:
             write_atomically(options.body, body_file(request, options.body.stem))
             console.say(f"wrote {options.body}: where its markers are", "green")
-        write_sheet(page, options.out, dpi=options.dpi)
+        write_sheet(page, options.out)
     console.say(f"wrote {options.out}: {page.about}", "green")
     console.say("print it at 100 % (actual size) and measure both bars: 100.0 mm")
     return console.DONE
@@ -451,9 +449,9 @@ class CameraCalibrateOptions:
     size: Annotated[tuple[int, int] | None, single("W H", "as it is")] = None
     """Picture size to ask of a camera, pixels."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("camera.yaml")
-    """Where to write the calibration; beside it come a picture of the coverage and the views taken live."""
+    """Where to write the calibration. The views of a live camera are saved beside it."""
     overwrite: bool = False
-    """Replace the calibration and the picture of the coverage; views taken before are kept in any case."""
+    """Replace the calibration. Views that were taken before are kept."""
     name: str = "camera"
     """Name of the camera in the file."""
     json: Json = False
@@ -466,16 +464,14 @@ def run_calibrate(options: CameraCalibrateOptions) -> int:
             "nothing to calibrate from",
             hint="give pictures, a folder of them, a film, or a camera's index: 0",
         )
-    with claimed(options.out, _coverage_file(options.out), overwrite=options.overwrite):
+    with claimed(options.out, overwrite=options.overwrite):
         return _calibrate(options)
 
 
 def _calibrate(options: CameraCalibrateOptions) -> int:
-    from robot_ik.camera.boards.patterns import PatternRequest
-    from robot_ik.camera.calibration.coverage import coverage_picture
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
-    from robot_ik.camera.image import write_image
+    from robot_ik.camera.patterns import PatternRequest
     from robot_ik.jobs.pictures import ViewFolder
 
     wanted = request_of(PatternRequest, options, kind=options.pattern)
@@ -493,13 +489,11 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
         raise
     intrinsics = replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
-    picture = _coverage_file(options.out)
-    write_image(picture, coverage_picture(result.coverage))
     if options.json:
         console.print_json(_calibration_json(result, options.out, intrinsics.digest))
     else:
         _print_calibration(result)
-    console.say(f"wrote {options.out} and {picture}", "green")
+    console.say(f"wrote {options.out}", "green")
     return console.DONE
 
 
@@ -525,10 +519,6 @@ def _gather(options: CameraCalibrateOptions, gatherer: ViewGatherer, kept: ViewF
         console.say(notice, "yellow")
 
 
-def _coverage_file(out: Path) -> Path:
-    return out.with_name(f"{out.stem}-coverage.png")
-
-
 def _print_calibration(result: CalibrationResult) -> None:
     views = [
         (view.name, view.corners, "-" if view.rms is None else f"{view.rms:.3f} px", view.left_out)
@@ -549,7 +539,6 @@ def _print_calibration(result: CalibrationResult) -> None:
         console.table("number", "value", "standard deviation", rows=numbers),
         Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"),
         *(Text(f"- {doubt}", style="yellow") for doubt in result.doubts),
-        *(f"  {note}" for note in result.notes),
     )
 
 
@@ -574,7 +563,4 @@ def _calibration_json(result: CalibrationResult, out: Path, digest: str) -> dict
                   for v in result.per_view],
         "verdict": result.verdict,
         "doubts": result.doubts,
-        "notes": result.notes,
-        "edge_shift": camera.edge_shift,
-        "edge_shift_sigma": camera.edge_shift_sigma,
     }  # fmt: skip

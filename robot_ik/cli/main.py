@@ -53,7 +53,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
-    "bench camera": ("bench", "the camera instead of the methods: errors on pictures whose truth is known"),
     "bench figure": (
         "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
     ),

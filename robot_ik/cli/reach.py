@@ -246,7 +246,9 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
     rows = []
     seen = report.seen
     if seen is not None:
-        rows.append((f"marker {seen.observation.id}", f"seen at {_mm(seen.pose_world_marker.position)} mm"))
+        rows.append(
+            (f"marker {seen.observation.ids[0]}", f"seen at {_mm(seen.pose_world_marker.position)} mm")
+        )
         if seen.true_pose is not None:
             metres, radians = seen.pose_world_marker.distance(seen.true_pose)
             off = f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"

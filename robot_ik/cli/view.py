@@ -293,8 +293,6 @@ class VideoOptions:
     """Width and height, pixels."""
     rate: Annotated[float, arg(metavar="HZ"), Range(1.0, 240.0, " pictures a second")] = 30.0
     """Pictures a second."""
-    backend: Literal["gl", "painter"] = "gl"
-    """Who draws; without OpenGL the painter does."""
     overwrite: Overwrite = False
 
 
@@ -313,7 +311,7 @@ def run_video(options: VideoOptions) -> int:
     ):
         view = film(
             log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
-            rate_hz=options.rate, size=(width - width % 2, height - height % 2), backend=options.backend,
+            rate_hz=options.rate, size=(width - width % 2, height - height % 2),
             overwrite=options.overwrite,
             progress=console.shares_on(bar, "filming"),
         )  # fmt: skip

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
 import numpy as np
 
 from robot_ik import __version__
-from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
-from robot_ik.camera.drawing.renderers import DrawnRobot
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.drawing.overlay import put_label
+from robot_ik.camera.drawing.studio import Body, ball_model, photograph, tiled_room
+from robot_ik.camera.drawing.text import text_size
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import Seen
 from robot_ik.config import is_number, read_csv, shown
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
@@ -29,19 +29,23 @@ from robot_ik.geometry import Pose, axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
-from robot_ik.model import compiled, read_spec
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
 
 FRAMES_SCHEMA = 1
 """Version of the table of frames."""
-_PAPER = (236, 232, 226)
 # Of a film: size, and how fast the camera follows, 1/s.
 _FILM_SIZE, _FOLLOW = (960, 720), 2.0
 # From where the camera looks, in heights of the robot.
 _FROM = np.array([1.5, -1.95, 0.52])
+# Focal length of the film's camera, in heights of the picture.
+_FOCAL = 1.35
+#: Radius of the ball, metres.
 BALL_RADIUS = 0.05
+_BALL_RGBA = (0.85, 0.2, 0.15, 1.0)
+#: Side of a tile of the floor, metres.
+TILE_SIDE = 1.0
 NEAR_ENOUGH = 0.005
 """m between hand and ball at which it counts as reached."""
 _SHADES = (0.87, 0.87, 0.85, 1.0), (0.80, 0.80, 0.78, 1.0)
@@ -50,7 +54,7 @@ TILES = tuple(
     for i in range(-8, 9)
     for j in range(-8, 9)
 )
-"""A floor of square metres: middle, half sides, colour rgba."""
+"""Floor of the MuJoCo window, square metres: middle, half sides, colour rgba."""
 # A marker that seems to move by less, m, is at rest: that much is noise of a drawing a quarter of life size.
 _NOISE = 0.03
 # A run ends when nothing has gone on for so long, s, or after so long in all.
@@ -191,8 +195,8 @@ def draw_on_camera(
     def mover(robot: Robot, drawn: DrawnRobot) -> DrawnMotion:
         made.append(moved := MarkerFigure(abilities, request))
 
-        def q(time: float, seen: Seen | None) -> Array:
-            moved.until(time, None if seen is None else marker_from_base(seen, drawn))
+        def q(time: float, marker: Pose | None) -> Array:
+            moved.until(time, None if marker is None else marker_from_base(marker, drawn))
             return moved.frames[-1].q
 
         return DrawnMotion(q)
@@ -301,34 +305,36 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
     return best
 
 
-# Pictures
-
-
-class Painter:
-    """Paints frames: the figure on tiles and the ball; the camera follows."""
+class FilmMaker:
+    """Takes pictures of frames: the figure and the ball on a tiled floor. The camera follows."""
 
     def __init__(self, robot: Robot, size: tuple[int, int] = _FILM_SIZE) -> None:
-        self._model = _scene_model(robot)
-        self._tall, self._letters = heights(robot)[1], max(11, size[0] // 44)
-        self._optics = CameraIntrinsics(
-            *size, 1.35 * size[1], 1.35 * size[1], (size[0] - 1) / 2, (size[1] - 1) / 2
-        )
-        self._at: Array | None = None
+        self._robot = robot
+        self._height = heights(robot)[1]
+        self._letters = max(11, size[0] // 44)
+        focal = _FOCAL * size[1]
+        self._optics = CameraIntrinsics(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+        self._room = tiled_room(4.0 * self._height, TILE_SIDE)
+        self._ball = ball_model(BALL_RADIUS, _BALL_RGBA)
+        self._target: Array | None = None
 
-    def paint(self, frame: FigureFrame) -> Image:
-        to = np.array([frame.q[0], frame.q[1], 0.54 * self._tall])
+    def picture(self, frame: FigureFrame) -> Image:
+        """Return the picture (h, w, 3) of a frame, BGR. Call it frame after frame."""
+        target = np.array([frame.q[0], frame.q[1], 0.54 * self._height])
+        bodies = [Body(self._robot.model, frame.q)]
         if np.isfinite(frame.ball).all():
-            offset = frame.ball - to
-            to = to + 0.3 * offset * min(1.0, 2.0 / max(float(np.linalg.norm(offset)), 1e-9)) * [1, 1, 0]
-        self._at = to if self._at is None else self._at + (to - self._at) * min(1.0, _FOLLOW / RATE)
-        camera = Pose.look_at(self._at + self._tall * _FROM, self._at)
-        ball = frame.ball if np.isfinite(frame.ball).all() else np.array([0.0, 0.0, -9.0])
-        width, height = self._optics.size
-        empty = np.full((height, width, 3), _PAPER, dtype=np.uint8)
-        picture = draw_robot(
-            empty, self._model, np.concatenate([frame.q, ball]), self._optics, camera, alpha=1.0
-        )
-        return put_label(picture, self.caption(frame), (8, height - 8), size=self._letters)
+            offset = frame.ball - target
+            share = min(1.0, 2.0 / max(float(np.linalg.norm(offset)), 1e-9))
+            target = target + 0.3 * share * offset * [1, 1, 0]
+            bodies.append(Body(self._ball, [], Pose(frame.ball)))
+        if self._target is None:
+            self._target = target
+        self._target = self._target + (target - self._target) * min(1.0, _FOLLOW / RATE)
+        camera = Pose.look_at(self._target + self._height * _FROM, self._target)
+        subject = (float(self._target[0]), float(self._target[1]))
+        photo = photograph(bodies, self._optics, camera, self._room, subject=subject)
+        anchor = (8, self._optics.height - 8)
+        return put_label(photo.image, self.caption(frame), anchor, size=self._letters)
 
     def caption(self, frame: FigureFrame) -> str:
         """Action and reason in lines that fit into the picture."""
@@ -348,21 +354,6 @@ def _lines(text: str, width: int, size: int) -> list[str]:
     return out
 
 
-def _scene_model(robot: Robot) -> mujoco.MjModel:
-    """The robot's model among tiles, with a ball on three slides at the end of qpos."""
-    spec, _ = read_spec(robot.path, robot.path)
-    for key in list(spec.keys):
-        spec.delete(key)
-    world, kinds = spec.worldbody, mujoco.mjtGeom
-    for position, half, rgba in TILES:
-        world.add_geom(type=kinds.mjGEOM_BOX, pos=position, size=half, rgba=rgba, contype=0, conaffinity=0)
-    body = world.add_body(name="figure_ball")
-    for axis in np.eye(3):
-        body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    body.add_geom(type=kinds.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=[0.85, 0.2, 0.15, 1], mass=0.1)
-    return compiled(spec)
-
-
 def record(
     robot: Robot, frames: Sequence[FigureFrame], out: Path,
     progress: PictureProgress = lambda done, whole: None, **more: Any,
@@ -370,8 +361,8 @@ def record(
     """What ``open_sink`` opens, 30 pictures a second; a GIF is half as wide and has half as many."""
     gif = out.suffix.lower() == ".gif"
     size, every = ((_FILM_SIZE[0] // 2, _FILM_SIZE[1] // 2), 4) if gif else (_FILM_SIZE, 2)
-    painter, picked = Painter(robot, size), frames[::every]
+    film, picked = FilmMaker(robot, size), frames[::every]
     with open_sink(out, RATE / every, **more) as sink:
         for done, frame in enumerate(picked, start=1):
-            sink.write(painter.paint(frame), frame.t)
+            sink.write(film.picture(frame), frame.t)
             progress(done, len(picked))

@@ -8,17 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
-import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE, text_size, write
-from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.camera.drawing.raycast import RayField, ray_field
+from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE
+from robot_ik.camera.drawing.studio import SEAMLESS, Body, Photo, photograph
+from robot_ik.camera.drawing.text import text_size, write
 from robot_ik.camera.image import write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.photograph import Photographer, Quality
-from robot_ik.camera.synthetic.scene import Lights, StillPicture
 from robot_ik.errors import ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -29,36 +26,12 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.testbed.gallery_scene import GalleryScene, gallery_scene
 
-# ------------------------------------------------------------------------------------------
-# A robot photographed in an empty gallery: rays and soft shadows on a seamless floor, no OpenGL.
-
-
-# The gallery's one tone, BGR, and how much of its light on the floor comes from the lamp and the ceiling.
-TONE = (0.945, 0.94, 0.935)
-_LAMP_SHARE, _CEILING_SHARE = 0.22, 0.30
-# Of lamp, ceiling, window, ambient from above, ambient from below: a robot in front of a bright wall.
-_STRENGTH = (0.34, 0.16, 0.34, 0.34, 0.30)
 # Focal length in picture heights: a long lens, so that limbs near to it do not look swollen.
 _FOCAL = 2.4
 # Part of the picture left free on every side of the robot.
 _MARGIN = 0.06
-# A plain floor shows every fault of a shadow: more points of each light than for a table of wood.
-_QUALITY = Quality(stride=1, self_stride=2, self_spots=2, ground_stride=4, ground_spots=8)
 # Steps of the search for a viewpoint from which the robot fills the picture; each settles most of the rest.
 _FIT_STEPS = 40
-
-
-@dataclass(frozen=True)
-class Photo:
-    """A finished picture (h, w, 3) BGR, and what is needed to draw over it.
-
-    ``coverage`` (h, w) is the part of each pixel that shows the robot, ``camera`` is ``pose_world_camera``.
-    """
-
-    image: Image
-    coverage: NDArray[np.float32]
-    intrinsics: CameraIntrinsics
-    camera: Pose
 
 
 def lens(width: int, height: int) -> CameraIntrinsics:
@@ -92,35 +65,6 @@ def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: Came
     return Pose.from_rotation(rotation, rotation @ centre + distance * back)
 
 
-def photograph(
-    model: mujoco.MjModel, qpos: ArrayLike, camera: Pose, intrinsics: CameraIntrinsics, floor: float
-) -> Photo:
-    """Takes one picture of any MuJoCo model without floor planes, above a floor at that height, m."""
-    subject = np.asarray(surface_points(model, qpos).mean(axis=0))
-    distance = float(np.linalg.norm(subject - camera.position))
-    lights = replace(Lights.beside(camera, distance), strength=_STRENGTH)
-    still = _seamless(ray_field(intrinsics), camera, floor)
-    picture, robot, _ = Photographer(model, intrinsics, camera, lights, still).expose(qpos, _QUALITY)
-    coverage = np.zeros(picture.shape[:2], dtype=np.float32)
-    if robot is not None:
-        x0, y0, x1, y1 = robot.box
-        coverage[y0:y1, x0:x1] = robot.coverage
-    image = np.clip(np.rint(255.0 * picture), 0, 255).astype(np.uint8)
-    return Photo(image, coverage, intrinsics, camera)
-
-
-def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
-    """Floor and wall of one tone; only shadows say where the floor is."""
-    w, h = field.intrinsics.size
-    rise = field.box(0, 0, w, h) @ camera.rotation[2, :2] + camera.rotation[2, 2]
-    with np.errstate(divide="ignore"):
-        depth = (floor - camera.position[2]) / rise
-    depth = np.where(depth > 0, depth, np.inf).astype(np.float32)
-    tone = np.broadcast_to(np.array(TONE, dtype=np.float32), (h, w, 3))
-    rest = 1.0 - _LAMP_SHARE - _CEILING_SHARE
-    return StillPicture(tone * rest, tone * _LAMP_SHARE, tone * _CEILING_SHARE, depth)
-
-
 #: Height of a picture, pixels; it may be this much wider than high before it is cropped to the robot.
 HEIGHT = 560
 _WIDEST = 1.6
@@ -130,7 +74,7 @@ _AIR, _SLIMMEST = 0.10, 0.42
 _TRIES = 100
 # The sheet: its width, the gap between cards, and how much wider than high a full row of pictures is.
 _SHEET_WIDTH, _GAP, _ROW = 1280, 8, 6.6
-_GREY, _PAPER = (120, 114, 110), [round(255 * tone) for tone in TONE]
+_GREY, _PAPER = (120, 114, 110), [round(255 * tone) for tone in SEAMLESS.wall]
 
 
 @dataclass(frozen=True)
@@ -188,7 +132,10 @@ def draw_robot(robot: Robot, seed: int = 0, height: int = HEIGHT) -> Portrait:
     at_work = surface_points(robot.model, robot.qpos(solution.q))
     optics = lens(round(_WIDEST * height), height)
     camera = fitted_camera(np.concatenate([at_home, at_work]), scene.view_deg, optics)
-    photos = [photograph(robot.model, robot.qpos(q), camera, optics, floor) for q in (robot.home, solution.q)]
+    photos = [
+        photograph([Body(robot.model, robot.qpos(q))], optics, camera, SEAMLESS, floor=floor)
+        for q in (robot.home, solution.q)
+    ]
     work = replace(photos[1], image=_with_goals(photos[1], solution))
     home = robot.file.home if isinstance(robot.file.home, str) else "home"
     captions = (home, scene.about)

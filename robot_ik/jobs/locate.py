@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_ik.camera.boards.board import Board, BoardView, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import open_source
+from robot_ik.camera.target_files import parse_target
+from robot_ik.camera.targets import Observation, Target
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import Progress
@@ -32,7 +33,7 @@ class LocateRequest:
     Attributes:
         source: As for ``open_source``.
         intrinsics: The camera's calibration file.
-        board: As for ``parse_board``; ``dictionary`` of its markers, empty: the usual one.
+        board: As for ``parse_target``; ``dictionary`` of its markers, empty: the usual one.
         pose_parent_board: Where the board's frame is, seen from the frame that is called ``parent``.
         pictures: No more than so many are looked at.
     """
@@ -97,9 +98,9 @@ def run_locate(
         MarkerNotFoundError: No picture shows the board; the hint says what may be wrong.
         RobotIkError: Wrong input or environment, or board or camera moved between the pictures.
     """
-    board = parse_board(request.board, request.dictionary)
+    board = parse_target(request.board, request.dictionary)
     intrinsics = CameraIntrinsics.load(request.intrinsics)
-    views: list[BoardView] = []
+    views: list[Observation] = []
     searched, blank = 0, deque[Image](maxlen=GUESSED_FROM)
     # A camera may give no more.
     with open_source(request.source) as source, contextlib.suppress(FrameTimeoutError):
@@ -108,7 +109,7 @@ def run_locate(
                 left_out(str(frame.args[0]))
                 continue
             searched += 1
-            view = board.see(frame, intrinsics)
+            view = board.find(frame, intrinsics)
             if view is None:
                 blank.append(frame.image)
             else:
@@ -126,12 +127,12 @@ def run_locate(
     return LocateReport(extrinsics, searched, [_miss(view, pose_camera_board, intrinsics) for view in views])
 
 
-def _miss(view: BoardView, pose_camera_board: Pose, intrinsics: CameraIntrinsics) -> float:
+def _miss(view: Observation, pose_camera_board: Pose, intrinsics: CameraIntrinsics) -> float:
     expected = intrinsics.project(pose_camera_board.apply(view.points))
     return float(np.median(np.linalg.norm(expected - view.pixels, axis=1)))
 
 
-def _unseen_hint(board: Board, blank: Sequence[Image]) -> str:
+def _unseen_hint(board: Target, blank: Sequence[Image]) -> str:
     """What may be wrong when no picture shows the board: markers of another dictionary are named."""
     dictionary, hint = getattr(getattr(board, "pattern", board), "dictionary", ""), ""
     if dictionary and not any(MarkerDetector(dictionary, strict=True).detect(image) for image in blank):

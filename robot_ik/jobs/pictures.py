@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 
 from robot_ik.camera import sources
-from robot_ik.camera.boards.patterns import describe
-from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
-from robot_ik.camera.detection import guess_dictionary
+from robot_ik.camera.corners import Corners
+from robot_ik.camera.detection import check_ids, guess_dictionary, ids_text
 from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
-from robot_ik.camera.image import dictionary_size, write_image
+from robot_ik.camera.image import full_dictionary_name, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import BodyObservation, MarkerObservation, marker_points
+from robot_ik.camera.patterns import describe
 from robot_ik.camera.sources import (
     FolderSource,
     Frame,
@@ -27,11 +26,19 @@ from robot_ik.camera.sources import (
     VideoSource,
     require_frame,
 )
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import (
+    MarkerFits,
+    MarkerTarget,
+    Observation,
+    find_corners,
+    marker,
+    marker_points,
+    unique,
+)
+from robot_ik.camera.tracker import PoseMemory
 from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError
 from robot_ik.files import make_folder
-from robot_ik.geometry import Pose
-from robot_ik.ports import Array, Image
+from robot_ik.ports import Image
 
 #: More views than these make a calibration no better.
 MOST_VIEWS = 40
@@ -57,42 +64,48 @@ _AXES = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Corners:
-    """A marker without a pose, for there are no intrinsics; attributes as in ``MarkerObservation``."""
+class SeenMarker:
+    """One marker in one picture.
+
+    Attributes:
+        id: Id in the dictionary.
+        corners: Its corners.
+        observation: Its pose; None without intrinsics.
+    """
 
     id: int
-    corners: Array
-    sigma: float
-    refined: bool
+    corners: Corners
+    observation: Observation | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What one picture shows.
+    """Markers and bodies in one picture.
 
     Attributes:
-        markers: Sorted by id; with poses when the camera's intrinsics are known.
-        bodies: Name -> what was seen of it; only bodies that were seen.
+        markers: Sorted by id. An id comes twice if two copies of the marker are visible.
+        bodies: Observations by the name of the body.
     """
 
-    markers: Sequence[MarkerObservation | Corners]
-    bodies: Mapping[str, BodyObservation]
+    markers: Sequence[SeenMarker]
+    bodies: Mapping[str, Observation]
 
 
 class MarkerFinder:
-    """Looks for markers and bodies in pictures.
+    """Finds markers and bodies in pictures.
 
     Args:
-        dictionary: Of the markers, and of bodies that do not name theirs.
-        intrinsics: Of the pictures; None: corners only, of pictures of any size.
-        size: Side of the black squares in metres; those of bodies are known already.
-        ids: Only these; none: all, or when only bodies are asked for those on them.
-        bodies: What to look for.
-        film: The pictures show one scene in their order, so the last ones help with the next.
+        dictionary: OpenCV's name of the dictionary of all markers.
+        intrinsics: Intrinsics of the pictures. None: corners only, in pictures of any size.
+        size: Side of the black squares, metres. Those of bodies are known.
+        ids: Ids to report. If empty: all, or those of the bodies if only bodies are given.
+        bodies: Bodies to find.
+        film: Whether the pictures are successive frames. Then the two poses of a marker are told
+            apart by the last pictures too.
 
     Raises:
-        CameraError: Unknown dictionary, an id beyond it, a size that cannot be or is missing, bodies without
-            intrinsics or of another dictionary.
+        CameraError: Unknown dictionary, an id that it does not have, an impossible or missing size,
+            or bodies without intrinsics or of another dictionary.
     """
 
     def __init__(
@@ -101,84 +114,139 @@ class MarkerFinder:
         intrinsics: CameraIntrinsics | None = None,
         size: float | None = None,
         ids: Sequence[int] = (),
-        bodies: Sequence[MarkerBody] = (),
+        bodies: Sequence[MarkerTarget] = (),
         *,
         film: bool = False,
     ) -> None:
-        self.intrinsics, self.bodies = intrinsics, tuple(bodies)
+        self.dictionary = full_dictionary_name(dictionary)
+        self.intrinsics = intrinsics
+        self.bodies = tuple(bodies)
+        self._size = size
+        self._sizes: dict[int, float] = {}
         for body in self.bodies:
-            body.require_dictionary(dictionary)
-        known = {i: side for body in self.bodies for i, side in body.sizes.items()}
-        wanted = sorted(ids) or (sorted(known) if known and size is None else None)
+            if body.dictionary != self.dictionary:
+                raise CameraError(
+                    f"the markers of the body {body.name!r} are of {body.dictionary}, but "
+                    f"{self.dictionary} is searched",
+                    hint=f"search theirs: --dictionary {body.dictionary}",
+                )
+            self._sizes |= {i: side for i, (side, _) in body.markers.items()}
         if size is not None:
             marker_points(size)
         if intrinsics is None and self.bodies:
             raise CameraError(
-                "the pose of a body needs the camera's intrinsics", hint="make them with: camera calibrate"
+                "the pose of a body needs the camera's intrinsics",
+                hint="make them with: camera calibrate",
             )
-        if intrinsics is not None and size is None and not known:
+        if intrinsics is not None and size is None and not self._sizes:
             raise CameraError(
-                "a pose needs the size of the marker", hint="give the side of its black square in metres"
+                "a pose needs the size of the marker",
+                hint="give the side of its black square in metres",
             )
-        sizes: float | dict[int, float] = size if size is not None else 1.0
-        if known:
-            every = wanted if wanted is not None else range(dictionary_size(dictionary))
-            sizes = {i: known.get(i, size) for i in every if known.get(i, size) is not None}  # type: ignore[misc]
-        lens, window = intrinsics or _straight(1, 1), film and intrinsics is not None
-        self._tracker = MarkerTracker(lens, dictionary, sizes, wanted, window=window)
+        self._ids: frozenset[int] | None = frozenset(ids) or None
+        if not ids and self.bodies and size is None:
+            self._ids = frozenset(self._sizes)
+        check_ids(self._ids or (), self.dictionary)
+        unknown = sorted((self._ids or frozenset()) - self._sizes.keys())
+        if intrinsics is not None and size is None and unknown:
+            raise CameraError(
+                f"the size of marker {', '.join(map(str, unknown))} is unknown",
+                hint="give the side of the black square in metres",
+            )
+        # Ids that are searched, and by target what the last pictures say about its two poses.
+        self._search = None if self._ids is None else self._ids.union(self._sizes)
+        self._memories: dict[int | str, PoseMemory] | None = {} if film else None
 
     def observe(self, frame: Frame) -> Sighting:
-        """Everything in one picture.
+        """Return everything in one picture.
 
         Raises:
-            CalibrationError: The picture has not the size of the calibration.
+            CalibrationError: The picture does not have the size of the intrinsics.
         """
+        require_frame(frame)
+        intrinsics = self.intrinsics or _straight(*frame.size)
+        corners = find_corners(frame, intrinsics, self.dictionary, self._search)
+        wanted = [(i, c) for i, c in corners if self._ids is None or i in self._ids]
         if self.intrinsics is None:
-            require_frame(frame)
-            self._tracker.intrinsics = _straight(*frame.size)
-            seen = self._tracker.refined(frame)
-            return Sighting([Corners(i, one.corners, one.sigma, one.refined) for i, one in seen], {})
-        markers = self._tracker.observe(frame)
-        found = {body.name: self._tracker.observe_body(frame, body) for body in self.bodies}
-        return Sighting(markers, {name: seen for name, seen in found.items() if seen is not None})
+            return Sighting([SeenMarker(i, c) for i, c in wanted], {})
+        single = unique(corners)
+        markers = []
+        for i, c in wanted:
+            size = self._sizes.get(i, self._size)
+            if size is not None:
+                fits = marker(i, size, self.dictionary).fit({i: c}, intrinsics, frame.time)
+                # The last picture may have been of another copy.
+                observation = self._choose(i, fits, remember=i in single)
+                markers.append(SeenMarker(i, c, observation))
+        bodies = {}
+        for body in self.bodies:
+            observation = self._choose(body.name, body.fit(single, intrinsics, frame.time))
+            if observation is not None:
+                bodies[body.name] = observation
+        return Sighting([m for m in markers if m.observation is not None], bodies)
+
+    def _choose(
+        self, name: int | str, fits: MarkerFits | None, *, remember: bool = True
+    ) -> Observation | None:
+        if fits is None:
+            return None
+        if self._memories is None or not remember:
+            return fits.observation()
+        return self._memories.setdefault(name, PoseMemory()).choose(fits)
 
 
 def _straight(width: int, height: int) -> CameraIntrinsics:
-    """Of an unknown lens: edges are taken to be straight in the picture."""
+    """Return intrinsics without distortion for a camera whose lens is unknown."""
     return CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 def _values(sighting: Sighting) -> dict[str, Any]:
-    """A sighting by the names of JSON; corners in pixels (integer pixel centres)."""
-    markers = [
-        {"id": one.id, "corners": one.corners, "corner_sigma": one.sigma, "refined": one.refined}
-        | ({} if isinstance(one, Corners) else _fit_values(one, one.pose))
-        for one in sighting.markers
-    ]
+    """Return a sighting by the names of JSON; corners in pixels (integer pixel centres)."""
+    markers = []
+    for seen in sighting.markers:
+        values = {
+            "id": seen.id,
+            "corners": seen.corners.pixels,
+            "corner_sigma": seen.corners.sigma,
+            "refined": seen.corners.refined,
+        }
+        if seen.observation is not None:
+            values |= _pose_values(seen.observation)
+        markers.append(values)
     bodies = [
-        {"name": name, "ids": seen.ids, "rejected": seen.rejected} | _fit_values(seen, seen.pose_camera_body)
+        {"name": name, "ids": seen.ids, "rejected": seen.rejected} | _pose_values(seen)
         for name, seen in sighting.bodies.items()
     ]
     return {"markers": markers, "bodies": bodies}
 
 
-def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
-    names = ("alternative", "reprojection_error", "ambiguity", "covariance")
-    return {"pose": pose, **{name: getattr(seen, name) for name in names}}
+def _pose_values(observation: Observation) -> dict[str, Any]:
+    names = ("pose", "alternative", "reprojection_error", "ambiguity", "covariance")
+    return {name: getattr(observation, name) for name in names}
 
 
-def draw_markers(
-    image: Image, markers: Sequence[MarkerObservation | Corners], intrinsics: CameraIntrinsics | None
-) -> Image:
-    """The picture with outlines (the first corner marked), ids, and axes where poses are known."""
+def draw_markers(image: Image, markers: Sequence[SeenMarker], intrinsics: CameraIntrinsics | None) -> Image:
+    """Return a picture with the outlines and ids of markers, and axes where poses are known."""
     drawn = np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image.copy()
-    for marker in markers:
-        corners = marker.corners
-        drawn = draw_marker_outline(drawn, corners, label=str(marker.id))
-        if isinstance(marker, MarkerObservation) and intrinsics is not None:
-            side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
-            length = _AXES * side * marker.pose.position[2] / intrinsics.fx
-            drawn = draw_axes(drawn, marker.pose, length, intrinsics, width=2)
+    for seen in markers:
+        if seen.observation is not None and intrinsics is not None:
+            drawn = draw_observations(drawn, [seen.observation], intrinsics)
+        else:
+            drawn = draw_marker_outline(drawn, seen.corners.pixels, label=str(seen.id))
+    return drawn
+
+
+def draw_observations(
+    image: Image, observations: Sequence[Observation], intrinsics: CameraIntrinsics
+) -> Image:
+    """Return a picture with the outlines, ids and axes of single markers."""
+    drawn = image.copy()
+    for seen in observations:
+        corners = seen.pixels
+        drawn = draw_marker_outline(drawn, corners, label=str(seen.ids[0]))
+        side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+        length = _AXES * side * seen.pose.position[2] / intrinsics.fx
+        drawn = draw_axes(drawn, seen.pose, length, intrinsics, width=2)
     return drawn
 
 
@@ -262,19 +330,28 @@ def find_markers(
                 drawings.save(str(file), number if film else None, drawing)
 
 
-# Pictures without a marker that are looked at again for markers of other kinds.
+# Number of pictures without a marker in which other dictionaries are tried.
 GUESSED_FROM = 3
 
 
 def hint_of_other_markers(dictionary: str, blank: Sequence[Image], others: str = "") -> str:
-    """What to do about markers that are in pictures where none was found; empty: there are no such.
+    """Return what to do about other markers in pictures where none was found.
 
-    ``others`` is for those of this ``dictionary``.
+    Args:
+        dictionary: The dictionary that was searched.
+        blank: The pictures.
+        others: Hint for other markers of the same dictionary.
+
+    Returns:
+        One sentence; empty if there are no other markers.
     """
-    found = guess_dictionary(blank)
-    if found == dictionary:
-        return f"other markers of this dictionary are there: {others}" if others else ""
-    return f"there are markers of {found}, none of {dictionary}: --dictionary {found}" if found else ""
+    guess = guess_dictionary(blank)
+    if guess is None:
+        return ""
+    name, ids = guess
+    if name == full_dictionary_name(dictionary):
+        return f"other markers of this dictionary are visible: {others}" if others else ""
+    return f"{ids_text(name, ids)}: --dictionary {name}"
 
 
 # ------------------------------------------------------------------------------- views to calibrate from

@@ -14,11 +14,11 @@ from typing import Self
 
 import numpy as np
 
-from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.corner_refinement import refine_markers
-from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
+from robot_ik.camera.corners import refine_markers
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import estimate_body, marker_points
+from robot_ik.camera.targets import DEFAULT_DICTIONARY, marker
 from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
 from robot_ik.ports import Closing
@@ -27,6 +27,8 @@ from robot_ik.solvers import levenberg_marquardt, make_solver
 from robot_ik.solvers.analytic import closed_form
 from robot_ik.solvers.iterative import IterativeSolver
 
+# Side of a cell of the marker that is fitted, px.
+_CELL = 12
 # A solve from the goal itself compiles everything and takes no step.
 _SOLVE = """
 import sys
@@ -63,7 +65,7 @@ class Precompilation(Closing):
     @classmethod
     def overlay(cls) -> Self:
         """What draws a robot into a picture with a board."""
-        from robot_ik.camera.drawing.rasteriser import fill_faces
+        from robot_ik.camera.drawing.zbuffer import fill_faces
 
         return cls((fill_faces,), "the painter", "-m", "robot_ik.jobs.precompile")
 
@@ -84,20 +86,18 @@ class Precompilation(Closing):
 
 
 def compile_overlay() -> None:
-    """Fits a marker to computed corners and to an empty picture, and draws a robot beside it.
-
-    That is all of the compiled code in the order in which it is needed.
-    """
+    """Fit a marker and draw a robot: all compiled code, in the order in which it is needed."""
     lens = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
     camera = Pose.look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))
-    board, there = MarkerBoard({0: (0.05, Pose())}), camera.inverse()
-    corners = lens.project(there.apply(marker_points(0.05)))
-    estimate_body({0: corners}, board.layout, lens)
-    image = np.full((480, 640, 3), 128, dtype=np.uint8)
-    refine_markers(image, [corners], [0], board.dictionary, lens)
+    cells = marker_bits(DEFAULT_DICTIONARY, 0)
+    side = _CELL * len(cells)
+    image = np.full((480, 640, 3), 255, dtype=np.uint8)
+    image[100 : 100 + side, 100 : 100 + side] = np.kron(cells, np.ones((_CELL, _CELL), np.uint8))[..., None]
+    corners = 99.5 + side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    refined = refine_markers(image, [corners], [0], DEFAULT_DICTIONARY, lens)
+    marker(0, 0.05).fit({0: refined[0]}, lens)
     robot = load_robot("puma560")
-    drawing = PainterArtist().draw(DrawnRobot(robot.model, scale=0.2), robot.qpos(robot.home), lens, camera)
-    drawing.over(image)
+    DrawnRobot(robot.model, scale=0.2).draw(robot.qpos(robot.home), lens, camera).over(image)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from robot_ik.camera.image import marker_bits
-from robot_ik.camera.marker_goals import LostPolicy
+from robot_ik.camera.lost_policy import LostPolicy
 from robot_ik.errors import NOT_ACHIEVED_ERRORS, CameraError, ConfigError, RobotIkError
 from robot_ik.execution import Execution, FollowReport, execute, follow
 from robot_ik.geometry import Pose
@@ -281,10 +281,7 @@ class _Reach:
             self.report.goal = goal
             return goal
         self.progress("looking", 0.0)
-        seen = self.camera.find_target()
-        if self.report.request.follow > 0.0:
-            self.camera.get_ready_to_follow()
-        return self.keep_seen(seen)
+        return self.keep_seen(self.camera.find_target())
 
     def keep_seen(self, seen: SeenTarget) -> Goal:
         """The goal of a marker, which the report keeps."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from robot_ik.camera.delays import Delays
 from robot_ik.camera.drawing.overlay import (
     GREEN,
     ORANGE,
@@ -20,7 +21,6 @@ from robot_ik.camera.drawing.overlay import (
     draw_robot,
 )
 from robot_ik.camera.image import write_image
-from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import distinct_texts
 from robot_ik.files import plain, timestamp, write_atomically
@@ -63,8 +63,8 @@ def reach_picture(report: ReachReport) -> Any:
     start = report.robot.home if report.q_start is None else report.q_start
     before = _drawn(report, report.before, start)
     if report.seen is not None:
-        label = f"marker {report.seen.observation.id}"
-        before = draw_marker_outline(before, report.seen.observation.corners, label=label)
+        label = f"marker {report.seen.observation.ids[0]}"
+        before = draw_marker_outline(before, report.seen.observation.pixels, label=label)
     captions = ["Before: " + _seen_text(report)]
     end, heading, angles = report.q_end, "After", "read back, drawn over the camera's picture; axes: the goal"
     if end is None and report.solution is not None:
@@ -101,7 +101,7 @@ def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
 def _seen_text(report: ReachReport) -> str:
     if report.seen is None:
         return "the marker was not found" if report.goal is None else "the goal was given"
-    text = f"marker {report.seen.observation.id} seen"
+    text = f"marker {report.seen.observation.ids[0]} seen"
     if report.seen.true_pose is not None:
         metres, radians = report.seen.pose_world_marker.distance(report.seen.true_pose)
         text += f"\n{1e3 * metres:.2f} mm and {math.degrees(radians):.2f}° from where it truly is"
@@ -147,11 +147,11 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "bus": request.bus,
         "camera": request.camera if report.vision is not None else None,
         "marker": None if seen is None else {
-            "id": seen.observation.id,
+            "id": seen.observation.ids[0],
             "camera": seen.observation.pose,
             "world": seen.pose_world_marker,
             "true_world": seen.true_pose,
-            "corners_px": seen.observation.corners,
+            "corners_px": seen.observation.pixels,
             "reprojection_error_px": seen.observation.reprojection_error,
             "ambiguity": seen.observation.ambiguity,
             "covariance": seen.observation.covariance,
@@ -238,7 +238,7 @@ def save_film(report: ReachReport, path: Path) -> Path | None:
     q = run.commanded if run.measured is None else run.measured
     shown = [q[0]]
     times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
-    source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0, quality="fast")
+    source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0)
     with contextlib.closing(Film(path, FILM_RATE_HZ)) as film:
         for time in times.tolist():
             shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene
-from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.camera.synthetic.painted import SceneTable
 from robot_ik.config import Pair, Position, Several, Table, check_table
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp

@@ -11,18 +11,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import Observation, marker
+from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.films import open_sink
-from robot_ik.jobs.pictures import draw_markers
+from robot_ik.jobs.pictures import draw_observations
 from robot_ik.jobs.recording import Moment, Recording, open_recording, require_recording
 from robot_ik.jobs.robot_setup import check_calibrated_model, require_joints
 from robot_ik.jobs.scene import scene_for
@@ -71,7 +70,7 @@ class CameraTab:
         self._session = session
         self._robot: Robot | None = None
         self._source: SyntheticSource | None = None
-        self._tracker: MarkerTracker | None = None
+        self._tracker: Tracker | None = None
 
     def __call__(self) -> tuple[Image, str] | None:
         """The next picture, RGB at half size, and a line about it; None while the robot has no scene."""
@@ -82,22 +81,22 @@ class CameraTab:
             return None
         frame = self._source.read()
         begin = time.monotonic()
-        markers = self._tracker.observe(frame)
+        observations = self._tracker.observe(frame)
         search_time = time.monotonic() - begin
         lens, scene = self._source.scene.intrinsics, self._source.scene
-        image = draw_markers(frame.image, markers, lens)
+        image = draw_observations(frame.image, observations, lens)
         _draw_ball(image, scene.pose_world_camera, lens, np.array(self._session.ball.position))
         small = np.ascontiguousarray(image[::2, ::2, ::-1])
-        return small, _line_about(markers, search_time, time.monotonic() - frame.time)
+        return small, _line_about(observations, search_time, time.monotonic() - frame.time)
 
     def _open(self, robot: Robot) -> None:
         self._source = self._tracker = None
         with contextlib.suppress(CameraError, ModelError):
             scene = scene_for(robot)
             synthetic = scene.synthetic(robot)
-            sizes = {marker.id: marker.size for marker in synthetic.markers}
-            self._tracker = MarkerTracker(synthetic.intrinsics, scene.dictionary, sizes, window=True)
-            self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q, quality="fast")
+            markers = [marker(m.id, m.size, m.dictionary) for m in synthetic.markers]
+            self._tracker = Tracker(synthetic.intrinsics, markers)
+            self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q)
 
 
 def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Array) -> None:
@@ -109,12 +108,12 @@ def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Arr
             cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
 
 
-def _line_about(markers: Sequence[MarkerObservation], search_time: float, age: float) -> str:
+def _line_about(observations: Sequence[Observation], search_time: float, age: float) -> str:
     """Markers with distance and the noise of their corners; how old the picture is."""
     rows = "".join(
-        f"<tr><td>{marker.id}</td><td>{np.linalg.norm(marker.pose.position):.3f}</td>"
-        f"<td>{marker.reprojection_error:.2f}</td></tr>"
-        for marker in markers
+        f"<tr><td>{seen.ids[0]}</td><td>{np.linalg.norm(seen.pose.position):.3f}</td>"
+        f"<td>{seen.reprojection_error:.2f}</td></tr>"
+        for seen in observations
     )
     head = "<tr><th>marker seen</th><th>away, m</th><th>off, px</th></tr>"
     return (
@@ -132,7 +131,6 @@ def film(
     seconds: float | None = None,
     rate_hz: float = 30.0,
     size: tuple[int, int] = (1280, 720),
-    backend: str = "gl",
     overwrite: bool = False,
     progress: Progress = lambda phase, share: None,
 ) -> View:
@@ -140,7 +138,7 @@ def film(
 
     ``out`` is a film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or nothing;
     ``numbers`` is a CSV file, a row for each instance of each picture; ``record`` (.csv, .mcap) has angles
-    and ball for other tools.  ``backend`` is ``gl``, which draws where it works, or ``painter``.
+    and ball for other tools.
 
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
@@ -155,10 +153,8 @@ def film(
     if record is not None:
         require_recording(record)
     every = max(1, round(RATE / rate_hz))
-    artist, _ = make_artist(backend)
     view: View | None = None
     with contextlib.ExitStack() as stack:
-        stack.callback(artist.close)
         write = None
         if out is not None:
             write = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite)).write
@@ -166,7 +162,7 @@ def film(
         rows: Recording | None = None
         names: tuple[str, ...] = ()
         for session in replayed(log):
-            recorder = recorder or Recorder(session, artist, size, write)
+            recorder = recorder or Recorder(session, size, write)
             view = session.view()
             if (view.tick - 1) % every == 0:
                 recorder.draw(view)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.camera.marker_goals import sigmas_at
-from robot_ik.camera.observations import BodyObservation
+from robot_ik.camera.goals import worst_sigmas
+from robot_ik.camera.targets import Observation
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, Tolerance, frame_error
 from robot_ik.ports import Array
@@ -98,7 +98,7 @@ def judge_read_back(
 
 def judge_by_camera(
     robot: Robot,
-    seen: BodyObservation,
+    seen: Observation,
     pose_world_camera: Pose,
     pose_body_tool: Pose,
     goal: Goal,
@@ -110,10 +110,10 @@ def judge_by_camera(
     Allowed is three standard deviations of the measurement plus the quantisation of the servos (``bound``),
     and never more than 5 mm and 1 degree; ``goal_sigma`` as in ``judge_read_back``.
     """
-    pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
+    pose = pose_world_camera.compose(seen.pose).compose(pose_body_tool)
     metres, radians = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
-    lever = seen.pose_camera_body.rotation @ pose_body_tool.position
-    sigma = Bound(*sigmas_at(seen.covariance, lever)).combined(goal_sigma)
+    lever = seen.pose.rotation @ pose_body_tool.position
+    sigma = Bound(*worst_sigmas(seen.covariance, lever)).combined(goal_sigma)
     allowed = Bound(
         min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),

@@ -11,22 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from robot_ik.camera.delays import Delays
 from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.goals import worst_sigmas
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.marker_goals import (
-    SYNTHETIC_RATE_HZ,
-    Delays,
-    LatestGoals,
-    MarkerGoalSource,
-    WhenLost,
-    sigmas_at,
-)
+from robot_ik.camera.latest_goals import SYNTHETIC_RATE_HZ, LatestGoals
+from robot_ik.camera.lost_policy import WhenLost
+from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.motion_filter import FilterOptions
-from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.synthetic.photograph import QUALITIES
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import MarkerTarget, Observation, marker
 from robot_ik.errors import (
     CalibrationError,
     CameraError,
@@ -80,14 +75,14 @@ class SeenTarget:
     """
 
     goal: PoseGoal | PositionGoal
-    observation: MarkerObservation
+    observation: Observation
     pose_world_marker: Pose
     true_pose: Pose | None
 
     def uncertainty(self, point: Array) -> Bound:
         """Standard deviation of a point ``point`` (3,), seen from the marker, in the worst direction."""
         pose = self.observation.pose
-        return Bound(*sigmas_at(self.observation.covariance, pose.rotation @ point))
+        return Bound(*worst_sigmas(self.observation.covariance, pose.rotation @ point))
 
 
 @dataclass(eq=False)
@@ -119,8 +114,7 @@ class Vision:
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
         self.last_image: Any = None
-        sides = {id: side for id, (side, _) in self.scene.cube.items()}
-        self._cubes = MarkerTracker(self.scene.intrinsics, self.scene.dictionary, sides)
+        self._cube = MarkerTarget(self.scene.cube, self.scene.dictionary, "cube on the gripper")
         self._goals = _ArmGoals(self)
         self._followed: SeenTarget | None = None
 
@@ -167,25 +161,17 @@ class Vision:
         pose = next(m.pose for m in self.synthetic.scene.markers if m.id == self.scene.marker_id)
         return pose(time) if callable(pose) else pose
 
-    def find_gripper(self) -> BodyObservation | None:
+    def find_gripper(self) -> Observation | None:
         """The gripper's markers in a new picture; None when none is in view."""
         if self.cover_gripper and self.synthetic is not None:
             self.synthetic.scene = self.synthetic.scene.with_marker(*self.scene.cube, condition="covered")
-        return self._cubes.observe_body(self.picture(), dict(self.scene.cube))
+        return self._cube.find(self.picture(), self.scene.intrinsics)
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
         robot = self.setup.robot
         body = robot.forward(q, self.scene.cube_frame).compose(self.scene.cube_offset)
         return body.inverse().compose(robot.forward(q, self.setup.frame))
-
-    def get_ready_to_follow(self) -> None:
-        """Does what would keep an arm with torque waiting: the first picture of a quality takes longest."""
-        fast = QUALITIES["fast"]
-        if self.synthetic is not None and self.synthetic.quality is not fast:
-            usual, self.synthetic.quality = self.synthetic.quality, fast
-            self.synthetic.read()
-            self.synthetic.quality = usual
 
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
@@ -196,7 +182,6 @@ class Vision:
             begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
             path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
             synthetic.scene = synthetic.scene.with_marker(id, pose=path)
-            usual, synthetic.quality = synthetic.quality, QUALITIES["fast"]
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
         self.delays = goals.goal_delays.summary(), goals.picture_ages.summary()
@@ -204,7 +189,6 @@ class Vision:
             self._followed = goals.seen
         else:
             synthetic.scene = synthetic.scene.with_marker(id, pose=self.true_target(clock.now()))
-            synthetic.quality = usual
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
@@ -239,12 +223,11 @@ class _ArmGoals(MarkerGoalSource):
 
     def __init__(self, vision: Vision, *, follow: bool = False) -> None:
         scene = vision.scene
-        sizes = {scene.marker_id: scene.marker_size}
         super().__init__(
             vision.source,
-            MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
+            scene.intrinsics,
+            marker(scene.marker_id, scene.marker_size, scene.dictionary),
             scene.pose_world_camera,
-            scene.marker_id,
             scene.pose_marker_tool,
             vision.setup.frame,
             motion=FilterOptions() if follow else None,
@@ -262,7 +245,7 @@ class _ArmGoals(MarkerGoalSource):
         if frame is None:
             return
         vision.last_image = frame.image
-        if goal is not None and isinstance(last, MarkerObservation):
+        if goal is not None and last is not None:
             pose = vision.scene.pose_world_camera.compose(last.pose)
             self.seen = SeenTarget(vision.for_arm(goal), last, pose, vision.true_target(frame.time))
 

@@ -10,15 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.observations import MarkerObservation
+from benchmarks.camera.pictures import MarkerView, standard_set
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import (
-    STANDARD_CAMERA,
-    STANDARD_SIZE,
-    MarkerView,
-    standard_set,
-)
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
+from robot_ik.camera.targets import Observation, marker
 
 Array = NDArray[np.float64]
 
@@ -28,11 +23,11 @@ class Measured:
     """What was seen in one picture of the set, beside the truth."""
 
     view: MarkerView
-    seen: MarkerObservation
+    seen: Observation
 
     @property
     def corner_error(self) -> Array:
-        return self.seen.corners - self.view.corners
+        return self.seen.pixels - self.view.corners
 
     @property
     def position_error(self) -> float:
@@ -60,13 +55,13 @@ class Measured:
 
 def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1) -> list[Measured]:
     """Renders and observes a standard set; fails when a marker is not found."""
-    tracker = MarkerTracker(STANDARD_CAMERA, dictionary, STANDARD_SIZE)
+    target = marker(7, STANDARD_SIZE, dictionary)
     result = []
     for number, view in enumerate(standard_set(distance, count, seed=seed, dictionary=dictionary)):
         image = np.repeat(view.image[:, :, None], 3, axis=2)
-        seen = tracker.observe(Frame(image, 0.0, number))
-        assert [o.id for o in seen] == [7], f"picture {number} at {distance} m: {[o.id for o in seen]}"
-        result.append(Measured(view, seen[0]))
+        seen = target.find(Frame(image, 0.0, number), STANDARD_CAMERA)
+        assert seen is not None, f"picture {number} at {distance} m"
+        result.append(Measured(view, seen))
     return result
 
 

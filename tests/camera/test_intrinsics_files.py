@@ -152,3 +152,22 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
 def test_a_folder_that_does_not_exist_is_reported(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"no/camera\.yaml"):
         CAMERA.save(tmp_path / "no" / "camera.yaml")
+
+
+def test_a_file_with_an_unused_key_loads_and_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "old.yaml"
+    CAMERA.save(path)
+    path.write_text(path.read_text() + "edge_shift: 0.41\nedge_shift_std_dev: 0.1\n")
+    with caplog.at_level("INFO", logger="robot_ik.camera"):
+        assert CameraIntrinsics.load(path) == CameraIntrinsics.load(path)
+    lines = [record.message for record in caplog.records]
+    assert len(lines) == 2
+    assert "the key edge_shift is not used any more" in lines[0]
+    assert "edge_shift" not in _saved_again(path)
+
+
+def _saved_again(path: Path) -> str:
+    CameraIntrinsics.load(path).save(path)
+    return path.read_text()

@@ -6,19 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
-from robot_ik.camera.corner_refinement import refine_markers
+from benchmarks.camera.pictures import pattern_set, standard_set
+from robot_ik.camera.corners import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import from_reduced, marker_bits, reduced, to_reduced
+from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import (
-    STANDARD_CAMERA,
-    STANDARD_SIZE,
-    SensorModel,
-    pattern_set,
-    standard_set,
-)
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
+from robot_ik.camera.synthetic.sensor import SensorModel
+from robot_ik.camera.targets import find_corners, marker
 
 TIMES = 8  # 640 px become 5120, and a blur of 0.7 px 5.6
 
@@ -40,15 +36,17 @@ def test_reduced_pixels_are_where_they_were(times: int) -> None:
 
 @pytest.mark.parametrize("ids", [None, [7]])
 def test_a_marker_in_an_enlarged_picture_is_measured_as_in_the_small_one(ids: list[int] | None) -> None:
-    small = MarkerTracker(STANDARD_CAMERA, "DICT_4X4_50", STANDARD_SIZE, ids)
     camera = STANDARD_CAMERA.scaled(TIMES * STANDARD_CAMERA.width, TIMES * STANDARD_CAMERA.height)
-    large = MarkerTracker(camera, "DICT_4X4_50", STANDARD_SIZE, ids)
+    wanted = None if ids is None else frozenset(ids)
+    target = marker(7, STANDARD_SIZE, "DICT_4X4_50")
     for view in standard_set(0.4, 3, seed=8):
-        (one,) = small.observe(Frame(view.image, 0.0, 0))
-        (other,) = large.observe(Frame(enlarged(view.image), 0.0, 0))
-        assert other.refined
-        assert to_reduced(other.corners, TIMES) == pytest.approx(one.corners, abs=0.15)
-        assert other.pose.distance(view.pose)[0] < 5e-4
+        ((_, small),) = find_corners(Frame(view.image, 0.0, 0), STANDARD_CAMERA, "DICT_4X4_50", wanted)
+        ((_, large),) = find_corners(Frame(enlarged(view.image), 0.0, 0), camera, "DICT_4X4_50", wanted)
+        assert large.refined
+        assert to_reduced(large.pixels, TIMES) == pytest.approx(small.pixels, abs=0.15)
+        fits = target.fit({7: large}, camera)
+        assert fits is not None
+        assert fits.observation().pose.distance(view.pose)[0] < 5e-4
 
 
 def test_a_small_marker_in_a_large_picture_is_found_at_full_size() -> None:
@@ -81,7 +79,7 @@ def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> N
 def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
     rough = np.array([[0, 0], [100, 0], [100, 100], [0, 100]]) + np.array(at, dtype=float)
     (seen,) = refine_markers(np.full((480, 640), 128, np.uint8), [rough], [7], "DICT_4X4_50", STANDARD_CAMERA)
-    assert not seen.refined and (seen.corners == rough).all()
+    assert not seen.refined and (seen.pixels == rough).all()
 
 
 def test_a_picture_that_was_sharpened_is_measured_too() -> None:
@@ -93,5 +91,5 @@ def test_a_picture_that_was_sharpened_is_measured_too() -> None:
         (rough,) = MarkerDetector("DICT_4X4_50").detect(sharp)
         (seen,) = refine_markers(sharp, [rough.corners], [7], "DICT_4X4_50", STANDARD_CAMERA)
         refined += seen.refined
-        assert np.abs(seen.corners - view.corners).max() < 0.5
+        assert np.abs(seen.pixels - view.corners).max() < 0.5
     assert refined == 20

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from robot_ik.camera.marker_goals import LEAST_WEIGHT, MarkerGoalSource, WhenLost, goal_weight
-from robot_ik.camera.motion_filter import OneEuro
-from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.corners import unrefined
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.lost_policy import WhenLost
+from robot_ik.camera.marker_goals import MarkerGoalSource
+from robot_ik.camera.pose import PoseFit
 from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import MarkerFits, MarkerTarget
 from robot_ik.errors import CameraError, MarkerNotFoundError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
@@ -40,33 +42,29 @@ def marker_at(x: float, y: float, z: float) -> Pose:
     return Pose((x, y, z), quat_multiply(FACING, rotation_exp([np.deg2rad(35), 0, 0])))
 
 
-@dataclass
-class Told:
-    """A tracker that is given what it sees, frame by frame: a marker at 0.4 m that goes sideways."""
+class PreparedTarget(MarkerTarget):
+    """A marker whose poses are given, frame by frame. The fit is replaced; the rest is real."""
 
-    poses: list[Pose | None]
-    sigma: tuple[float, float] = (2e-4, 2e-3)
+    def __init__(self, poses: list[Pose | None], sigma: tuple[float, float]) -> None:
+        super().__init__({7: (0.05, Pose())}, name="marker 7")
+        object.__setattr__(self, "poses", poses)
+        object.__setattr__(self, "known", np.diag(np.repeat(np.square(sigma), 3)))
 
-    def _covariance(self) -> np.ndarray:
-        return np.diag(np.repeat(np.square(self.sigma), 3))
-
-    def observe(self, picture: Frame, _: list[int]) -> list[MarkerObservation]:
-        pose = self.poses[picture.sequence]
-        corners = np.zeros((4, 2))
+    def fit(
+        self, _corners: object, _intrinsics: CameraIntrinsics, time: float = math.nan
+    ) -> MarkerFits | None:
+        pose = self.poses[round(time * 30)]  # type: ignore[attr-defined]
         if pose is None:
-            return []
-        return [MarkerObservation(7, corners, pose, None, 0.1, 0.0, self._covariance(), 0.1, True)]
-
-    def observe_body(self, picture: Frame, _: object) -> BodyObservation | None:
-        pose = self.poses[picture.sequence]
-        return None if pose is None else BodyObservation(pose, self._covariance(), 0.1, (1, 2))
+            return None
+        fit = PoseFit(pose, self.known, 2.0, 2.0, np.array([0.1]), np.array([2.0]))  # type: ignore[attr-defined]
+        corners = {7: unrefined([[0, 0], [9, 0], [9, 9], [0, 9]], STANDARD_CAMERA, 0.1)}
+        return MarkerFits(self, [7], [0], self.points([7]), corners, [fit], time)
 
 
-def reported(poses: list[Pose | None], marker: object = 7, **options: object) -> MarkerGoalSource:
-    sigma = options.pop("sigma", (2e-4, 2e-3))
-    frames = [Frame(BLANK, k / 30, k) for k in range(len(poses))]
-    tracker = Told(poses, sigma)  # type: ignore[arg-type]
-    return MarkerGoalSource(ListSource(frames), tracker, CAMERA_IN_WORLD, marker, HOVER, **options)  # type: ignore[arg-type]
+def reported(poses: list[Pose | None], **options: object) -> MarkerGoalSource:
+    target = PreparedTarget(poses, options.pop("sigma", (2e-4, 2e-3)))  # type: ignore[arg-type]
+    source = ListSource([Frame(BLANK, k / 30, k) for k in range(len(poses))])
+    return MarkerGoalSource(source, STANDARD_CAMERA, target, CAMERA_IN_WORLD, HOVER, **options)  # type: ignore[arg-type]
 
 
 def sideways(count: int, speed: float = SPEED) -> list[Pose | None]:
@@ -77,10 +75,9 @@ def wanted_x(time: float) -> float:
     return float(CAMERA_IN_WORLD.compose(marker_at(SPEED * time, 0.0, 0.4)).compose(HOVER).position[0])
 
 
-@pytest.mark.parametrize("marker", [7, {1: (0.05, Pose()), 2: (0.05, Pose((0.1, 0, 0)))}])
-def test_a_goal_is_for_the_time_it_is_asked_for(marker: object) -> None:
-    """Pictures are 60 ms old when they are looked at; the goal is where the marker is by then."""
-    goals = reported(sideways(30), marker)
+def test_a_goal_is_for_the_time_it_is_asked_for() -> None:
+    """Pictures are 60 ms old when they are processed; the goal is where the marker is by then."""
+    goals = reported(sideways(30))
     for k in range(30):
         goal = goals.poll(k / 30 + 0.06)
     assert isinstance(goal, PoseGoal)
@@ -111,30 +108,17 @@ def test_stamps_of_another_clock_are_not_compared_with_now() -> None:
     assert goals.picture_ages.summary().count == 0
 
 
-def test_a_resting_marker_gives_one_goal_that_may_be_calmed() -> None:
+def test_a_resting_marker_gives_one_goal() -> None:
     rng = np.random.default_rng(5)
-    shaken = [marker_at(0.0, 0.0, 0.4).plus(rng.normal(0, [3e-4] * 3 + [2e-3] * 3)) for _ in range(60)]
-    noise = {}
-    for name, calm in (("as seen", None), ("calmed", OneEuro())):
-        goals, places = reported(list(shaken), sigma=(3e-4, 2e-3), calm=calm), []
-        for k in range(60):
-            goal = goals.poll(k / 30 + 0.03)
-            assert goal is goals.goal_at(k / 30 + 0.06)  # at rest nothing is predicted
-            assert goal is not None
-            places.append(goal.target.position)
-        noise[name] = np.std(places[20:], axis=0).max()
-    assert noise["calmed"] < 0.6 * noise["as seen"]
-
-
-@settings(max_examples=30)
-@given(st.floats(1e-6, 1.0), st.floats(1e-6, 1.0))
-def test_the_weight_of_a_goal_falls_with_its_uncertainty(sigma: float, trusted: float) -> None:
-    weight = goal_weight(sigma, trusted)
-    assert LEAST_WEIGHT <= weight <= 1.0
-    assert weight <= goal_weight(0.5 * sigma, trusted)
-    if LEAST_WEIGHT < weight < 1.0:
-        assert weight == pytest.approx(trusted / sigma)
-    assert goal_weight(0.0, trusted) == 1.0
+    poses: list[Pose | None] = []
+    for _ in range(60):
+        step = rng.normal(0, [3e-4] * 3 + [2e-3] * 3)
+        poses.append(marker_at(0.0, 0.0, 0.4).plus(step))
+    goals = reported(poses, sigma=(3e-4, 2e-3))
+    for k in range(60):
+        goal = goals.poll(k / 30 + 0.03)
+        # At rest nothing is predicted.
+        assert goal is not None and goal is goals.goal_at(k / 30 + 0.06)
 
 
 def test_goals_carry_the_weights_of_their_covariance_at_the_tool() -> None:
@@ -182,8 +166,8 @@ def test_what_is_done_when_the_marker_stays_lost() -> None:
     [
         (("run",), "'run'"),
         (("stop", -1.0), "-1.0 s"),
-        (("park",), "parking"),
-        (("hold", 1.0, PositionGoal(position=(0, 0, 0))), "parking"),
+        (("park",), "needs a goal"),
+        (("hold", 1.0, PositionGoal(position=(0, 0, 0))), "takes no goal"),
     ],
 )
 def test_a_policy_that_cannot_be_is_refused(arguments: tuple, said: str) -> None:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import frame_of
-from robot_ik.bench.camera.photographs import (
+from benchmarks.camera.accuracy import frame_of
+from benchmarks.camera.photographs import (
     CHARUCOS,
     CHESSBOARD,
     any_finds,
@@ -19,11 +18,11 @@ from robot_ik.bench.camera.photographs import (
     outward_of_saddles,
     photographs,
 )
-from robot_ik.camera.boards.tone import measure_tone
+from benchmarks.camera.rows import Effort
 from robot_ik.camera.calibration.intrinsic import CalibrationView, calibrate
 from robot_ik.camera.image import read_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import find_corners, unique
 from robot_ik.jobs.pictures import MarkerFinder
 
 FOLDER = Path(__file__).parent.parent / "data" / "opencv"
@@ -53,8 +52,7 @@ def chessboards() -> list[CalibrationView]:
         gray = gray_of(file.name)
         found = CHESSBOARD.find(gray)
         assert found is not None, file.name
-        tone = measure_tone(gray, found.pixels, found.ids, 9, CHESSBOARD.plain)
-        views.append(CalibrationView(file.name, found, tone))
+        views.append(CalibrationView(file.name, found))
     return views
 
 
@@ -65,23 +63,12 @@ def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[Calibrat
     assert mine.intrinsics.fx == pytest.approx(535.9, rel=0.01)  # left_intrinsics.yml
 
 
-def test_one_camera_shifts_edges_differently_from_picture_to_picture(
-    chessboards: list[CalibrationView],
-) -> None:
-    """Why a stored curve would not do, and why the camera file holds a spread."""
-    shifts = np.array([view.tone.pixels for view in chessboards if view.tone is not None])
-    assert len(shifts) >= 10
-    assert shifts.max() - shifts.min() > 0.1
-    result = calibrate(chessboards, (640, 480))
-    assert result.intrinsics.edge_shift is not None and (result.intrinsics.edge_shift_sigma or 0.0) > 0.02
-
-
 def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
     """A ChArUco board: its markers' corners are near to the saddles' prediction."""
     gray, lens = gray_of("choriginal.jpg"), CameraIntrinsics.load(FOLDER / "tutorial_camera_charuco.yml")
     board = CHARUCOS[0]
-    tracker = MarkerTracker(lens, board.dictionary, board.marker)
-    fitted = {seen.id: seen.corners for seen in tracker.observe(frame_of(gray))}
+    corners = unique(find_corners(frame_of(gray), lens, board.dictionary))
+    fitted = {marker_id: c.pixels for marker_id, c in corners.items()}
     off = outward_of_saddles(gray, lens, board, fitted)
     # The picture is decimated, its blur narrower than a pixel: a hundredth cannot be asked of it.
     assert len(off) >= 10 and abs(np.mean(off)) < 0.15

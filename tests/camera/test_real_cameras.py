@@ -1,6 +1,6 @@
 """Markers in pictures of cameras with a tone curve, judged by a renderer that shares nothing with the fit.
 
-It is not that of ``synthetic.datasets`` either: rays at 64 places of each pixel, blur at that resolution, the
+It is not that of ``synthetic.pictures`` either: rays at 64 places of each pixel, blur at that resolution, the
 pixel's own area, a colour filter and its interpolation, a tone curve, an unsharp mask and JPEG, by hand.
 """
 
@@ -13,22 +13,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera.accuracy import frame_of
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.corner_refinement import RefinedCorners, is_print, refine_markers
-from robot_ik.camera.detection import MarkerDetector
+from benchmarks.camera.accuracy import frame_of
+from robot_ik.camera.corners import Corners, refine_markers
+from robot_ik.camera.detection import Detection, MarkerDetector
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import MarkerObservation, marker_points
-from robot_ik.camera.photometric_equations import BLUR, SHIFT
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.targets import Observation, find_corners, marker, marker_grid, marker_points
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
 Array = NDArray[np.float64]
 
 CAMERA = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
 DICTIONARY, SIZE, ID = "DICT_4X4_50", 0.05, 7
-BOARD = grid_body(2, 2, SIZE, 0.012).markers
+BOARD = marker_grid(2, 2, SIZE, 0.012, dictionary=DICTIONARY)
 FACING = Pose(wxyz=(0.0, 1.0, 0.0, 0.0))
 FINE = 8
 
@@ -132,9 +129,10 @@ def scenes() -> list[tuple[Pose, Array]]:
     return [(pose, light_of({ID: (SIZE, Pose())}, pose, 0.7)) for pose in poses]
 
 
-def observed(light: Array, camera: Camera, seed: int) -> MarkerObservation:
+def observed(light: Array, camera: Camera, seed: int) -> Observation:
     image = picture_of(light, camera, np.random.default_rng(seed))
-    (seen,) = MarkerTracker(CAMERA, DICTIONARY, SIZE).observe(frame_of(image))
+    seen = marker(ID, SIZE, DICTIONARY).find(frame_of(image), CAMERA)
+    assert seen is not None
     return seen
 
 
@@ -158,7 +156,7 @@ def test_a_marker_is_where_it_is_for_every_tone_curve(
         nees.append(float(miss @ np.linalg.solve(seen.covariance[:3, :3], miss)) / 3.0)
         true = CAMERA.project(pose.apply(marker_points(SIZE)))
         way = true - true.mean(axis=0)
-        outward.append(np.mean(np.sum((seen.corners - true) * way, axis=1) / np.linalg.norm(way, axis=1)))
+        outward.append(np.mean(np.sum((seen.pixels - true) * way, axis=1) / np.linalg.norm(way, axis=1)))
     assert np.sqrt(np.mean(np.square(off))) < most
     assert abs(np.mean(outward)) < 0.04
     assert np.mean(nees) < 3.0  # it knows how near, too
@@ -188,63 +186,52 @@ def test_a_strongly_tilted_marker_is_fitted_though_its_sharp_corners_are_found_f
     found, fitted = found_and_fitted(image)
     true = CAMERA.project(pose.apply(marker_points(SIZE)))
     assert np.abs(found - true).max() > 3.5
-    assert fitted.refined and np.abs(fitted.corners - true).max() < 0.1
+    assert fitted.refined and np.abs(fitted.pixels - true).max() < 0.1
 
 
 def test_a_board_is_where_it_is_under_a_webcam() -> None:
     """2 x 2 markers; the shift of the edges is found of each."""
     rng, off, nees = np.random.default_rng(13), [], []
-    tracker = MarkerTracker(CAMERA, DICTIONARY, {i: side for i, (side, _) in BOARD.items()})
     for _ in range(5):
         pose = some_pose(rng, 0.6)
-        image = picture_of(light_of(dict(BOARD), pose, 0.7), WEBCAM, rng)
-        seen = tracker.observe_body(frame_of(image), BOARD)
+        image = picture_of(light_of(dict(BOARD.markers), pose, 0.7), WEBCAM, rng)
+        seen = BOARD.find(frame_of(image), CAMERA)
         assert seen is not None
-        miss = seen.pose_camera_body.position - pose.position
+        miss = seen.pose.position - pose.position
         off.append(float(np.linalg.norm(miss)))
         nees.append(float(miss @ np.linalg.solve(seen.covariance[:3, :3], miss)) / 3.0)
     assert np.sqrt(np.mean(np.square(off))) < 0.08e-3
     assert np.mean(nees) < 3.0
 
 
-def found_and_fitted(image: NDArray[np.uint8]) -> tuple[Array, RefinedCorners]:
+def found_and_fitted(image: NDArray[np.uint8]) -> tuple[Array, Corners]:
     (found,) = MarkerDetector(DICTIONARY).detect(image)
     (fitted,) = refine_markers(image, [found.corners], [found.id], DICTIONARY, CAMERA)
     return found.corners, fitted
 
 
-def test_the_print_says_how_far_edges_lie_in_the_black(scenes: list[tuple[Pose, Array]]) -> None:
-    """None for a linear camera, a third of the blur and more for sRGB."""
-    for tone, least, most in (("linear", -0.05, 0.05), ("srgb", 0.3, 0.7)):
-        camera = replace(LINEAR, tone=tone)
-        image = picture_of(scenes[0][1], camera, np.random.default_rng(1))
-        _, fitted = found_and_fitted(image)
-        blur, shift = fitted.model[3], fitted.model[3 + SHIFT - BLUR]
-        assert fitted.refined and least < shift < most
-        assert 0.7 < np.exp(blur) < 0.95  # 0.7 px of lens and the pixel's own 0.29
-
-
 def test_what_is_taken_for_another_marker_is_not_believed() -> None:
     rng = np.random.default_rng(14)
     pose = Pose((0.0, 0.0, 0.5), FACING.wxyz)
-    image = picture_of(light_of(dict(BOARD), pose, 0.7), WEBCAM, rng)
+    image = picture_of(light_of(dict(BOARD.markers), pose, 0.7), WEBCAM, rng)
     found = MarkerDetector(DICTIONARY).detect(image)
     ids = [found[0].id, found[1].id, found[2].id, 17]
     fitted = refine_markers(image, [d.corners for d in found], ids, DICTIONARY, CAMERA)
     assert [one.refined for one in fitted] == [True, True, True, False]
-    assert [is_print(one) for one in fitted] == [True, True, True, False]
-    assert (fitted[3].corners == found[3].corners).all()
+    assert [one.verified for one in fitted] == [True, True, True, False]
+    assert (fitted[3].pixels == found[3].corners).all()
 
 
-def test_what_only_has_the_code_of_a_marker_is_no_marker(scenes: list[tuple[Pose, Array]]) -> None:
-    """The detector corrects bits; the tracker asks whether the picture shows the print."""
+def test_what_only_has_the_code_of_a_marker_is_no_marker(
+    scenes: list[tuple[Pose, Array]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The detector corrects bits. The fit then compares the cells with the print."""
     image = picture_of(scenes[0][1], WEBCAM, np.random.default_rng(2))
-    tracker = MarkerTracker(CAMERA, DICTIONARY, SIZE)
-    assert [seen.id for seen in tracker.observe(frame_of(image))] == [ID]
-    real = tracker.detector.detect
+    assert [i for i, _ in find_corners(frame_of(image), CAMERA, DICTIONARY)] == [ID]
+    real = MarkerDetector.detect
 
-    def misread(gray: NDArray[np.uint8]) -> list[object]:
-        return [replace(one, id=31) for one in real(gray)]
+    def misread(detector: MarkerDetector, gray: NDArray[np.uint8]) -> list[Detection]:
+        return [replace(one, id=31) for one in real(detector, gray)]
 
-    tracker.detector.detect = misread  # type: ignore[method-assign,assignment]
-    assert tracker.observe(frame_of(image)) == []
+    monkeypatch.setattr(MarkerDetector, "detect", misread)
+    assert find_corners(frame_of(image), CAMERA, DICTIONARY) == []

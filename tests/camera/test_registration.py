@@ -1,4 +1,4 @@
-"""The robot on a board: back ends against each other, overlay against truth, remedies for delay."""
+"""The robot on a board: real things before it, overlay against truth, remedies for delay."""
 
 from collections.abc import Callable
 
@@ -9,28 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.bench.camera import accuracy
-from robot_ik.bench.camera.accuracy import BENT
-from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.bodies import grid_body
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.drawing.occluders import BoxTable, load_occluders, occluder_boxes
 from robot_ik.camera.drawing.painter import Layer
-from robot_ik.camera.drawing.renderers import (
-    Artist,
-    BoxTable,
-    DrawnRobot,
-    PainterArtist,
-    RayArtist,
-    load_occluders,
-    occluder_boxes,
-)
-from robot_ik.camera.registration import BoardWatcher, Registrar, optical_motion
+from robot_ik.camera.registration import BoardTracker, Registrar, optical_motion
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.targets import marker_grid
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
+from robot_ik.jobs.ar import self_test
+from robot_ik.jobs.ar.self_test import DISTORTED
 from robot_ik.robot import load_robot
 
-BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, "DICT_4X4_50")
+BOARD = marker_grid(2, 2, 0.05, 0.012, dictionary="DICT_4X4_50")
 EYE = Pose.look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
 
 
@@ -43,37 +35,28 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / max((a | b).sum(), 1))
 
 
-def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
+def test_real_things_hide_the_robot_where_they_are_in_front_of_it() -> None:
     box = BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12), yaw_deg=15.0)
-    masks = {}
+    masks = []
     for occluders in (None, occluder_boxes([box])):
         drawn, qpos = standing(occluders=occluders)
-        drawings = [artist.draw(drawn, qpos, BENT, EYE) for artist in (PainterArtist(), RayArtist())]
-        painted, cast = (d.robot.mask(640, 480) for d in drawings)
-        assert overlap(painted > 127, cast > 127) > 0.985
-        both = [np.zeros((480, 640, 3), np.uint8) for _ in drawings]
-        for drawing, image in zip(drawings, both, strict=True):
-            drawing.over(image)
-        inside = cv2.erode(((painted == 255) & (cast == 255)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        apart = np.abs(both[0].astype(int) - both[1].astype(int)).max(axis=2)
-        assert np.mean(apart[inside] > 12) < 0.05, "light and colours are alike"
-        masks[occluders is None] = painted > 127
-    hidden = masks[True] & ~masks[False]
+        masks.append(drawn.draw(qpos, DISTORTED, EYE).robot.mask(640, 480) > 127)
+    hidden = masks[0] & ~masks[1]
     corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * box.size
     turn = np.deg2rad(15.0)
     corners[:, :2] = corners[:, :2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
-    pixels = BENT.project(EYE.inverse().apply(corners + box.position))
+    pixels = DISTORTED.project(EYE.inverse().apply(corners + box.position))
     outline = np.zeros((480, 640), np.uint8)
     cv2.fillConvexPoly(outline, cv2.convexHull(np.rint(pixels).astype(np.int32)), 1)
     assert hidden.sum() > 1500
     assert not (hidden & (cv2.dilate(outline, np.ones((3, 3), np.uint8)) == 0)).any()
-    assert not (masks[False] & (cv2.erode(outline, np.ones((5, 5), np.uint8)) > 0)).any()
+    assert not (masks[1] & (cv2.erode(outline, np.ones((5, 5), np.uint8)) > 0)).any()
 
 
 def test_a_robot_of_another_size_is_the_same_picture_from_elsewhere() -> None:
     drawn, qpos = standing(0.25, shadow=False)
-    small = PainterArtist().draw(drawn, qpos, BENT, EYE).robot
-    large = PainterArtist().draw(standing(1.0, shadow=False)[0], qpos, BENT, Pose(EYE.position * 4, EYE.wxyz))
+    small = drawn.draw(qpos, DISTORTED, EYE).robot
+    large = standing(1.0, shadow=False)[0].draw(qpos, DISTORTED, Pose(EYE.position * 4, EYE.wxyz))
     assert small.box == large.robot.box
     assert np.abs(small.coverage.astype(int) - large.robot.coverage).max() <= 1
 
@@ -91,14 +74,13 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
     # as high as the lens: points of it are millions of pixels away
     drawn, qpos = standing(1.0)
     for height in (0.3, 0.6, 0.9):
-        PainterArtist().draw(drawn, qpos, BENT, Pose.look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
+        drawn.draw(qpos, DISTORTED, Pose.look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
     assert len(softness) == 3
     assert max(softness) <= 3.0
 
 
-@pytest.mark.parametrize("artist", [PainterArtist(), RayArtist()], ids=["painter", "ray"])
-def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
-    misses = accuracy.projection_identity(artist, BENT)
+def test_spheres_are_where_opencv_projects_them() -> None:
+    misses = self_test.projection_misses(DISTORTED)
     assert misses.count > 100
     assert misses.rms <= 0.08
     assert misses.worst <= 0.20
@@ -106,14 +88,14 @@ def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
 
 
 def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
-    misses = accuracy.overlay_error(0.8, 6)
+    misses = self_test.overlay_misses(0.8, 6)
     assert misses.count > 400
     assert misses.rms <= 0.3
     assert misses.worst <= 1.0
 
 
 def test_each_remedy_makes_a_delay_smaller() -> None:
-    found = accuracy.latency_errors(0.066, 1.1)
+    found = self_test.latency_misses(0.066, 1.1)
     assert found["delayed video"].rms < 0.3
     assert found["nothing"].rms > 5.0
     assert found["less delay (half)"].rms < 0.6 * found["nothing"].rms
@@ -158,11 +140,11 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
     model_of: Callable[..., mujoco.MjModel],
 ) -> None:
     pose = Pose((0.0, 0.0, 0.7), (0.0, 1.0, 0.0, 0.0))
-    markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.layout.items()}
+    markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.markers.items()}
     image = render_markers(STANDARD_CAMERA, markers, np.random.default_rng(0), margin=0.12)
     colour = np.repeat(image[:, :, None], 3, axis=2)
     drawn = DrawnRobot(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
-    registrar = Registrar(BoardWatcher(BOARD, STANDARD_CAMERA), PainterArtist(), drawn, STANDARD_CAMERA)
+    registrar = Registrar(BoardTracker(BOARD, STANDARD_CAMERA), drawn, STANDARD_CAMERA)
     empty = np.zeros_like(colour)
     drawn = {}
     for time, picture in ((0.0, colour), (0.1, empty), (0.2, empty), (0.4, empty)):

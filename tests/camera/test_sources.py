@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.board import PatternBoard
-from robot_ik.camera.boards.patterns import ChessboardPattern
 from robot_ik.camera.image import natural_sort, read_image
+from robot_ik.camera.patterns import ChessboardPattern
 from robot_ik.camera.sources import (
     FolderSource,
     Frame,
@@ -24,8 +23,9 @@ from robot_ik.camera.sources import (
     VideoSource,
     open_source,
 )
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import PatternTarget, marker
+from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.jobs.pictures import MarkerFinder
 
@@ -118,7 +118,8 @@ def test_a_synthetic_camera_keeps_its_truth_apart() -> None:
     with open_source("synthetic:orbit?frames=3&seed=4&noise=2") as source:
         first = source.read()
         (pose,) = first.truth["pose_camera_marker"].values()  # type: ignore[index]
-        (seen,) = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", {7: 0.05}).observe(first.without_truth())
+        seen = marker(7, 0.05).find(first.without_truth(), STANDARD_CAMERA)
+        assert seen is not None
         assert max(seen.pose.distance(pose)) < 5e-3
         assert len(list(source)) == 2
         with pytest.raises(FrameTimeoutError, match="3 pictures have been read"):
@@ -142,19 +143,19 @@ def test_synthetic_sources_that_do_not_exist_are_reported(text: str, message: st
 
 
 def test_what_is_no_picture_is_reported(tmp_path: Path) -> None:
-    tracker, board = MarkerTracker(STANDARD_CAMERA), ChessboardPattern(9, 6, 0.025)
+    tracker, board = Tracker(STANDARD_CAMERA, [marker(7, 0.05)]), ChessboardPattern(9, 6, 0.025)
     for frame, named in ((picture(1), "ndarray"), (None, "None"), ("photo.png", "str")):
         for look in (tracker.observe, MarkerFinder("DICT_5X5_50").observe):
             with pytest.raises(CameraError, match=rf"a Frame is wanted, not {named}(.|\n)*open_source"):
                 look(frame)  # type: ignore[arg-type]
         with pytest.raises(CameraError, match=f"a Frame is wanted, not {named}"):
-            PatternBoard(board).see(frame, STANDARD_CAMERA)  # type: ignore[arg-type]
+            PatternTarget(board).find(frame, STANDARD_CAMERA)  # type: ignore[arg-type]
     for image, named in (("photo.png", "str"), (None, "NoneType"), (picture(1) / 2.0, "float64")):
         with pytest.raises(CameraError, match=f"uint8 is wanted, not .*{named}"):
             board.find(image)  # type: ignore[arg-type]
     for lens in (tmp_path / "camera.yaml", None):
         with pytest.raises(CameraError, match="poses need the camera's intrinsics"):
-            MarkerTracker(lens)  # type: ignore[arg-type]
+            marker(7, 0.05).find(Frame(picture(1), 0.0, 0), lens)  # type: ignore[arg-type]
 
 
 def test_another_size_than_asked_is_reported(tmp_path: Path, film: Path) -> None:

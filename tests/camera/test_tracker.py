@@ -1,64 +1,61 @@
-"""Two poses in mind from picture to picture, the search window, and what compiled code computes."""
+"""Tracking: two poses from frame to frame, and several targets in a picture."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator
-from functools import partial
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.corner_refinement import refine_markers, unrefined
-from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
-from robot_ik.camera.observations import marker_branches, marker_points
-from robot_ik.camera.pose_fit import Branches, flat_normal, mirrored
+from benchmarks.camera.accuracy import frame_of
+from robot_ik.camera.corners import Corners, unrefined
+from robot_ik.camera.detection import Detection, MarkerDetector
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.synthetic.datasets import random_pose, render_markers
-from robot_ik.camera.tracker import BranchMemory, MarkerTracker
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA as CAMERA
+from robot_ik.camera.synthetic.pictures import random_pose, render_markers
+from robot_ik.camera.targets import MarkerFits, MarkerTarget, marker, marker_grid, marker_points
+from robot_ik.camera.tracker import MAX_FITS, PoseMemory, Tracker
+from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.jobs.ar.scene import synthetic_scene
+from tests.camera.rendering import board_picture
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
-SIZE, RATE = 0.05, 30.0
+SIZE = 0.05
+RATE = 30.0
+MARKER = marker(7, SIZE)
 
 
-def seen(pose: Pose, sigma: float, rng: np.random.Generator) -> Branches:
-    corners = CAMERA.project(pose.apply(marker_points(SIZE))) + rng.normal(0, sigma, (4, 2))
-    found = marker_branches(unrefined(corners, CAMERA, sigma), SIZE, CAMERA)
-    assert found is not None
-    return found
+def seen(pose: Pose, sigma: float, rng: np.random.Generator, time: float = 0.0) -> MarkerFits:
+    """Both poses of a marker whose corners are off by ``sigma`` px."""
+    pixels = CAMERA.project(pose.apply(marker_points(SIZE))) + rng.normal(0, sigma, (4, 2))
+    fits = MARKER.fit({7: unrefined(pixels, CAMERA, sigma)}, CAMERA, time)
+    assert fits is not None
+    return fits
 
 
-def swing(distance: float, sigma: float, seed: int, count: int = 150) -> Iterator[tuple[Pose, Branches]]:
+def swing(distance: float, sigma: float, seed: int) -> Iterator[tuple[Pose, MarkerFits]]:
     """A marker that swings +-25 degrees through the frontal view, twice in five seconds."""
     rng = np.random.default_rng(seed)
-    for k in range(count):
+    for k in range(150):
         lean = np.deg2rad([25 * np.sin(2 * np.pi * k / 75), 4 * np.sin(2 * np.pi * k / 47), 15])
         pose = Pose((0.03, 0.02, distance), quat_multiply(FACING, rotation_exp(lean)))
-        yield pose, seen(pose, sigma, rng)
+        yield pose, seen(pose, sigma, rng, k / RATE)
 
 
 def angles(pairs: list[tuple[Pose, Pose]]) -> np.ndarray:
     return np.rad2deg([a.distance(b)[1] for a, b in pairs])
 
 
-# ------------------------------------------------------------------------------------- flips
-
-
 @pytest.mark.parametrize(("distance", "sigma"), [(1.0, 0.05), (1.0, 0.15), (1.5, 0.1)])
-def test_two_hypotheses_are_never_worse_than_the_smaller_error(distance: float, sigma: float) -> None:
+def test_a_memory_is_never_worse_than_the_smaller_error(distance: float, sigma: float) -> None:
     for seed in range(3):
-        memory, alone, kept = BranchMemory(), [], []
-        for k, (true, branches) in enumerate(swing(distance, sigma, seed)):
-            choice = memory.choose(branches, k / RATE)
-            alone.append((true, branches.poses[0]))
-            kept.append((true, branches.poses[choice.index]))
+        memory = PoseMemory()
+        alone = []
+        kept = []
+        for true, fits in swing(distance, sigma, seed):
+            alone.append((true, fits.observation().pose))
+            kept.append((true, memory.choose(fits).pose))
         one, two = angles(alone), angles(kept)
         assert np.sqrt(np.mean(two**2)) <= np.sqrt(np.mean(one**2)) + 1e-9, seed
         assert (two > 5).sum() <= (one > 5).sum(), seed
@@ -66,189 +63,170 @@ def test_two_hypotheses_are_never_worse_than_the_smaller_error(distance: float, 
         assert (two > 5).sum() < 0.7 * (one > 5).sum()
 
 
-def test_a_wrong_branch_does_not_stay_alive() -> None:
-    """Ten pictures that lie, then the truth: it is believed again after a few."""
-    memory = BranchMemory()
+def test_a_wrong_pose_does_not_stay_alive() -> None:
+    """Ten pictures prefer the wrong pose, then the right one is chosen again after a few."""
+    memory = PoseMemory()
     pose = Pose((0.0, 0.0, 0.7), quat_multiply(FACING, rotation_exp([0.5, 0.1, 0.0])))
     rng = np.random.default_rng(1)
     wrong = []
     for k in range(20):
-        branches = seen(pose, 0.05, rng)
+        fits = seen(pose, 0.05, rng, k / RATE)
         if k < 10:
-            branches = dataclasses.replace(branches, poses=branches.poses[::-1])
-        index = memory.choose(branches, k / RATE).index
-        wrong.append(branches.poses[index].distance(pose)[1] > 0.3)
-    assert all(wrong[:10]) and not any(wrong[13:])
+            one, other = fits.fits
+            poses = [replace(one, pose=other.pose), replace(other, pose=one.pose)]
+            fits = replace(fits, fits=poses)
+        wrong.append(memory.choose(fits).pose.distance(pose)[1] > 0.3)
+    assert all(wrong[:10])
+    assert not any(wrong[13:])
 
 
 def test_one_wrong_picture_among_right_ones_changes_nothing() -> None:
-    memory, rng = BranchMemory(), np.random.default_rng(2)
+    memory = PoseMemory()
+    rng = np.random.default_rng(2)
     pose = Pose((0.0, 0.0, 1.2), quat_multiply(FACING, rotation_exp([0.3, 0.1, 0.0])))
     for k in range(12):
-        branches = seen(pose, 0.05, rng)
-        if k == 8:  # noise prefers the mirror image by a little
-            costs = zip(branches.fits[::-1], (2.0, 4.0), strict=True)
-            fits = tuple(dataclasses.replace(fit, costs=np.array([cost])) for fit, cost in costs)
-            branches = Branches(branches.poses[::-1], fits)
-        index = memory.choose(branches, k / RATE).index
-        assert branches.poses[index].distance(pose)[1] < 0.2, k
+        fits = seen(pose, 0.05, rng, k / RATE)
+        if k == 8:
+            # Noise prefers the mirror image by a little.
+            one, other = fits.fits
+            fits = replace(fits, fits=[replace(other, cost=2.0), replace(one, cost=4.0)])
+        assert memory.choose(fits).pose.distance(pose)[1] < 0.2, k
 
 
-def test_the_first_picture_speaks_for_itself_and_so_does_one_after_a_pause() -> None:
-    memory, rng = BranchMemory(), np.random.default_rng(3)
+def test_the_first_picture_and_one_after_a_pause_count_alone() -> None:
+    memory = PoseMemory()
+    rng = np.random.default_rng(3)
     for k, time in enumerate((0.0, 10.0, 3.0, float("nan"))):
-        branches = seen(random_pose(CAMERA, np.random.default_rng(k), 1.0), 0.1, rng)
-        choice = (BranchMemory() if np.isnan(time) else memory).choose(branches, time)
-        assert choice.index == 0
-        assert choice.ambiguity == pytest.approx(branches.ambiguity)
+        fits = seen(random_pose(CAMERA, np.random.default_rng(k), 1.0), 0.1, rng, time)
+        choice = (PoseMemory() if np.isnan(time) else memory).choose(fits)
+        alone = fits.observation()
+        assert choice.pose is alone.pose
+        assert choice.ambiguity == pytest.approx(alone.ambiguity)
 
 
 def test_pictures_of_a_resting_marker_make_it_less_ambiguous() -> None:
-    memory, rng = BranchMemory(), np.random.default_rng(4)
+    memory = PoseMemory()
+    rng = np.random.default_rng(4)
     pose = Pose((0.0, 0.0, 1.2), quat_multiply(FACING, rotation_exp([0.35, 0.1, 0.0])))
-    alone, together = [], []
+    alone = []
+    together = []
     for k in range(40):
-        branches = seen(pose, 0.12, rng)
-        together.append(memory.choose(branches, k / RATE).ambiguity)
-        alone.append(branches.ambiguity)
+        fits = seen(pose, 0.12, rng, k / RATE)
+        together.append(memory.choose(fits).ambiguity)
+        alone.append(fits.observation().ambiguity)
     assert np.mean(together[10:]) < np.mean(alone[10:]) - 0.04
     assert all(0.0 <= a <= 1.0 for a in together)
 
 
-@settings(max_examples=20)
-@given(st.integers(0, 1000))
-def test_the_mirror_image_turns_depths_round(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    pose = random_pose(CAMERA, rng, 0.8, tilt_deg=(5, 60))
-    turn = Pose(
-        rng.normal(0, 0.1, 3), rotation_exp(rng.normal(0, 1, 3))
-    )  # the plane lies anywhere in the body
-    points = turn.apply(rng.uniform(-0.1, 0.1, (6, 3)) * (1, 1, 0))
-    camera = pose.compose(turn.inverse())
-    normal = flat_normal(points)
-    assert normal is not None
-    there, here = mirrored(camera, points, normal).apply(points), camera.apply(points)
-    centre = here.mean(axis=0)
-    way = centre / np.linalg.norm(centre)
-    assert (there - centre) @ way == pytest.approx(-(here - centre) @ way, abs=1e-9)
-    aside = np.eye(3) - np.outer(way, way)
-    assert (there - centre) @ aside == pytest.approx((here - centre) @ aside, abs=1e-9)
-    assert flat_normal(points + rng.normal(0, 0.02, points.shape)) is None
+def test_targets_are_told_apart_and_carry_the_time() -> None:
+    targets = [marker(7, SIZE), marker(3, SIZE), marker(9, SIZE)]
+    poses = {
+        3: Pose((-0.06, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.5, 0, 0]))),
+        7: Pose((0.06, 0.0, 0.55), quat_multiply(FACING, rotation_exp([0, 0.5, 0.1]))),
+    }
+    placed = {i: (SIZE, pose) for i, pose in poses.items()}
+    image = render_markers(CAMERA, placed, np.random.default_rng(0), dictionary="DICT_5X5_50")
+    observations = Tracker(CAMERA, targets).observe(frame_of(image, time=12.5))
+    assert [o.target for o in observations] == targets[:2]
+    for o in observations:
+        assert o.time == 12.5
+        assert o.pose.distance(poses[o.ids[0]])[0] < 5e-4
 
 
-# ------------------------------------------------------------------------------------- window
+def test_targets_of_two_dictionaries_are_tracked() -> None:
+    """Both ids are 7."""
+    targets = [marker(7, SIZE, "DICT_5X5_50"), marker(7, SIZE, "DICT_4X4_50")]
+    images = []
+    for target, x in zip(targets, (-0.08, 0.08), strict=True):
+        pose = Pose((x, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.4, 0, 0])))
+        placed = {7: (SIZE, pose)}
+        rng = np.random.default_rng(0)
+        images.append(render_markers(CAMERA, placed, rng, dictionary=target.dictionary))
+    image = np.hstack([images[0][:, :320], images[1][:, 320:]])
+    observations = Tracker(CAMERA, targets).observe(frame_of(image))
+    assert [o.target for o in observations] == targets
+    assert observations[0].pose.position[0] < 0.0 < observations[1].pose.position[0]
 
 
-def test_a_part_of_the_picture_gives_the_corners_of_the_whole() -> None:
-    pose = Pose((0.05, -0.04, 0.5), quat_multiply(FACING, rotation_exp([0.4, 0.2, 0.7])))
-    image = render_markers(CAMERA, {7: (SIZE, pose)}, np.random.default_rng(5))
-    detector = MarkerDetector("DICT_4X4_50")
-    (found,) = detector.detect(image)
-    (whole,) = refine_markers(image, [found.corners], [7], "DICT_4X4_50", CAMERA)
-    window = SearchWindow()
-    window.remember([found])
-    box = window.around(640, 480)
-    assert box is not None
-    x0, y0, x1, y1 = box
-    part = image[y0:y1, x0:x1]
-    (again,) = detector.detect_part(part, window.side, origin=(x0, y0))
-    assert again.corners == pytest.approx(found.corners, abs=1.5)
-    (refined,) = refine_markers(part, [found.corners], [7], "DICT_4X4_50", CAMERA, origin=(x0, y0))
-    # The fit samples pixels on a lattice, which begins where the part does.
-    assert refined.corners == pytest.approx(whole.corners, abs=0.02)
-    assert refined.normalized == pytest.approx(CAMERA.undistort(refined.corners), abs=1e-9)
+def test_a_large_board_is_fitted_in_part_and_every_target_is_found() -> None:
+    """48 markers on a board, and one marker of it again as a target of its own."""
+    board = marker_grid(8, 6, 0.02, 0.005, dictionary="DICT_5X5_50")
+    single = MarkerTarget({0: board.markers[0]}, board.dictionary, "first marker")
+    pose = Pose((0.0, 0.0, 0.4), quat_multiply(FACING, rotation_exp([0.2, 0.0, 0.0])))
+    frame = board_picture(board, pose)
+    whole = board.find(frame, CAMERA)
+    tracked, first = Tracker(CAMERA, [board, single]).observe(frame)
+    assert whole is not None and len(whole.ids) == 48
+    assert 10 <= len(tracked.ids) <= MAX_FITS
+    assert first.ids == (0,)
+    assert tracked.pose.distance(pose)[0] < 1e-4
+    # The fitted markers are spread over the board.
+    assert np.ptp(tracked.points[:, 0]) > 0.15 and np.ptp(tracked.points[:, 1]) > 0.1
 
 
-@settings(max_examples=30)
-@given(st.floats(0, 639), st.floats(0, 479), st.floats(10, 100), st.floats(0, 3), st.floats(-40, 40))
-def test_the_window_keeps_the_white_margin_and_looks_ahead(
-    x: float, y: float, size: float, turn: float, step: float
-) -> None:
-    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size / 2
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    window = SearchWindow()
-    assert window.around(640, 480) is None
-    for k in range(2):
-        window.remember([Detection(1, square @ rotation.T + (x + k * step, y))])
-    box = window.around(640, 480)
-    if box is None:
-        return
-    x0, y0, x1, y1 = box
-    assert 0 <= x0 <= max(x1, 640) and 0 <= y0 <= max(y1, 480) and x1 <= 640 and y1 <= 480
-    # Where it is, and where it will be: with half a marker of white all round, as far as the picture goes.
-    for ahead in (1, 2):
-        wanted = 2 * square @ rotation.T + (x + ahead * step, y)
-        inside = np.clip(wanted, 0, (639, 479))
-        assert (inside >= (x0 - 1e-6, y0 - 1e-6)).all() and (inside <= (x1, y1)).all()
+def test_the_same_frame_is_processed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = frame_of(np.full((480, 640), 128, np.uint8))
+    tracker = Tracker(CAMERA, [MARKER])
+    first = tracker.observe(frame)
+    monkeypatch.setattr("robot_ik.camera.tracker.find_corners", None)
+    assert tracker.observe(frame) is first
 
 
-def test_tracking_sees_what_single_pictures_see() -> None:
-    single = MarkerTracker(CAMERA, "DICT_4X4_50", {3: SIZE, 7: SIZE})
-    film = MarkerTracker(CAMERA, "DICT_4X4_50", {3: SIZE, 7: SIZE}, window=True)
-    whole = 0
-    for k in range(12):
-        poses = {
-            3: Pose((-0.06 + 0.004 * k, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.5, 0, 0]))),
-            7: Pose((0.06, 0.002 * k, 0.55), quat_multiply(FACING, rotation_exp([0, 0.5, 0.1 * k]))),
-        }
-        markers = {i: (SIZE, pose) for i, pose in poses.items()}
-        gray = render_markers(CAMERA, markers, np.random.default_rng(k))
-        frame = Frame(np.repeat(gray[:, :, None], 3, axis=2), k / RATE, k)
-        a, b = single.observe(frame), film.observe(frame)
-        assert [o.id for o in a] == [o.id for o in b] == [3, 7]
-        for one, two in zip(a, b, strict=True):
-            # A film fits a part of the pixels; this is the largest of 192 differences.
-            assert np.abs(one.corners - two.corners).max() < 2.5 * two.sigma
-            assert two.pose.distance(poses[two.id])[1] < np.deg2rad(1.0)
-            assert two.time == frame.time
-        whole += film._window._since_whole == 0
-    assert whole == 2  # the first one and the tenth after it
+def test_a_frame_of_another_size_and_a_bare_picture_are_refused() -> None:
+    tracker = Tracker(CAMERA, [MARKER])
+    with pytest.raises(CalibrationError, match="640x480 px, the picture has 320x240"):
+        tracker.observe(Frame(np.zeros((240, 320, 3), np.uint8), 0.0, 0))
+    with pytest.raises(CameraError):
+        tracker.observe(np.zeros((480, 640, 3), np.uint8))  # type: ignore[arg-type]
 
 
-def test_rough_corners_that_lead_nowhere_are_sought_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hidden_part_of_a_board_does_not_stop_the_tracking() -> None:
+    board = marker_grid(2, 2, SIZE, 0.012)
+    tracker = Tracker(CAMERA, [board])
+    pose = Pose((0.0, 0.0, 0.6), quat_multiply(FACING, rotation_exp([0.3, 0.1, 0.0])))
+    for k in range(4):
+        frame = board_picture(board, pose, seed=k)
+        if k % 2:
+            x, y = CAMERA.project(pose.apply(board.markers[3][1].position[None]))[0].astype(int)
+            frame.image[y - 20 : y + 20, x - 20 : x + 20] = 128
+        (seen_board,) = tracker.observe(replace(frame, time=k / RATE, sequence=k))
+        assert seen_board.ids == ((0, 1, 2) if k % 2 else (0, 1, 2, 3))
+        assert seen_board.pose.distance(pose)[0] < 2e-4
+
+
+def test_unverified_corners_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quick detection whose fits fail is repeated thoroughly."""
     pose = Pose((0.0, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.5, 0, 0])))
-    image = render_markers(CAMERA, {3: (SIZE, pose)}, np.random.default_rng(5))
-    searches: list[str] = []
+    frame = board_picture(MARKER, pose)
+    calls: list[str] = []
 
-    def seen_by(tracker: MarkerTracker, lead_nowhere: set[str]) -> bool:
-        """Whether corners are refined where the named searches give some that are 12 px off."""
+    def displaced(name: str, offset: float) -> None:
+        real = getattr(MarkerDetector, name)
 
-        def search(name: str, real: Callable[[Any], list[Detection]], gray: Any) -> list[Detection]:
-            searches.append(name)
-            off = 12.0 if name in lead_nowhere else 0.0
-            return [Detection(d.id, d.corners + off) for d in real(gray)]
+        def detect(detector: MarkerDetector, image: np.ndarray) -> list[Detection]:
+            calls.append(name)
+            return [Detection(d.id, d.corners + offset) for d in real(detector, image)]
 
-        for name in ("detect", "detect_quickly"):
-            found_by = partial(search, name, getattr(tracker.detector, name))
-            monkeypatch.setattr(tracker.detector, name, found_by)
-        searches.clear()
-        return 3 in tracker.corners(Frame(image, 0.0, 0))
+        monkeypatch.setattr(MarkerDetector, name, detect)
 
-    assert seen_by(MarkerTracker(CAMERA, "DICT_4X4_50", {3: SIZE}), {"detect_quickly"})
-    assert searches == ["detect_quickly", "detect"]
-    assert not seen_by(MarkerTracker(CAMERA, "DICT_4X4_50", SIZE), {"detect"})
-    assert searches == ["detect"]  # it would find the same
+    displaced("detect_quickly", 12.0)
+    displaced("detect", 0.0)
+    observation = MARKER.find(frame, CAMERA)
+    assert observation is not None and observation.pose.distance(pose)[0] < 5e-4
+    assert calls == ["detect_quickly", "detect"]
 
 
-def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:
-    """Cells of 2 px: read at the picture's own size, one in three of these boards lacks a marker.
+def test_corners_state_how_accurate_they_are() -> None:
+    corners = Corners(np.zeros((4, 2)), np.zeros((4, 2)), 0.04 * np.eye(8), refined=True)
+    assert corners.sigma == pytest.approx(0.2)
 
-    So does the first picture, which has no window yet: it is looked at round the others.
-    """
-    source, clock = synthetic_scene(640, 480)
-    layout = grid_body(2, 2, 0.05, 0.0125).markers
-    sizes = {i: side for i, (side, _) in layout.items()}
-    tracker = MarkerTracker(source.scene.intrinsics, "DICT_5X5_50", sizes, window=True)
-    whole: list[tuple[int, ...]] = []
-    inner = tracker.detector.detect
 
-    def spy(image: Any) -> Any:
-        whole.append(image.shape)
-        return inner(image)
-
-    tracker.detector.detect = spy  # type: ignore[method-assign]
-    for k in range(9):
-        seen = tracker.observe_body(source.read(), layout)
-        assert seen is not None and len(seen.ids) == 4, k
-        clock.sleep_until((k + 1) / 30.0)
-    assert len(whole) <= 1
+def test_a_limit_of_pixels_costs_little_accuracy() -> None:
+    board = marker_grid(5, 4, 0.03, 0.0075)
+    pose = Pose((0.0, 0.0, 0.5), quat_multiply(FACING, rotation_exp([0.3, 0.1, 0.0])))
+    frame = board_picture(board, pose)
+    (tracked,) = Tracker(CAMERA, [board]).observe(frame)
+    whole = board.find(frame, CAMERA)
+    assert whole is not None and len(tracked.ids) == len(whole.ids) == 20
+    assert whole.sigma < tracked.sigma < 2.0 * whole.sigma
+    assert tracked.pose.distance(pose)[0] < 5e-5

@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE, render_markers
+from robot_ik.camera.targets import marker_grid, marker_points
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
-BOARD = grid_body(2, 2, STANDARD_SIZE, 0.012, first_id=3)
+BOARD = marker_grid(2, 2, STANDARD_SIZE, 0.012, first_id=3)
 TRUE = Pose((0.01, -0.02, 0.5), quat_multiply(FACING, rotation_exp([0.5, 0.2, 0.1])))
 
 
@@ -167,16 +166,16 @@ def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: 
         (("missing.png",), "there is no camera, file or folder 'missing.png'"),
         (("{}/bodies.toml",), "is not a picture that OpenCV can read"),
         (("{}/board.png", "--dictionary", "DICT_5X5"), "did you mean 'DICT_5X5_50'"),
-        (("{}/board.png", "--ids", "50"), "marker ids 50 are not in DICT_5X5_50"),
+        (("{}/board.png", "--ids", "50"), "DICT_5X5_50 has no marker 50"),
         (("{}/board.png", "--intrinsics", "{}/camera.yaml"), "a pose needs the size of the marker"),
-        (("{}/board.png", "--intrinsics", "{}/camera.yaml", "--size", "50"), "50.0 mm are 0.05"),
-        (("{}/board.png", "--size", "-1"), "a marker size of -1.0 m cannot be right"),
+        (("{}/board.png", "--intrinsics", "{}/camera.yaml", "--size", "50"), "50 mm are 0.05"),
+        (("{}/board.png", "--size", "-1"), "a marker size of -1.0 m is impossible"),
         (("{}/board.png", "--bodies", "{}/bodies.toml"), "needs the camera's intrinsics"),
         (("{}/board.png", "--intrinsics", "{}/none.yaml", "--size", "0.05"), "none.yaml"),
         (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: not valid TOML"),
         (
             ("{}/board.png", "--bodies", "{}/bodies.toml", "--intrinsics", "{}/camera.yaml", "--ids", "9"),
-            "no size is given for marker ids 9",
+            "the size of marker 9 is unknown",
         ),
     ],
 )

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.calibration.handeye import Mount
-from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera import handeye
 from robot_ik.jobs.arm_camera.samples import SampleSet
@@ -42,7 +41,7 @@ def seen_from_the_gripper(turned: tuple[float, ...], count: int) -> SampleSet:
         pixels = STANDARD_CAMERA.project(seen.apply(POINTS)) + rng.normal(0, 0.1, (4, 2))
         if len(made) == 6:
             pixels[:, 0] += (8.0, -7.0, 6.0, -9.0)
-        made.add(q, BoardView(POINTS, pixels, seen))
+        made.add(q, Observation(POINTS, pixels, seen))
     return made
 
 
@@ -123,7 +122,7 @@ def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch
         (["--views", "3"], "allowed: 4 to 100"),
         (["--speed", "0"], "share of the speed limits"),
         (["--bus", "none"], "without servos"),
-        (["--board", "plank"], "is no board"),
+        (["--board", "plank"], "is not a board"),
         (["--camera-guess", "1", "2"], "--camera-guess"),
         (["--samples", "nowhere.json"], "nowhere.json: the file of samples cannot be read"),
         (["--camera", "0"], "has no calibration"),

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.targets import marker_grid
 from robot_ik.cli.arguments import pose_text
 from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.errors import CalibrationError, ConfigError
@@ -29,7 +29,7 @@ def images() -> list[Any]:
     """Two pictures of a board of four."""
     rng = np.random.default_rng(0)
     markers = {
-        id: (side, SEEN.compose(pose)) for id, (side, pose) in grid_body(2, 2, 0.05, 0.0125).markers.items()
+        id: (side, SEEN.compose(pose)) for id, (side, pose) in marker_grid(2, 2, 0.05, 0.0125).markers.items()
     }
     return [render_markers(STANDARD_CAMERA, markers, rng, margin=0.12) for _ in range(2)]
 
@@ -100,8 +100,8 @@ def test_json(robot_ik: Any) -> None:
     ("arguments", "code", "words"),
     [
         (["shots/2.png", *GRID], 1, "check its sizes and dictionary"),
-        (["shots/0.png", *GRID[:2]], 1, "markers of DICT_4X4_50, none of DICT_5X5_50: --dictionary DICT_4X4"),
-        (["shots/0.png", "--board", "plank"], 2, "'plank' is no board"),
+        (["shots/0.png", *GRID[:2]], 1, "exist in DICT_4X4_50: 0, 1, 2, 3: --dictionary DICT_4X4"),
+        (["shots/0.png", "--board", "plank"], 2, "'plank' is not a board"),
         (["shots/0.png", *GRID, "--pose-world-board", "1", "2"], 2, "2 numbers"),
         (["shots/0.png", *GRID, "--pose-world-board", *"1230000"], 2, "zero quaternion"),
         (["shots/0.png", *GRID, "--frames", "0"], 2, "0 pictures"),

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.sheets.sheets import SheetKind, SheetRequest, make_sheet_page
+from robot_ik.camera.target_files import load_bodies
 from robot_ik.cli.arguments import parse
 from robot_ik.cli.camera import CameraPrintOptions
 from robot_ik.cli.main import find_command
@@ -24,9 +24,9 @@ def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
 
 
 def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
-    png, body = tmp_path / "sheet.png", tmp_path / "table.toml"
-    run = robot_ik("camera", "print", "board", "--out", png, "--body", body, "--dpi", 72, "--ids", 4)
-    assert run.code == 0 and png.read_bytes().startswith(b"\x89PNG")
+    out, body = tmp_path / "sheet.pdf", tmp_path / "table.toml"
+    run = robot_ik("camera", "print", "board", "--out", out, "--body", body, "--ids", 4)
+    assert run.code == 0 and out.read_bytes().startswith(b"%PDF")
     assert list(load_bodies(body)["table"].markers) == [4, 5, 6, 7]
 
 
@@ -47,7 +47,7 @@ def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
     ("arguments", "words"),
     [
         (["charuco", "--size-mm", "40"], ["needs 320x240 mm", "--size-mm 30 fits"]),
-        (["marker", "--out", "sheet.svg"], [".pdf or a .png"]),
+        (["marker", "--out", "sheet.svg"], ["a sheet is a .pdf"]),
         (["marker", "--ids", "99"], ["marker id 99 is not in DICT_5X5_50", "0 to 49"]),
         (["marker", "--dictionary", "5X5_51"], ["unknown marker dictionary", "DICT_5X5_50"]),
         (["marker", "--body", "body.toml"], ["is no body", "board or cube"]),

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 
 

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.camera import MeasuredRows
 from robot_ik.camera import sources
 from robot_ik.camera.sheets import sheets
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
 from robot_ik.files import make_folder, write_atomically
 from robot_ik.geometry import Pose
@@ -26,7 +25,7 @@ LOCATE = ("locate", "photo.png", "--intrinsics", "lens.yaml", "--board", "marker
 SEEN = Pose((0.0, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
 #: Command, option that names its result, the other files that it writes.
 COMMANDS = [
-    (("camera", "calibrate", "photo.png"), "--out", "mine.yaml", ("mine-coverage.png",)),
+    (("camera", "calibrate", "photo.png"), "--out", "mine.yaml", ()),
     (("camera", *LOCATE), "--out", "mine.toml", ()),
     (("camera", "print", "board"), "--out", "mine.pdf", ()),
     (("camera", "print", "board", "--out", "other.pdf"), "--body", "mine.toml", ()),
@@ -34,7 +33,6 @@ COMMANDS = [
     (("camera", "verify"), "--out", "mine.json", ()),
     (("camera", "verify", "--out", "other.json"), "--picture", "mine.png", ()),
     (("ar",), "--out", "mine.png", ()),
-    (("bench", "camera"), "--json", "mine.json", ()),
 ]
 RESULTS = [(words, option, name) for words, option, first, rest in COMMANDS for name in (first, *rest)]
 
@@ -69,7 +67,6 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
         (verify, "run_verify"),
         (job, "load_robot"),
         (sheets, "make_sheet_page"),
-        (MeasuredRows, "measure"),
     ):
         monkeypatch.setattr(module, name, began)
 

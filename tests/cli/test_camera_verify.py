@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.kinematic import KnownPose
-from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
@@ -50,7 +49,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for _ in range(8):
         q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
         seen = CAMERA.inverse().compose(robot.forward(q + HIDDEN, "flange"))
-        samples.add(q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.02))
+        samples.add(q, Observation(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.02))
 
     def run(request: VerifyRequest, *, keep: Any, progress: Any) -> VerifyReport:
         all_views = replace(samples, board=KnownPose.within(Pose(), *request.board_sigma))
@@ -200,7 +199,7 @@ def test_a_plan_is_printed(robot_ik: Any, arm: Path) -> None:
         (["--board-sigma", "0", "1"], "--board-sigma"),
         (["--bus", "none"], "has no zeros"),
         (["--yes"], "with --fit and --arm"),
-        (["--board", "plank"], "is no board"),
+        (["--board", "plank"], "is not a board"),
         (["--board-pose", "1", "2"], "--board-pose"),
         (["--rehearse-zero-offset", "joint2"], "JOINT=DEGREES"),
         (["--camera", "0"], "robot-ik camera locate"),

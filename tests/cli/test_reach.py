@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from subprocess import PIPE
 from typing import Any
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 
 from robot_ik.cli.reach import ReachOptions, make_request
-from robot_ik.jobs import vision as vision_module
 from robot_ik.ports import RealClock
 from robot_ik.robot import load_robot
 from tests.waiting import wait_for
@@ -27,11 +25,8 @@ SIM = ("--bus", "sim")
 
 @pytest.fixture(autouse=True)
 def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs start in an empty folder; in this process the robot is painted coarsely (markers stay exact)."""
+    """Run each test in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(
-        vision_module, "SyntheticSource", partial(vision_module.SyntheticSource, quality="fast")
-    )
 
 
 def left(folder: Path) -> list[str]:

@@ -18,7 +18,7 @@ from robot_ik.errors import ConfigError, InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import HalfSpace
 from robot_ik.figure.session import FigureFrame, FigureSession
-from robot_ik.jobs.figure import Painter, frames_table, read_balls, record
+from robot_ik.jobs.figure import FilmMaker, frames_table, read_balls, record
 
 
 def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
@@ -161,18 +161,18 @@ def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(abilities: Abilit
     session = FigureSession(abilities)
     session.set_ball((1.3, 0.3, 1.2))  # a long reason
     frame = session.step()
-    painter = Painter(abilities.figure.robot, size=(480, 480))
-    image = painter.paint(frame)
+    maker = FilmMaker(abilities.figure.robot, size=(480, 480))
+    image = maker.picture(frame)
     red = (image[..., 2] > 150) & (image[..., 1] < 80)
     assert image.shape == (480, 480, 3) and red.sum() > 20  # the ball
     card = (image[380:].max(axis=2) < 90).any(axis=0)
     assert not card[-2:].any()  # the card ends inside the picture
-    words = " ".join(painter.caption(frame).split("\n"))
+    words = " ".join(maker.caption(frame).split("\n"))
     assert words == f"{frame.action} {frame.decision.reason}"
     record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif")
     with Pictures.open(tmp_path / "film.gif") as film:
         shown = np.asarray(film.convert("RGB"))[..., ::-1].astype(int)
-    painted = Painter(abilities.figure.robot, size=(480, 360)).paint(frame)
+    painted = FilmMaker(abilities.figure.robot, size=(480, 360)).picture(frame)
     assert shown.shape == (360, 480, 3) and np.abs(shown - painted).mean() < 1.0  # grey levels
     with pytest.raises(OutputError):
         record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif")

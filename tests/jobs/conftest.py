@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -98,14 +97,10 @@ def seen_smaller(*of: Any, **rest: Any) -> Scene:
     return replace(scene, intrinsics=scene.intrinsics.scaled(width // 2, height // 2))
 
 
-COARSE = partial(vision.SyntheticSource, quality="fast")  # robots; the markers in the pictures are exact
-
-
 @pytest.fixture(scope="module", autouse=True)  # and no longer: other folders look at what users see
 def _light_pictures() -> Iterator[None]:
-    """Small ones of a coarse robot."""
+    """Pictures of half the size."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(vision, "SyntheticSource", COARSE)
         patch.setattr(vision, "scene_for", seen_smaller)
         yield
 
@@ -131,7 +126,6 @@ def reach() -> Callable[..., ReachReport]:
 def healthy() -> ReachReport:
     """One run with nothing wrong, in full pictures; not to be changed."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(vision, "SyntheticSource", COARSE)
         patch.setattr(vision, "scene_for", scene_for)
         return run_reach(ReachRequest(bus="sim"))
 

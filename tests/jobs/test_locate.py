@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.errors import MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.locate import LocateRequest, run_locate

@@ -91,7 +91,7 @@ def test_a_recording_of_no_kind_is_refused_before_a_film_begins(tmp_path: Path) 
 def test_a_film_has_a_recording_beside_it(tmp_path: Path) -> None:
     SCRIPT.save(tmp_path / "a.jsonl")
     out = [str(tmp_path / "a.jsonl"), str(tmp_path / "a.png"), "--record", str(tmp_path / "a.csv")]
-    assert main(["video", *out, "--size", "96", "64", "--backend", "painter"]) == 0
+    assert main(["video", *out, "--size", "96", "64"]) == 0
     found = rows_of(tmp_path / "a.csv")
     assert {row["robot"] for row in found} == {"0", "1", "2"} and float(found[-1]["goal_x"]) == 0.2
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.marker_goals import sigmas_at
-from robot_ik.camera.observations import BodyObservation
+from robot_ik.camera.goals import worst_sigmas
+from robot_ik.camera.targets import Observation
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs.verdict import (
@@ -76,7 +76,7 @@ def test_uncertainty_at_the_tool_against_random_draws() -> None:
     twists = rng.multivariate_normal(np.zeros(6), covariance, 40_000)
     moved = twists[:, :3] + np.cross(twists[:, 3:], lever)
     worst = np.sqrt(np.linalg.eigvalsh(np.cov(moved.T))[-1])
-    sigma = Bound(*sigmas_at(covariance, lever))
+    sigma = Bound(*worst_sigmas(covariance, lever))
     assert sigma.position == pytest.approx(worst, rel=0.03)
     assert sigma.angle == pytest.approx(np.sqrt(np.linalg.eigvalsh(np.cov(twists[:, 3:].T))[-1]), rel=0.03)
 
@@ -87,7 +87,8 @@ def by_camera(error: float, angle: float, sigma: float, bound: Bound):  # type: 
     pose_body_tool = Pose((0.0, 0.01, 0.12), rotation_exp([0.0, 0.2, 0.0]))
     tool = target.compose(Pose((0.0, error, 0.0), rotation_exp([angle, 0.0, 0.0])))
     body = pose_world_camera.inverse().compose(tool).compose(pose_body_tool.inverse())
-    seen = BodyObservation(body, np.diag([sigma**2] * 3 + [1e-18] * 3), 0.1, (20,))
+    covariance = np.diag([sigma**2] * 3 + [1e-18] * 3)
+    seen = Observation(np.zeros((4, 3)), np.zeros((4, 2)), body, 0.1, covariance=covariance)
     goal = PoseGoal("gripper", position=target.position, wxyz=target.wxyz)
     return judge_by_camera(load_robot("puma560"), seen, pose_world_camera, pose_body_tool, goal, bound)
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.marker_goals import LatestGoals
+from robot_ik.camera import targets, tracker
+from robot_ik.camera.latest_goals import LatestGoals
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import (
     CalibrationError,
     CameraError,
@@ -38,7 +38,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     robot = load_robot("puma560")
     scene = scene_for(robot)
     synthetic = scene.synthetic(robot)
-    source = SyntheticSource(synthetic, lambda: robot.home, quality="fast")
+    source = SyntheticSource(synthetic, lambda: robot.home)
     scene.intrinsics.save(folder / "camera.yaml")
     cv2.imwrite(str(folder / "photo.png"), source.read().image)
     source.scene = synthetic.with_marker(scene.marker_id, condition="blank")
@@ -72,14 +72,14 @@ def look(reach: Any, photos: Path) -> Any:
 
 def test_no_picture_with_truth_ever_reaches_a_tracker(monkeypatch: pytest.MonkeyPatch, reach: Any) -> None:
     seen = []
-    for name in ("observe", "observe_body"):
-        real = getattr(MarkerTracker, name)
+    for module in (targets, tracker):
+        real = module.find_corners
 
-        def spy(self: Any, frame: Any, *rest: Any, real: Any = real) -> Any:
+        def spy(frame: Any, *rest: Any, real: Any = real, **more: Any) -> Any:
             seen.append(frame.truth)
-            return real(self, frame, *rest)
+            return real(frame, *rest, **more)
 
-        monkeypatch.setattr(MarkerTracker, name, spy)
+        monkeypatch.setattr(module, "find_corners", spy)
     assert reach(follow=1.0).reached
     assert len(seen) > 5 and all(truth is None for truth in seen)
 

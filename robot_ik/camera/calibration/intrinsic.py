@@ -1,106 +1,123 @@
-"""Intrinsics from views of a flat pattern: OpenCV's bundle adjustment, and how far to trust it.
+"""Intrinsics from views of a flat pattern: OpenCV's bundle adjustment, and its uncertainty.
 
-The formal standard deviations of a bundle adjustment take every corner's error for independent of every
-other's, and are about half of the real error (a bent board, a lens that the model does not quite fit).  So
-the views are also dealt into groups, and the calibration is repeated without each of them: the spread of the
-results is the delete-a-group jackknife (Kott 2001), and the left-out views tell the error on pictures that
-the calibration has not seen.
+The formal standard deviations of a bundle adjustment assume independent errors of the corners. They
+are about half of the real error: boards are bent, and no lens fits its model exactly. The views are
+therefore also divided into groups, and the calibration is repeated without each of them. The spread
+of the results is the delete-a-group jackknife (Kott 2001), and the left-out views give the error on
+pictures that were not used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import FoundPattern
-from robot_ik.camera.boards.tone import Tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.patterns import FoundPattern
 from robot_ik.errors import CalibrationError
 from robot_ik.ports import Array
 
 #: With fewer views the principal point is off by some pixels.
 ENOUGH_VIEWS = 15
-# Beyond these a calibration is usable, and says what it lacks: standard deviations as parts of the focal
-# length and of the picture's width, reprojection errors in px and as a multiple.
-_FOCAL_DOUBT, _CENTRE_DOUBT = 0.003, 0.004
-_FAIR_RMS_PX = 0.5
+#: Smallest number of views. A homography gives two equations for the five unknowns of a pinhole;
+#: lens and noise need many more.
+FEWEST_VIEWS = 6
+
+# Doubts begin at these standard deviations: parts of the focal length, and of the width.
+_FOCAL_DOUBT = 0.003
+_CENTRE_DOUBT = 0.004
+# Doubts begin at this reprojection error, px.
+_FAIR_RMS = 0.5
+# Doubts begin if other views fit worse by this factor and by this, px.
 _HOLD_OUT_RATIO = 1.6
+_HOLD_OUT_PIXELS = 0.05
+# Reprojection error beyond which a calibration is refused, px.
+_MAX_RMS = 1.0
+# Without perspective a long lens and a far board look alike: smallest tilt, degrees.
+_MIN_TILT_DEG = 12.0
+# Number of groups of the jackknife.
+_GROUPS = 5
+# A view is left out if it is worse than the median view by this factor, and worse than this, px.
+_OUTLIER_RATIO = 3.0
+_OUTLIER_PIXELS = 0.25
+# A picture was moved if its edges are wider than the median by this factor, and than this, px.
+_BLUR_RATIO = 1.8
+_BLUR_PIXELS = 2.0
+# Three coefficients that lower the error by less than this factor describe noise.
+_MIN_GAIN = 1.03
+_MODELS = {5: "plumb_bob", 8: "rational_polynomial"}
+# OpenCV's type stubs do not know that a guess may be missing.
+_NO_GUESS: Any = None
 
 
 def _focal_share(camera: CameraIntrinsics) -> float:
-    """Standard deviation of the focal length as a part of it: what every distance is worth."""
+    """Return the standard deviation of the focal length, and of every distance, as a part of it."""
     return max(camera.std[0] / camera.fx, camera.std[1] / camera.fy)
 
 
 def _doubts(camera: CameraIntrinsics, rms: float, hold_out: float, coverage: Coverage) -> list[str]:
-    """What is wrong with a calibration; empty when nothing is.
+    """Return the doubts about a calibration.
 
-    Reprojection errors in px: ``rms`` on its own views, ``hold_out`` on those that it has not seen.
+    Args:
+        camera: The result.
+        rms: Reprojection error of the views used, px.
+        hold_out: Reprojection error of views that were not used, px.
+        coverage: Coverage by the views.
     """
     views = len(coverage.tilts)
     found = []
     if views < ENOUGH_VIEWS:
         found.append(f"only {views} views: take {ENOUGH_VIEWS} or more")
     if _focal_share(camera) > _FOCAL_DOUBT:
-        found.append(f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more")
+        found.append(
+            f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more"
+        )
     centre = max(camera.std[2:4])
     if centre > _CENTRE_DOUBT * camera.width:
-        found.append(f"the principal point is only known to {centre:.1f} px: tilt more, into the corners")
-    if rms > _FAIR_RMS_PX:
-        found.append(f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures")
-    if hold_out > max(_HOLD_OUT_RATIO * rms, rms + 0.05):
-        found.append(f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds")
+        found.append(
+            f"the principal point is only known to {centre:.1f} px: tilt more, into the corners"
+        )
+    if rms > _FAIR_RMS:
+        found.append(
+            f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
+        )
+    if hold_out > max(_HOLD_OUT_RATIO * rms, rms + _HOLD_OUT_PIXELS):
+        found.append(
+            f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds"
+        )
     return found + [f"missing: {what}" for what in coverage.missing]
 
 
 def _verdict(camera: CameraIntrinsics, rms: float, hold_out: float, doubtful: bool) -> str:
-    """One sentence."""
+    """Return the verdict in one sentence."""
     share = _focal_share(camera)
     errors = f"{rms:.2f} px on its own views, {hold_out:.2f} px on others"
     reach = f"distances come out to {100 * share:.2f} % ({1e3 * share:.1f} mm in a metre)"
     return f"{'usable, with doubts' if doubtful else 'good'}: {errors}; {reach}"
 
 
-# A homography gives two equations for five unknowns of a pinhole; lens and noise want many more.
-FEWEST_VIEWS = 6
-# Without perspective a long lens and a far board look alike.
-_LEAST_TILT_DEG = 12.0
-_GROUPS = 5
-# A view is left out when it is so many times worse than the middle one, and worse than a good one, px.
-_OUTLIER_RATIO, _OUTLIER_PX = 3.0, 0.25
-# A picture this many times as blurred as the middle one was moved.
-_BLUR_RATIO, _BLUR_PX = 1.8, 2.0
-_WORST_RMS_PX = 1.0
-# Views that tell how edges look, at least; names that are shown of those in which something is wrong.
-_FEWEST_TONES, _NAMED = 3, 4
-# Three coefficients that take away less than this of the error describe noise.
-_WORTHLESS = 1.03
-
-
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """One picture's corners, what it is called, how its edges look, and whether its pattern has markers."""
+    """The corners of one picture, and its name."""
 
     name: str
     found: FoundPattern
-    tone: Tone | None = None
-    markers: bool = False
 
 
 @dataclass(frozen=True)
 class ViewReport:
-    """What became of one view.
+    """Use of one view.
 
     Attributes:
-        name: Of the picture.
-        corners: How many were found.
-        rms: Reprojection error, px; None when it was left out before the calibration.
-        left_out: Why it was left out; empty when it was used.
+        name: Name of the picture.
+        corners: Number of corners.
+        rms: Reprojection error, px; None if it was left out before the calibration.
+        left_out: Why it was left out; empty if it was used.
     """
 
     name: str
@@ -111,17 +128,16 @@ class ViewReport:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """A calibration, and how far to trust it.
+    """A calibration and its uncertainty.
 
     Attributes:
-        intrinsics: With ``rms`` (over all used corners), ``views``, and ``std`` (the larger one of the formal
-            and the jackknife's).
-        per_view: One report a view, in the order given.
-        hold_out_rms: Reprojection error of views that the calibration had not seen, px.
-        coverage: Where in the picture corners were, and how the board was tilted.
-        verdict: As text.
-        doubts: What the verdict complains about; empty for a good calibration.
-        notes: What the camera does to its pictures, and what to change at it.
+        intrinsics: With ``rms`` (over all used corners), ``views``, and ``std`` (the larger of the
+            formal one and that of the jackknife).
+        per_view: One report for each view, in order.
+        hold_out_rms: Reprojection error of views that were not used, px.
+        coverage: Coverage of the picture and of the tilts.
+        verdict: One sentence.
+        doubts: Doubts about the calibration.
     """
 
     intrinsics: CameraIntrinsics
@@ -130,7 +146,6 @@ class CalibrationResult:
     coverage: Coverage
     verdict: str
     doubts: tuple[str, ...]
-    notes: tuple[str, ...] = ()
 
 
 def calibrate(
@@ -140,13 +155,13 @@ def calibrate(
     coefficients: Literal[5, 8] = 5,
     name: str = "camera",
 ) -> CalibrationResult:
-    """Calibrates a camera.
+    """Calibrate a camera.
 
     Args:
-        views: The pattern as found in each picture.
+        views: The pattern in each picture.
         size: (width, height) of the pictures, px.
         coefficients: 5 (plumb_bob), or 8 (rational_polynomial) for a wide lens.
-        name: Of the camera.
+        name: Name of the camera.
 
     Raises:
         CalibrationError: Too few views, no tilt among them, or a fit worse than 1 px.
@@ -161,75 +176,63 @@ def calibrate(
         _require_views(len(used), len(named))
         fit = _fit([named[k].found for k in used], size, coefficients)
         _require_tilt(fit.rotations)
-        worst = max(_OUTLIER_PX, _OUTLIER_RATIO * float(np.median(fit.per_view)))
+        worst = max(_OUTLIER_PIXELS, _OUTLIER_RATIO * float(np.median(fit.per_view)))
         if last or fit.per_view.max() <= worst:
             break
         for k, error in zip(used, fit.per_view, strict=True):
             if error > worst:
-                left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
-    if fit.rms > _WORST_RMS_PX:
+                left_out[k] = (
+                    f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
+                )
+    if fit.rms > _MAX_RMS:
         raise CalibrationError(
-            f"the calibration leaves {fit.rms:.2f} px RMS; more than {_WORST_RMS_PX:g} px is none",
-            hint="is the board flat, and every picture from one camera with fixed focus? A wide lens may "
-            "need 8 coefficients",
+            f"the calibration leaves {fit.rms:.2f} px RMS; at most {_MAX_RMS:g} px are accepted",
+            hint="is the board flat, and every picture from one camera with fixed focus? A wide "
+            "lens may need 8 coefficients",
         )
     found = [named[k].found for k in used]
     jackknife, hold_out = _without_each_group(found, size, coefficients, fit)
     std = tuple(float(v) for v in np.maximum(jackknife, fit.std))
     fx, fy, cx, cy = map(float, fit.numbers[:4])
-    tones = {named[k].name: tone for k in used if (tone := named[k].tone) is not None}
-    markers = any(named[k].markers for k in used)
-    shift, shift_sigma = _edge_shift(list(tones.values()))
     intrinsics = CameraIntrinsics(
-        *size, fx, fy, cx, cy, tuple(fit.numbers[4:]), _MODELS[coefficients],
-        rms=fit.rms, std=std, views=len(used), name=name, edge_shift=shift, edge_shift_sigma=shift_sigma,
-    )  # fmt: skip
+        *size,
+        fx,
+        fy,
+        cx,
+        cy,
+        tuple(fit.numbers[4:]),
+        _MODELS[coefficients],
+        rms=fit.rms,
+        std=std,
+        views=len(used),
+        name=name,
+    )
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
     doubts = _doubts(intrinsics, fit.rms, hold_out, coverage)
-    if coefficients == 8 and _fit(found, size, 5).rms < _WORTHLESS * fit.rms:
+    if coefficients == 8 and _fit(found, size, 5).rms < _MIN_GAIN * fit.rms:
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
-        intrinsics, _reports(named, used, fit, left_out), hold_out, coverage,
-        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones, markers),
-    )  # fmt: skip
-
-
-def _edge_shift(tones: Sequence[Tone]) -> tuple[float | None, float | None]:
-    """Of the camera and from picture to picture, in sigmas of the blur; None from too few views."""
-    if len(tones) < _FEWEST_TONES:
-        return None, None
-    values = np.array([tone.edge_shift for tone in tones])
-    return float(np.median(values)), float(np.std(values, ddof=1))
-
-
-def _tone_notes(tones: Mapping[str, Tone], markers: bool) -> tuple[str, ...]:
-    """How far the edges of markers seem to be off, and which views are overexposed, sharpened, compressed."""
-    notes = []
-    if tones and markers:
-        pixels = float(np.median([tone.pixels for tone in tones.values()]))
-        looks = "smaller" if pixels > 0 else "larger"
-        notes.append(
-            f"edge bias {pixels:+.2f} px (dark squares look {looks}): corners of a pattern are not affected; "
-            "that of markers is estimated together with their corners"
-        )
-    views: dict[str, list[str]] = {}
-    for name, tone in tones.items():
-        for trouble in tone.troubles:
-            views.setdefault(trouble, []).append(name)
-    for trouble, names in views.items():
-        what, _, hint = trouble.partition(": ")
-        shown = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
-        notes.append(f"{len(names)} of {len(tones)} views are {what} ({shown}): {hint}")
-    return tuple(notes)
-
-
-_MODELS = {5: "plumb_bob", 8: "rational_polynomial"}
+        intrinsics,
+        _reports(named, used, fit, left_out),
+        hold_out,
+        coverage,
+        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)),
+        tuple(doubts),
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Numbers are fx, fy, cx, cy, then the coefficients."""
+    """Result of OpenCV's calibration.
+
+    Attributes:
+        rms: Reprojection error, px.
+        numbers: fx, fy, cx, cy, then the coefficients.
+        std: Their formal standard deviations.
+        per_view: Reprojection error of each view, px.
+        rotations: ``rotation_camera_board`` (3, 3) of each view.
+    """
 
     rms: float
     numbers: Array
@@ -239,20 +242,28 @@ class _Fit:
 
 
 def _fit(
-    found: Sequence[FoundPattern], size: tuple[int, int], coefficients: int, near: Array | None = None
+    found: Sequence[FoundPattern],
+    size: tuple[int, int],
+    coefficients: int,
+    near: Array | None = None,
 ) -> _Fit:
-    """OpenCV's calibration, from nothing or from numbers that are nearly right."""
+    """Run OpenCV's calibration, from ``near`` if numbers are given."""
     flags = cv2.CALIB_RATIONAL_MODEL if coefficients == 8 else 0
-    matrix, lens = _NO_GUESS, _NO_GUESS
+    matrix = _NO_GUESS
+    lens = _NO_GUESS
     if near is not None:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
-        matrix, lens = _matrix(near), near[4:].copy()
+        matrix = _matrix(near)
+        lens = near[4:].copy()
     try:
         result: Any = cv2.calibrateCameraExtended(
             [f.points_board.astype(np.float32) for f in found],
             [f.pixels.astype(np.float32) for f in found],
-            size, matrix, lens, flags=flags,
-        )  # fmt: skip
+            size,
+            matrix,
+            lens,
+            flags=flags,
+        )
     except cv2.error as error:
         raise CalibrationError(
             f"OpenCV cannot calibrate from these views: {error.err}",
@@ -272,10 +283,6 @@ def _fit(
     return _Fit(float(rms), numbers, std, np.ravel(np.asarray(per_view, dtype=float)), rotations)
 
 
-# The stubs of OpenCV know nothing of "no guess".
-_NO_GUESS: Any = None
-
-
 def _matrix(numbers: Array) -> Array:
     return np.array([[numbers[0], 0, numbers[2]], [0, numbers[1], numbers[3]], [0, 0, 1.0]])
 
@@ -283,9 +290,11 @@ def _matrix(numbers: Array) -> Array:
 def _without_each_group(
     found: Sequence[FoundPattern], size: tuple[int, int], coefficients: int, whole: _Fit
 ) -> tuple[Array, float]:
-    """Jackknife standard deviations, and the RMS of the views that were left out, px."""
+    """Return the jackknife standard deviations, and the RMS of the left-out views, px."""
     groups = min(_GROUPS, len(found) // 2)
-    results, squares, count = [], 0.0, 0
+    results = []
+    squares = 0.0
+    count = 0
     for group in range(groups):
         kept = [f for k, f in enumerate(found) if k % groups != group]
         fit = _fit(kept, size, coefficients, whole.numbers)
@@ -300,7 +309,7 @@ def _without_each_group(
 
 
 def _view_error(view: FoundPattern, numbers: Array) -> Array:
-    """(n, 2) pixels between corners and the board at its best place, seen by a camera of these numbers."""
+    """Return the pixels (n, 2) between corners and the board at its best pose."""
     k = _matrix(numbers)
     good, rotation_vector, shift = cv2.solvePnP(view.points_board, view.pixels, k, numbers[4:])
     if not good:
@@ -315,7 +324,7 @@ def _blurred(views: Sequence[CalibrationView]) -> dict[int, str]:
     return {
         k: f"blurred: edges {width:.1f} px wide, {usual:.1f} px in the others"
         for k, width in enumerate(widths)
-        if width > max(_BLUR_RATIO * usual, _BLUR_PX)
+        if width > max(_BLUR_RATIO * usual, _BLUR_PIXELS)
     }
 
 
@@ -325,18 +334,18 @@ def _require_views(used: int, given: int) -> None:
         views = "view" if used == 1 else "views"
         raise CalibrationError(
             f"{used} usable {views}{rest}: too few, at least {FEWEST_VIEWS} are needed",
-            hint=f"take {ENOUGH_VIEWS} to 25: near and far, in every corner, tilted to each side by 20 to 40 "
-            "degrees",
+            hint=f"take {ENOUGH_VIEWS} to 25: near and far, in every corner, tilted to each side "
+            "by 20 to 40 degrees",
         )
 
 
 def _require_tilt(rotations: Sequence[Array]) -> None:
-    """Checks the angles between board and picture plane."""
+    """Check the angles between board and picture plane."""
     tilt = np.degrees(np.arccos(min(1.0, *(abs(r[2, 2]) for r in rotations))))
-    if tilt < _LEAST_TILT_DEG:
+    if tilt < _MIN_TILT_DEG:
         raise CalibrationError(
-            f"the board was held square to the camera in all views (tilt at most {tilt:.0f} degrees): "
-            "focal length and distance cannot be told apart",
+            f"the board was held square to the camera in all views (tilt at most {tilt:.0f} "
+            "degrees): focal length and distance cannot be told apart",
             hint="tilt the board by 20 to 40 degrees, to the left, right, up and down",
         )
 
@@ -346,6 +355,8 @@ def _reports(
 ) -> tuple[ViewReport, ...]:
     errors = dict(zip(used, fit.per_view, strict=True))
     return tuple(
-        ViewReport(v.name, len(v.found.ids), float(errors[k]) if k in errors else None, left_out.get(k, ""))
+        ViewReport(
+            v.name, len(v.found.ids), float(errors[k]) if k in errors else None, left_out.get(k, "")
+        )
         for k, v in enumerate(views)
     )

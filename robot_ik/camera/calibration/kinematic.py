@@ -1,22 +1,23 @@
-"""How far a camera sees a carried board from where the joints say it is; and joint zeros found by that.
+"""Errors of an arm measured by a camera, and the zero offsets of its joints.
 
-Self-calibration fits all corners of all pictures together, over the joints' offsets and the poses of camera
-and board; what is known of the poses beforehand enters with its covariance.  A change of offsets moves the
-hand, so all unknowns enter the six numbers to which a view is boiled down (``handeye.compress``).  Offsets
-that the views cannot tell from other unknowns are held at 0 and named.
+Self-calibration fits all corners of all pictures together, over the joint offsets and the poses of
+camera and board. What is known of the poses enters as a prior with its covariance. A change of
+offsets moves the hand, so all unknowns enter the six numbers that sum up a view
+(``handeye.compress``). Offsets that the views cannot tell from other unknowns are held at 0 and
+reported.
 
-Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
-Int. J. Robotics Research 15(6), 1996.
+Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration
+methods, Int. J. Robotics Research 15(6), 1996.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     LEAST_VIEWS,
     HandEye,
@@ -24,20 +25,19 @@ from robot_ik.camera.calibration.handeye import (
     Mount,
     Mounting,
     compress,
-    corner_misses,
+    corner_residuals,
     pixel_scale,
     require_explained,
     rms_distance,
 )
-from robot_ik.camera.calibration.least_squares import (
-    LinearViews,
-    NormalEquations,
+from robot_ik.camera.calibration.least_squares import LinearViews, NormalEquations, fit_views
+from robot_ik.camera.calibration.observability import (
     Unobservable,
     find_unobservable,
-    fit_views,
     joint_information,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import SLIDE
@@ -46,19 +46,32 @@ from robot_ik.robot import Robot
 
 #: Numbers of the two poses: the camera's twist, then the board's.
 POSES = 12
+#: Standard deviations of the poses by hand-eye calibration before the zeros are known, each axis, m
+#: and rad.
+ANYWHERE = (0.05, math.radians(5.0))
+# A view that contradicts the others by less than this is not an outlier, metres. Print and lens
+# explain it.
+_OUTLIER_DISTANCE = 5e-4
+# Standard deviation of a combination of offsets up to which it is determined, rad.
+_MAX_SIGMA = math.radians(0.25)
+# A zero is doubted if it is off by more than this, rad, and by this many standard deviations. With
+# 12 views one that is off by 0.5 degrees is found, and ticks of servos and noise of corners raise
+# no doubt.
+_DOUBTED_ZERO = math.radians(0.25)
+_DOUBTED_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPose:
-    """A pose and how well it is known.
+    """A pose and its uncertainty.
 
     Attributes:
-        pose: Best guess.
-        covariance: (6, 6) translation (m) over rotation (rad), along the axes it is seen from, rotation about
-            its own origin; as ``CameraExtrinsics.covariance``.
+        pose: Best estimate.
+        covariance: (6, 6) translation (m) over rotation (rad), along the axes of its parent,
+            rotation about its own origin; as ``CameraExtrinsics.covariance``.
 
     Raises:
-        CalibrationError: The covariance is no positive definite (6, 6).
+        CalibrationError: The covariance is not a positive definite (6, 6).
     """
 
     pose: Pose
@@ -68,50 +81,55 @@ class KnownPose:
         c = np.array(self.covariance, dtype=float)
         if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.eigvalsh(c)[0] <= 0.0:
             raise CalibrationError(
-                "how well a pose is known is a positive definite (6, 6) covariance",
-                hint="a pose known exactly: give a small standard deviation, not 0",
+                "the covariance of a pose must be a positive definite (6, 6)",
+                hint="for a pose known exactly give a small standard deviation, not 0",
             )
         object.__setattr__(self, "covariance", c)
 
     @classmethod
     def within(cls, pose: Pose, position: float, angle: float) -> KnownPose:
-        """Known to these standard deviations of each axis, metres and rad."""
+        """Return a pose known to these standard deviations of each axis, metres and rad."""
         return cls(pose, np.diag([position**2] * 3 + [angle**2] * 3))
 
 
 @dataclass(frozen=True, eq=False)
 class CalibrationStation:
-    """The arm stood still with its joints at ``q`` (nq,), as the servos say, and the board was seen."""
+    """The joint angles ``q`` (nq,) of the resting arm by its servos, and the board in a picture."""
 
     q: Array
-    view: BoardView
+    view: Observation
 
 
 @dataclass(frozen=True, eq=False)
 class ArmEstimate:
-    """The unknowns: ``offsets`` (nv,) to be added to what the servos say, rad (m for slides); poses."""
+    """The unknowns.
+
+    Attributes:
+        offsets: (nv,) to be added to the angles of the servos, rad (m for slides).
+        mount: The two poses.
+    """
 
     offsets: Array
     mount: Mount
 
     def plus(self, step: Array) -> ArmEstimate:
-        """Moved by offsets (nv,) and the two twists (12,)."""
+        """Return the estimate moved by offsets (nv,) and the two twists (12,)."""
         n = len(self.offsets)
         return ArmEstimate(self.offsets + step[:n], self.mount.plus(step[n:]))
 
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """An arm, what was seen of it, and what is known beforehand.
+    """An arm, its measurements, and what is known beforehand.
 
     Attributes:
         robot: All its joints are in ``q`` (nq = nv).
-        frame: What carries the board (eye to hand) or the camera (eye in hand).
-        intrinsics: Of the pictures' size.
-        views: What was measured; for zero offsets at least 4, and 30 that bend every joint are good.
-        camera: Where it is, seen from the world or the frame, and how well that is known.
-        board: The same of the board, seen from the other of the two.
-        mounting: Who is carried.
+        frame: Frame that carries the board (eye to hand) or the camera (eye in hand).
+        intrinsics: Intrinsics of the pictures.
+        views: Measurements. Zero offsets need at least 4; 30 that bend every joint are good.
+        camera: Pose of the camera, seen from the world or the frame.
+        board: Pose of the board, seen from the other of the two.
+        mounting: What the arm carries.
     """
 
     robot: Robot
@@ -123,60 +141,65 @@ class ArmModel:
     mounting: Mounting = "eye_to_hand"
 
     def start(self) -> ArmEstimate:
-        """No offsets, the poses as they are thought to be."""
+        """Return the estimate without offsets, with the known poses."""
         mount = Mount(self.camera.pose, self.board.pose, self.mounting)
         return ArmEstimate(np.zeros(self.robot.nv), mount)
 
     def hand(self, state: ArmEstimate, view: CalibrationStation) -> Pose:
-        """``pose_world_hand`` with the offsets."""
+        """Return ``pose_world_hand`` with the offsets."""
         return self.robot.forward(view.q + state.offsets, self.frame)
 
     def samples(self, state: ArmEstimate) -> list[HandEyeSample]:
-        """The views, with the hand where the offsets put it."""
-        return [HandEyeSample(self.hand(state, one), one.view) for one in self.views]
+        """Return the views with the hand at its pose with the offsets."""
+        return [HandEyeSample(self.hand(state, view), view.view) for view in self.views]
 
     def linear(
         self, state: ArmEstimate, weights: Sequence[Array] | None
     ) -> tuple[LinearViews, Sequence[Array]]:
-        """All views at ``state``, for ``fit_views``.
+        """Linearise all views at a state, for ``fit_views``.
 
-        The unknowns are the joints' offsets and the poses (nv + 12,), the arm's error one rad in each joint.
+        The unknowns are the joint offsets and the poses (nv + 12,). The source of the arm's error
+        is an error of each joint.
         """
-        views, left = compress(state.mount, self.samples(state), self.intrinsics, weights)
-        by_joint = np.array([self._hand_jacobian(state, one) for one in self.views])
+        views, rests = compress(state.mount, self.samples(state), self.intrinsics, weights)
+        by_joint = np.array([self._hand_jacobian(state, view) for view in self.views])
         n = self.robot.nv
-        prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
+        prior = np.zeros((n + POSES, n + POSES))
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
+        off = np.zeros(n + POSES)
         off[n : n + 6] = state.mount.pose_parent_camera.minus(self.camera.pose)
         off[n + 6 :] = state.mount.pose_other_board.minus(self.board.pose)
-        rows = np.concatenate([-by_joint, views.rows], axis=2)
-        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(left)
-        views = LinearViews(views.pseudo_measurement, scale**2 * views.pixels, rows, joints[None], prior, off)
-        return views, corner_misses(left, scale)
+        scale = pixel_scale(rests)
+        views = LinearViews(
+            views.pseudo_measurement,
+            scale**2 * views.pixels,
+            rows=np.concatenate([-by_joint, views.rows], axis=2),
+            sources=(by_joint @ by_joint.transpose(0, 2, 1))[None],
+            prior=prior,
+            off=off,
+        )
+        return views, corner_residuals(rests, scale)
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
-        """(6, nv) twist of the hand, in its own axes, by the joints."""
+        """Return the twist of the hand, in its own axes, by the joints (6, nv)."""
         q = view.q + state.offsets
         rotation = self.robot.forward(q, self.frame).rotation.T
         jacobian = self.robot.jacobian(q, self.frame)
         return np.concatenate([rotation @ jacobian[:3], rotation @ jacobian[3:]])
 
 
-# What contradicts the others by less than this distance is no outlier: print and lens are as good a reason.
-_OUTLIER_DISTANCE = 5e-4
-
-
 @dataclass(frozen=True, eq=False)
 class PoseError:
-    """How far the board is from where the joints put it, in one view.
+    """Distance of the board from its pose by the joints, in one view.
 
     Attributes:
-        position: (3,) where the joints put the board (eye in hand: the camera), world, metres.
-        vector: (3,) from there to where the picture shows it, world, metres.
-        angle: The same of the orientation, rad.
-        sigma, sigma_angle: Standard deviation of the measurement (square root of the sum over the axes).
-        outlier: It contradicts all others, and counts for almost nothing.
+        position: (3,) of the board (eye in hand: the camera) by the joints, world, metres.
+        vector: (3,) from there to its position in the picture, world, metres.
+        angle: The same for the orientation, rad.
+        sigma: Standard deviation of the measured position, metres: root of the sum over the axes.
+        sigma_angle: The same for the orientation, rad.
+        outlier: Whether it contradicts all others and has almost no weight.
     """
 
     position: Array
@@ -188,30 +211,43 @@ class PoseError:
 
     @property
     def distance(self) -> float:
-        """Length of ``vector``."""
+        """Length of ``vector``, metres."""
         return float(np.linalg.norm(self.vector))
 
 
 def pose_error(
-    model: ArmModel, state: ArmEstimate, view: int, covariance: Array, *, contradicts: bool = False
+    model: ArmModel,
+    state: ArmEstimate,
+    view: int,
+    covariance: Array,
+    *,
+    contradicts: bool = False,
 ) -> PoseError:
-    """View number ``view`` at a state, and whether it contradicts the others.
+    """Return the error of one view at a state.
 
-    ``covariance`` (6, 6) is of the twist of the hand, in its axes, that separates picture and joints.
+    Args:
+        model: The arm.
+        state: Where to evaluate it.
+        view: Index of the view.
+        covariance: (6, 6) of the twist of the hand, in its axes, between picture and joints.
+        contradicts: Whether the view contradicts the others.
     """
-    one, mount = model.views[view], state.mount
-    seen = one.view.pose_camera_board
+    station = model.views[view]
+    mount = state.mount
+    pose_camera_board = station.view.pose
     if model.mounting == "eye_to_hand":
-        carried, found = mount.pose_other_board, mount.pose_parent_camera.compose(seen)
+        carried = mount.pose_other_board
+        measured = mount.pose_parent_camera.compose(pose_camera_board)
     else:
-        carried, found = mount.pose_parent_camera, mount.pose_other_board.compose(seen.inverse())
-    expected = model.hand(state, one).compose(carried)
-    vector = found.position - expected.position
+        carried = mount.pose_parent_camera
+        measured = mount.pose_other_board.compose(pose_camera_board.inverse())
+    expected = model.hand(state, station).compose(carried)
+    vector = measured.position - expected.position
     at_point = np.concatenate([np.eye(3), np.cross(carried.position, np.eye(3))], axis=1)
     return PoseError(
         position=expected.position,
         vector=vector,
-        angle=found.distance(expected)[1],
+        angle=measured.distance(expected)[1],
         sigma=float(np.sqrt(np.trace(at_point @ covariance @ at_point.T))),
         sigma_angle=float(np.sqrt(np.trace(covariance[3:, 3:]))),
         outlier=contradicts and float(np.linalg.norm(vector)) > _OUTLIER_DISTANCE,
@@ -219,22 +255,19 @@ def pose_error(
 
 
 def measure_errors(model: ArmModel) -> tuple[PoseError, ...]:
-    """The errors of the arm as it is; nothing is fitted."""
-    state, known = model.start(), np.zeros((POSES, POSES))
-    # The hand as the picture has it: what the corners and the two poses are worth is linear there.
-    samples = [
-        HandEyeSample(state.mount.pose_world_hand(one.view.pose_camera_board), one.view)
-        for one in model.views
-    ]
-    linear, left = compress(state.mount, samples, model.intrinsics)
-    known[:6, :6], known[6:, 6:] = model.camera.covariance, model.board.covariance
-    rows = linear.rows
-    covariances = linear.pixels * pixel_scale(left) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
+    """Return the errors of the arm as it is, without a fit."""
+    state = model.start()
+    # The covariance of corners and poses is linear at the pose of the hand by the picture.
+    samples = []
+    for view in model.views:
+        samples.append(HandEyeSample(state.mount.pose_world_hand(view.view.pose), view.view))
+    views, rests = compress(state.mount, samples, model.intrinsics)
+    known = np.zeros((POSES, POSES))
+    known[:6, :6] = model.camera.covariance
+    known[6:, 6:] = model.board.covariance
+    by_poses = views.rows @ known @ views.rows.transpose(0, 2, 1)
+    covariances = views.pixels * pixel_scale(rests) ** 2 + by_poses
     return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(samples)))
-
-
-# A combination of offsets with a larger standard deviation than this, rad, is not determined.
-_UNCLEAR = float(np.deg2rad(0.25))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,13 +275,14 @@ class ZeroOffsets:
     """Result of ``fit_zero_offsets``.
 
     Attributes:
-        joints: Names, in the order of the rest.
-        offsets: (nv,) to be added to the angles that the servos say, rad; 0 for those held.
-        covariance: (nv, nv); zeros for those held, given which the others are known so well.
-        unobservable: What could not be told apart, and which joint is held for it.
-        pose_parent_camera, pose_other_board: The poses, refined.
-        errors: Of each view, as the fit to all *other* views has it.
-        residual_px: RMS distance of the corners, px, of views that are no outliers.
+        joints: Names, in the order of the arrays.
+        offsets: (nv,) to be added to the angles of the servos, rad; 0 for joints that are held.
+        covariance: (nv, nv) of the offsets, given those that are held; zeros for these.
+        unobservable: Combinations that are not determined, and the joint held for each.
+        pose_parent_camera: Pose of the camera, refined.
+        pose_other_board: Pose of the board, refined.
+        errors: Error of each view by the fit to all *other* views.
+        residual_px: RMS distance of the corners, px, of views that are not outliers.
         joint_noise: Standard deviation of a joint from view to view, rad.
         singular_values: Of the information on the free offsets, 1/rad.
     """
@@ -266,7 +300,7 @@ class ZeroOffsets:
 
     @property
     def sigma(self) -> Array:
-        """(nv,) standard deviations, rad; 0 for those held."""
+        """Standard deviations (nv,), rad; 0 for joints that are held."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
@@ -277,23 +311,26 @@ class ZeroOffsets:
     @property
     def outliers(self) -> tuple[int, ...]:
         """Indices of the views that contradict the others."""
-        return tuple(k for k, one in enumerate(self.errors) if one.outlier)
+        return tuple(k for k, error in enumerate(self.errors) if error.outlier)
 
 
 def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
-    """By how much the joints are ahead of what their servos say.
+    """Fit the offsets by which the joints are ahead of their servos.
 
-    ``hold``: joints whose offset is 0 for sure.
+    Args:
+        model: The arm and its measurements.
+        hold: Joints whose offset is known to be 0.
 
     Raises:
-        CalibrationError: Too few views, an unknown mounting, joints that are no vector, or views that no
+        CalibrationError: Too few views, an unknown mounting, ball or free joints, or views that no
             offsets explain.
-        UnknownJointError: ``hold`` names a joint that is not there.
+        UnknownJointError: ``hold`` names an unknown joint.
     """
-    robot, count = model.robot, len(model.views)
+    robot = model.robot
+    count = len(model.views)
     if count < LEAST_VIEWS:
         raise CalibrationError(
-            f"{count} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
+            f"{count} views are too few to find the offsets of joints; at least {LEAST_VIEWS} are needed",
             hint="take 30 that bend every joint",
         )
     if robot.nq != robot.nv:
@@ -301,19 +338,19 @@ def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
     for name in hold:
         if name not in robot.joints:
             raise UnknownJointError(name, robot.joints)
+
     held = set(hold)
     unobservable: list[Unobservable] = []
-    carried = model.mounting == "eye_in_hand"
-    parent, other = (model.frame, "the world") if carried else ("the world", model.frame)
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
-        # From the start each time: an offset that nothing determines may have gone anywhere.
         unknowns = np.array([*free, *range(robot.nv, robot.nv + POSES)])
+        # Each fit begins at the start: an offset without information may have gone anywhere.
         state, normal = fit_views(model.linear, model.start(), unknowns)
-        worst = find_unobservable(normal, robot.joints, _UNCLEAR, parent, other)
+        worst = find_unobservable(normal, robot.joints, _MAX_SIGMA)
         if worst is None:
-            # With all joints held it is the arm's errors that are asked for, however large.
-            return _result(model, state, normal, unobservable, judge=not set(hold) >= set(robot.joints))
+            # With all joints held the errors of the arm are wanted, however large.
+            judge = not set(hold) >= set(robot.joints)
+            return _result(model, state, normal, unobservable, judge=judge)
         unobservable.append(worst)
         held.add(worst.joint)
 
@@ -327,18 +364,18 @@ def _result(
     judge: bool,
 ) -> ZeroOffsets:
     n = model.robot.nv
-    # How each view fits what all others say.
-    others = [normal.left_out(k) for k in range(len(model.views))]
-    errors = tuple(
-        pose_error(model, state.plus(without.step), k, without.covariance, contradicts=without.contradicts)
-        for k, without in enumerate(others)
-    )
+    errors = []
+    for k in range(len(model.views)):
+        without = normal.left_out(k)
+        others = state.plus(without.step)
+        error = pose_error(model, others, k, without.covariance, contradicts=without.contradicts)
+        errors.append(error)
     mount = state.mount
-    misses = [mount.miss(one, model.intrinsics) for one in model.samples(state)]
-    outliers = [one.outlier for one in errors]
+    residuals = [mount.residual(sample, model.intrinsics) for sample in model.samples(state)]
+    outliers = [error.outlier for error in errors]
     if judge:
-        require_explained([rms_distance(miss) for miss in misses], outliers, model.intrinsics)
-    good = [miss for miss, out in zip(misses, outliers, strict=True) if not out]
+        require_explained([rms_distance(residual) for residual in residuals], outliers, model.intrinsics)
+    good = [residual for residual, outlier in zip(residuals, outliers, strict=True) if not outlier]
     return ZeroOffsets(
         joints=model.robot.joints,
         offsets=state.offsets,
@@ -346,19 +383,11 @@ def _result(
         unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
-        errors=errors,
-        residual_px=rms_distance(np.concatenate(good)) if good else float("nan"),
+        errors=tuple(errors),
+        residual_px=rms_distance(np.concatenate(good)) if good else math.nan,
         joint_noise=float(normal.noise.sizes[0]),
         singular_values=np.sqrt(joint_information(normal, n)[0]),
     )
-
-
-# What hand-eye calibration says of camera and board is worth no more than this, each axis, m and rad, before
-# the zeros are known.
-ANYWHERE = (0.05, float(np.deg2rad(5.0)))
-# A zero is doubted where it is off by more than this, rad, and by so many standard deviations: 12 views then
-# show one that is off by 0.5 degrees, and ticks of servos and noise of corners make no right one doubtful.
-_DOUBTED_ZERO, _SURE = float(np.deg2rad(0.25)), 5.0
 
 
 def doubted_zeros(
@@ -368,26 +397,33 @@ def doubted_zeros(
     intrinsics: CameraIntrinsics,
     found: HandEye,
 ) -> dict[str, tuple[float, float]]:
-    """Joints whose zero is off by what the views of a hand-eye calibration say themselves.
+    """Return the joints whose zero is off by the views of a hand-eye calibration.
 
-    ``views`` are those that ``found`` was found from; the rest as in ``ArmModel``.
+    Args:
+        views: The views of the calibration.
+        robot: The robot.
+        frame: As in ``ArmModel``.
+        intrinsics: Intrinsics of the pictures.
+        found: Result of the calibration.
 
     Returns:
-        By joint: by how much it is ahead of what its servo says, and the standard deviation of that, rad.
-        Joints that these views do not observe, slides, and robots with ball or free joints are left out.
+        By joint: its offset and the standard deviation of the offset, rad. Joints that these views
+        do not determine, slides, and robots with ball or free joints are left out.
     """
     if robot.nq != robot.nv:
         return {}
-    slides = [name for name, kind in zip(robot.joints, robot.tree.kind, strict=True) if kind == SLIDE]
-    poses = found.pose_parent_camera, found.pose_other_board
-    camera, board = (KnownPose.within(pose, *ANYWHERE) for pose in poses)
+    kinds = zip(robot.joints, robot.tree.kind, strict=True)
+    slides = [name for name, kind in kinds if kind == SLIDE]
+    camera = KnownPose.within(found.pose_parent_camera, *ANYWHERE)
+    board = KnownPose.within(found.pose_other_board, *ANYWHERE)
     model = ArmModel(robot, frame, intrinsics, views, camera, board, found.mounting)
     try:
         fit = fit_zero_offsets(model, slides)
-    except CalibrationError:  # no zeros explain the views: what is wrong is something else
+    except CalibrationError:
+        # No zeros explain the views: something else is wrong.
         return {}
-    return {
-        name: (float(offset), float(sigma))
-        for name, offset, sigma in zip(fit.joints, fit.offsets, fit.sigma, strict=True)
-        if sigma > 0.0 and abs(offset) > max(_DOUBTED_ZERO, _SURE * sigma)
-    }
+    doubted = {}
+    for name, offset, sigma in zip(fit.joints, fit.offsets, fit.sigma, strict=True):
+        if sigma > 0.0 and abs(offset) > max(_DOUBTED_ZERO, _DOUBTED_SIGMAS * sigma):
+            doubted[name] = (float(offset), float(sigma))
+    return doubted

@@ -1,10 +1,11 @@
-"""The one least-squares core of extrinsics, hand-eye and joint zeros: neither pixels nor the hand are exact.
+"""Least squares of hand-eye, extrinsics and joint zeros, with errors of pixels and of the arm.
 
-Each view is boiled down to the twist of the hand that its picture asks for, e_i (6,).  A step x of the
-unknowns leaves e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki: P_i of the pixels, which is
-known, and G_ki of a source of the arm's own error (position and angle of the hand, or its joints) whose size
-s_k, one for all views, is found by restricted maximum likelihood.  A view that contradicts the others counts
-less, and what was known of the unknowns before enters with its covariance.
+Each view is summed up by the twist of the hand that its picture asks for, e_i (6,). A step x of the
+unknowns leaves e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki. P_i is that of the
+pixels and is known. G_ki is that of a source of the arm's own error (position and angle of the
+hand, or its joints). The size s_k of a source is the same for all views and is estimated by
+restricted maximum likelihood. A view that contradicts the others has less weight. Prior knowledge
+of the unknowns enters with its covariance.
 """
 
 from __future__ import annotations
@@ -19,34 +20,47 @@ from numpy.typing import NDArray
 
 from robot_ik.ports import Array
 
-# Searched: metres or rad, from far better than servos to a loose mounting; then about the last solution.
+# Sizes of the arm's error that are tried first, metres or rad: from far better than servos to a
+# loose mounting. Then factors of the last size.
 _SIZES = np.geomspace(1e-7, 5e-2, 10)
-_NEARBY = np.geomspace(0.4, 2.5, 3)
+_NEAR_FACTORS = np.geomspace(0.4, 2.5, 3)
+# Number of refinements of the grid of sizes.
 _ZOOMS = 5
-# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
-# is an outlier, where the miss is also more than print and lens explain.
-_OUTLIER = 6.4
-# Student's t with so many degrees of freedom: Gaussian views lose little, a wrong one hardly counts.
-_FREEDOM, _TWIST = 5.0, 6
+# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view
+# in 10^6) is an outlier, if the error is also more than print and lens explain.
+_OUTLIER_SIGMAS = 6.4
+# Degrees of freedom of Student's t: Gaussian views lose little weight, a wrong one nearly all.
+_FREEDOM = 5.0
+# Numbers of a twist.
+_TWIST = 6
+# Rounds of sizes and weights in the first estimate.
 _ROUNDS = 3
-# Of the fit: rounds, tries to find a step that lowers the cost, and the first damping.
-_ITERATIONS, _TRIES, _FIRST_DAMPING = 30, 8, 1e-9
-# Steps smaller than this (rad, metres) end the fit; so small that nothing is bent: not tried first.
-_DONE, _SMALL = 1e-7, 1e-3
-# A prior that weighs as much as nothing: keeps the fit solvable where the views say nothing.
-_NOTHING = 1e-9
+# Of the fit: rounds, trials for a step that lowers the cost, and dampings.
+_MAX_ROUNDS = 30
+_MAX_TRIALS = 8
+_FIRST_DAMPING = 1e-9
+_MIN_TRIAL_DAMPING = 1e-6
+# The fit ends with a step smaller than this, rad or metres.
+_STEP_TOLERANCE = 1e-7
+# A smaller step is linear and is not tried first, rad or metres.
+_LINEAR_STEP = 1e-3
+# A prior without weight. It keeps the fit regular where the views contain no information.
+_NO_PRIOR = 1e-9
+# Scale of Cauchy's weights: 95 % efficient on Gaussian noise, standard deviations.
+_CAUCHY = 2.385
 
 
 @dataclass(frozen=True, eq=False)
 class LinearViews:
-    """All views, linear at one state, and what is known of the m unknowns beforehand.
+    """All views, linear at one state, and the prior of the m unknowns.
 
     Attributes:
         pseudo_measurement: (n, 6) twist of the hand, in its axes, that each picture asks for.
-        pixels: (n, 6, 6) covariance of it from the corners alone.
-        rows: (n, 6, m) by how much the unknowns change it.
-        sources: (k, n, 6, 6) covariance that each source of the arm's error would give it, of size 1.
-        prior: (m, m) information on the unknowns; ``off``: (m,) from where they were thought to be.
+        pixels: (n, 6, 6) its covariance by the corners alone.
+        rows: (n, 6, m) its derivative by the unknowns.
+        sources: (k, n, 6, 6) its covariance by each source of the arm's error, of size 1.
+        prior: (m, m) information on the unknowns.
+        off: (m,) unknowns minus their prior means.
     """
 
     pseudo_measurement: Array
@@ -57,11 +71,11 @@ class LinearViews:
     off: Array
 
     def covariances(self, sizes: Array) -> Array:
-        """(..., n, 6, 6) of pixels and arm together, for sizes (..., k)."""
+        """Return the covariances (..., n, 6, 6) of pixels and arm for sizes (..., k)."""
         return np.asarray(self.pixels + np.tensordot(sizes**2, self.sources, 1))
 
     def cost(self, noise: ArmNoise) -> float:
-        """What is minimised, with the noise held: squares of the views and of what was known before."""
+        """Return the cost with fixed noise: squares of the views and of the prior."""
         weighted = np.linalg.solve(noise.covariances, self.pseudo_measurement[..., None])[..., 0]
         squares = noise.weights * np.einsum("ni,ni->n", self.pseudo_measurement, weighted)
         return float(squares.sum() + self.off @ self.prior @ self.off)
@@ -69,7 +83,7 @@ class LinearViews:
 
 @dataclass(frozen=True, eq=False)
 class ArmNoise:
-    """The arm's own error from view to view, and how the views are believed.
+    """Errors of the arm from view to view, and the weights of the views.
 
     Attributes:
         sizes: (k,) standard deviation of each source.
@@ -84,11 +98,12 @@ class ArmNoise:
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What all views but one say of that one.
+    """One view compared with the fit to all others.
 
     Attributes:
-        step: (m,) of the unknowns.
-        pseudo_measurement: (6,) what its picture still asks for then; ``covariance``: (6, 6) to be expected.
+        step: (m,) step of the unknowns to the fit without the view.
+        pseudo_measurement: (6,) twist that the picture asks for then.
+        covariance: (6, 6) expected covariance of the twist.
         sigmas: Its length in standard deviations.
     """
 
@@ -100,18 +115,21 @@ class LeftOut:
     @property
     def contradicts(self) -> bool:
         """Whether the view contradicts the others."""
-        return self.sigmas > _OUTLIER
+        return self.sigmas > _OUTLIER_SIGMAS
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Normal equations of the unknowns that are ``free``.
+    """Normal equations of the free unknowns.
 
     Attributes:
-        views, noise: What they are of.
-        matrix: (f, f) with what was known before; ``right``: (f,).
-        parts, rights: (n, f, f) and (n, f) of each view.
-        free: (f,) indices of the unknowns among all.
+        views: The views.
+        noise: Errors of the arm and weights of the views.
+        matrix: (f, f) with the prior.
+        right: (f,) right side.
+        parts: (n, f, f) matrix of each view.
+        rights: (n, f) right side of each view.
+        free: (f,) indices of the free unknowns.
     """
 
     views: LinearViews
@@ -123,26 +141,26 @@ class NormalEquations:
     free: NDArray[np.int64]
 
     def step(self, damping: float = 0.0) -> Array:
-        """(m,) of all unknowns; 0 for those that are not free.  Levenberg and Marquardt's damping."""
+        """Return the step (m,), damped (Levenberg-Marquardt); 0 for unknowns that are not free."""
         scaled, scale = _balanced(self.matrix, damping)
         return self._whole(np.linalg.lstsq(scaled, self.right / scale, rcond=1e-15)[0] / scale)
 
     @property
     def covariance(self) -> Array:
-        """(m, m) of all unknowns; zeros for those that are not free."""
+        """Covariance (m, m); zeros for unknowns that are not free."""
         return self._spread_out(inverse(self.matrix))
 
     def moved_by(self, errors: Array) -> Array:
-        """(m,) how far the unknowns are off where the pseudo-measurements are off by ``errors`` (n, 6)."""
+        """Return the error (m,) of the unknowns by ``errors`` (n, 6) of the pseudo-measurements."""
         weighted = np.linalg.solve(self.noise.covariances, errors[..., None])[..., 0]
         by_view = np.einsum("nik,ni->nk", self.views.rows, weighted)
         return np.asarray(self.covariance @ (self.noise.weights @ by_view))
 
     def left_out(self, view: int) -> LeftOut:
-        """How one view fits what all others say."""
+        """Return how one view fits all others."""
         _, scale = _balanced(self.matrix)
         outer = np.outer(scale, scale)
-        others = (self.matrix - self.parts[view]) / outer + _NOTHING * np.eye(len(scale))
+        others = (self.matrix - self.parts[view]) / outer + _NO_PRIOR * np.eye(len(scale))
         covariance = np.linalg.inv(others) / outer
         step = self._whole(covariance @ (self.right - self.rights[view]))
         rows = self.views.rows[view]
@@ -163,8 +181,16 @@ class NormalEquations:
         return whole
 
 
-def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]) -> NormalEquations:
-    """Weighted least squares; ``free``: (f,) places of the unknowns that are sought."""
+def normal_equations(
+    views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]
+) -> NormalEquations:
+    """Return the normal equations of weighted least squares.
+
+    Args:
+        views: The views.
+        noise: Errors of the arm and weights of the views.
+        free: (f,) indices of the free unknowns.
+    """
     rows = views.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
     parts = np.einsum("nik,nil->nkl", rows, weighted)
@@ -178,23 +204,23 @@ class State(Protocol):
     """Unknowns on a manifold."""
 
     def plus(self, step: Array) -> Self:
-        """Moved by (m,) of all unknowns."""
+        """Return the state moved by a step (m,)."""
         ...
 
 
 S = TypeVar("S", bound=State)
-#: All views linear at a state, with these weights of the corners of each (None: 1); and how far off each
-#: corner is, in standard deviations of one coordinate.
+#: Linearises all views at a state, with weights of the corners of each (None: 1). Returns also the
+#: error of each corner, in standard deviations of one coordinate.
 Linear = Callable[[S, Sequence[Array] | None], tuple[LinearViews, Sequence[Array]]]
 
 
 def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, NormalEquations]:
-    """The unknowns that all views agree on, by Levenberg and Marquardt's method with robust weights.
+    """Fit the unknowns by Levenberg-Marquardt with robust weights.
 
     Args:
-        linear: The views.
-        state: To start from.
-        free: (f,) indices of the unknowns that are sought.
+        linear: Linearises the views.
+        state: First value.
+        free: (f,) indices of the free unknowns.
 
     Returns:
         The solution, and the normal equations there.
@@ -202,48 +228,60 @@ def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, 
     corners: list[Array] | None = None
     noise: ArmNoise | None = None
     damping = _FIRST_DAMPING
-    for _ in range(_ITERATIONS):
-        views, misses = linear(state, corners)
+    for _ in range(_MAX_ROUNDS):
+        views, residuals = linear(state, corners)
         noise = estimate_noise(views, free, noise)
         normal = normal_equations(views, noise, free)
         step, damping = _descent_step(linear, state, corners, normal, damping)
-        weighted, state, corners = corners is not None, state.plus(step), [cauchy_weight(m) for m in misses]
-        # A start may be the solution with all corners alike.
-        if weighted and np.abs(step).max() < _DONE:
+        state = state.plus(step)
+        is_weighted = corners is not None
+        corners = [cauchy_weight(m) for m in residuals]
+        # A start may be the solution with equal weights.
+        if is_weighted and np.abs(step).max() < _STEP_TOLERANCE:
             break
     return state, normal
 
 
 def _descent_step(
-    linear: Linear[S], state: S, corners: list[Array] | None, normal: NormalEquations, damping: float
+    linear: Linear[S],
+    state: S,
+    corners: list[Array] | None,
+    normal: NormalEquations,
+    damping: float,
 ) -> tuple[Array, float]:
-    """A step that lowers the cost, and the damping for the next one; zeros where none does."""
+    """Return a step that lowers the cost, or zeros, and the damping of the next one."""
     now = normal.views.cost(normal.noise)
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIALS):
         step = normal.step(damping)
-        if np.abs(step).max() < _SMALL:
+        if np.abs(step).max() < _LINEAR_STEP:
             return step, damping
         there, _ = linear(state.plus(step), corners)
         if there.cost(normal.noise) < now:
             return step, max(0.1 * damping, _FIRST_DAMPING)
-        damping = 10.0 * max(damping, 1e-6)
+        damping = 10.0 * max(damping, _MIN_TRIAL_DAMPING)
     return np.zeros_like(step), damping
 
 
-def cauchy_weight(misses: Array) -> Array:
-    """Weights of misses in standard deviations: 1 at 0, 95 % efficient on Gaussian noise (c = 2.385)."""
-    return np.asarray(1.0 / (1.0 + (misses / 2.385) ** 2))
+def cauchy_weight(residuals: Array) -> Array:
+    """Return Cauchy's weights of errors in standard deviations: 1 at 0."""
+    return np.asarray(1.0 / (1.0 + (residuals / _CAUCHY) ** 2))
 
 
-def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None) -> ArmNoise:
-    """The sizes of the arm's error, by restricted maximum likelihood, and the weight of each view, in turns.
+def estimate_noise(
+    views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None
+) -> ArmNoise:
+    """Estimate the sizes of the arm's error and the weights of the views, in turns.
 
-    Restricted: the unknowns are fitted to the same views, so plain maximum likelihood would find the arm
-    better than it is.  Source: Patterson & Thompson, Recovery of inter-block information when block sizes are
-    unequal, Biometrika 58(3), 1971.  Weights are those of a multivariate Student's t (Lange, Little &
-    Taylor, Robust Statistical Modeling Using the t Distribution, JASA 84, 1989).
+    Plain maximum likelihood would find an arm that is too accurate, because the unknowns are fitted
+    to the same views. Restricted likelihood corrects that. Source: Patterson & Thompson, Recovery
+    of inter-block information when block sizes are unequal, Biometrika 58(3), 1971. Weights are
+    those of a multivariate Student's t (Lange, Little & Taylor, Robust Statistical Modeling Using
+    the t Distribution, JASA 84, 1989).
 
-    ``views`` are linear at the solution so far, ``before`` is that of an earlier round, to start from.
+    Args:
+        views: Views, linear at the solution so far.
+        free: (f,) indices of the free unknowns.
+        before: Estimate of an earlier round to start from.
     """
     weights = _first_weights(views) if before is None else before.weights
     for _ in range(_ROUNDS if before is None else 1):
@@ -260,16 +298,18 @@ def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise
 
 
 def _first_weights(views: LinearViews) -> Array:
-    """Views that are far off in the middle view's measure begin with little weight."""
+    """Return small weights for views that are far off compared with the median view."""
     off = np.abs(views.pseudo_measurement)
     scale = np.maximum(1.4826 * np.median(off, axis=0), 1e-12)
     return np.asarray(np.maximum(1.0, (off / scale).max(axis=1) / 4.0) ** -2.0)
 
 
-def _most_likely(views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None) -> Array:
-    """Sizes (k,) with the highest restricted likelihood, on a grid that is refined."""
+def _most_likely(
+    views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None
+) -> Array:
+    """Return the sizes (k,) of the highest restricted likelihood, on a refined grid."""
     count = len(views.sources)
-    grids = [_SIZES] * count if near is None else [size * _NEARBY for size in near.sizes]
+    grids = [_SIZES] * count if near is None else [size * _NEAR_FACTORS for size in near.sizes]
     for _ in range(_ZOOMS):
         candidates = np.array(list(itertools.product(*grids)))
         best = candidates[int(np.argmax(_likelihood(views, free, weights, candidates)))]
@@ -281,17 +321,20 @@ def _most_likely(views: LinearViews, free: NDArray[np.int64], weights: Array, ne
 
 
 def _likelihood(views: LinearViews, free: NDArray[np.int64], weights: Array, sizes: Array) -> Array:
-    """Restricted log-likelihood (c,) of candidates (c, k).
+    """Return the restricted log-likelihood (c,) of candidates (c, k).
 
-    The weights are given here, so their share of the determinants is the same everywhere.
+    The weights are fixed, so their share of the determinants is the same for all candidates.
     """
-    rows, prior, off = views.rows[:, :, free], views.prior[np.ix_(free, free)], views.off[free]
-    covariances = views.covariances(sizes)  # (c, n, 6, 6)
+    rows = views.rows[:, :, free]
+    prior = views.prior[np.ix_(free, free)]
+    off = views.off[free]
+    covariances = views.covariances(sizes)
     inverses = np.linalg.inv(covariances) * weights[:, None, None]
-    flat, measured = rows.reshape(-1, len(free)), views.pseudo_measurement.reshape(-1)
+    flat = rows.reshape(-1, len(free))
+    measured = views.pseudo_measurement.reshape(-1)
     normal = flat.T @ (inverses @ rows).reshape(len(sizes), -1, len(free)) + prior
     weighted = (inverses @ views.pseudo_measurement[..., None]).reshape(len(sizes), -1)
-    scaled, scale = _balanced(normal, _NOTHING)
+    scaled, scale = _balanced(normal, _NO_PRIOR)
     right = (weighted @ flat + prior @ off) / scale
     fitted = np.linalg.solve(scaled, right[..., None])[..., 0]
     squares = weighted @ measured - np.sum(right * fitted, axis=1)
@@ -300,108 +343,13 @@ def _likelihood(views: LinearViews, free: NDArray[np.int64], weights: Array, siz
 
 
 def _balanced(matrix: Array, more: float = 0.0) -> tuple[Array, Array]:
-    """A matrix (..., f, f) in units in which its diagonal is 1, ``more`` added to that; and the units."""
+    """Return a matrix (..., f, f) scaled to a diagonal of 1, plus ``more``, and the scale."""
     scale = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 1e-300))
     scaled = matrix / (scale[..., :, None] * scale[..., None, :])
     return scaled + more * np.eye(matrix.shape[-1]), scale
 
 
 def inverse(matrix: Array) -> Array:
-    """Of a positive matrix whose unknowns have other units and may hardly be determined."""
+    """Return the inverse of a positive matrix whose unknowns have different units."""
     scaled, scale = _balanced(matrix)
     return np.asarray(np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale))
-
-
-# ------------------------------------------------------------------------------------------
-# Which joint offsets the views cannot tell from each other or from the camera's and the board's poses.
-#
-# Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
-# Int. J. Robotics Research 15(6), 1996; the singular values of the information matrix are the measure there.
-
-
-# Parts of a direction that are smaller than this share of its largest are not mentioned.
-_SHARE = 0.25
-# A translation that goes with a degree of the joints and is shorter is not mentioned, metres a rad.
-_LEVER = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class Unobservable:
-    """A combination of joint offsets that the views do not determine.
-
-    Attributes:
-        joint: The one that is held at 0 for it.
-        direction: (nv,) the combination, of length 1.
-        sigma: Its standard deviation, rad; infinite where the views say nothing at all.
-        text: What cannot be told apart, for people.
-    """
-
-    joint: str
-    direction: Array
-    sigma: float
-    text: str
-
-
-def joint_information(normal: NormalEquations, joints: int) -> tuple[Array, Array, Array]:
-    """What is known of the joints' offsets when the poses have taken the share that they can.
-
-    Args:
-        normal: With what is known of the poses beforehand, so that these are determined in any case.
-        joints: How many unknowns are joints; the first of the free ones are.
-
-    Returns:
-        Singular values, 1/rad^2, the largest first; directions as columns; (poses, joints): how the poses
-        go along with each joint without the views noticing.
-    """
-    h = normal.matrix
-    count = int(np.sum(normal.free < joints))
-    along = -inverse(h[count:, count:]) @ h[count:, :count]
-    information = h[:count, :count] + h[:count, count:] @ along
-    _, values, rows = np.linalg.svd(0.5 * (information + information.T), hermitian=True)
-    return values, rows.T, along
-
-
-def find_unobservable(
-    normal: NormalEquations, names: Sequence[str], unclear: float, parent: str, other: str
-) -> Unobservable | None:
-    """The worst determined combination of offsets, if its standard deviation is beyond ``unclear`` rad.
-
-    ``names`` are of all joints; ``parent`` and ``other`` are what camera and board are seen from.
-    """
-    values, directions, along = joint_information(normal, len(names))
-    if len(values) == 0 or values[-1] >= unclear**-2:
-        return None
-    free = [names[k] for k in normal.free if k < len(names)]
-    v = directions[:, -1] * np.sign(directions[int(np.argmax(np.abs(directions[:, -1]))), -1])
-    whole = np.zeros(len(names))
-    whole[normal.free[: len(free)]] = v
-    known = values[-1] > 1e-12 * values[0] and values[-1] > 1e-6
-    held = free[int(np.argmax(np.abs(v)))]
-    return Unobservable(
-        held, whole, float(values[-1] ** -0.5) if known else np.inf,
-        _unobservable_text(free, v, along @ v, parent, other),
-    )  # fmt: skip
-
-
-def _unobservable_text(free: Sequence[str], v: Array, poses: Array, parent: str, other: str) -> str:
-    big = np.abs(v) >= _SHARE * np.abs(v).max()
-    order = [int(k) for k in np.argsort(-np.abs(v), kind="stable") if big[k]]
-    parts = [f"the offset of {free[k]}" for k in order]
-    for name, seen_from, twist in (("camera", parent, poses[:6]), ("board", other, poses[6:])):
-        angle, shift = float(np.linalg.norm(twist[3:])), float(np.linalg.norm(twist[:3]))
-        if angle >= _SHARE:
-            parts.append(f"the rotation of the {name} about {_axis(twist[3:])} of {seen_from}")
-        elif shift >= _LEVER:
-            parts.append(f"the shift of the {name} along {_axis(twist[:3])} of {seen_from}")
-    if len(parts) == 1:
-        return f"{parts[0]} does not show in these views"
-    return f"{', '.join(parts[:-1])} and {parts[-1]} look the same"
-
-
-def _axis(vector: Array) -> str:
-    """``z``, or the components of a direction that is along no axis."""
-    unit = vector / np.linalg.norm(vector)
-    k = int(np.argmax(np.abs(unit)))
-    if abs(unit[k]) > 0.98:
-        return "xyz"[k]
-    return "(" + ", ".join(f"{x + 0.0:.2f}" for x in unit) + ")"

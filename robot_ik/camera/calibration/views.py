@@ -1,4 +1,7 @@
-"""Gathers the views of a calibration: all pictures of a folder, the still and new ones of a moving source."""
+"""Gather the views of a calibration.
+
+All pictures of a folder are taken. Of a moving source those are taken that are still and new.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from robot_ik.camera.boards.patterns import (
+from robot_ik.camera.calibration.coverage import Coverage, cover
+from robot_ik.camera.calibration.intrinsic import CalibrationView
+from robot_ik.camera.detection import guess_dictionary, ids_text
+from robot_ik.camera.image import full_dictionary_name
+from robot_ik.camera.patterns import (
     CharucoPattern,
     FoundPattern,
     Pattern,
@@ -17,40 +24,43 @@ from robot_ik.camera.boards.patterns import (
     fitting_pattern,
     larger_chessboard,
 )
-from robot_ik.camera.boards.tone import measure_tone
-from robot_ik.camera.calibration.coverage import Coverage, cover
-from robot_ik.camera.calibration.intrinsic import CalibrationView
-from robot_ik.camera.detection import guess_dictionary
-from robot_ik.camera.image import to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
 from robot_ik.ports import Array, Image
 
-# Corners of a board held still move less from picture to picture: 1 px where the picture has 640.
+# Corners of a board held still move less than this from picture to picture, widths of the picture.
 _STILL = 1.0 / 640.0
-# What makes a view a new one: position in parts of the picture, scale as a ratio, tilt in degrees.
-_NEW_POSITION, _NEW_SCALE, _NEW_TILT = 0.12, 1.2, 9.0
-# Pictures without the pattern after which it is asked whether another one is meant; then after four times as
-# many, and so on: asking takes a second, and a live board is often just not yet there.
-_UNMATCHED, _PATIENCE = 12, 4
-# Pictures to ask about while more are to come.
+# Smallest number of common corners that tell whether a board is still.
+_MIN_COMMON = 4
+# Differences that make a view new: position in pictures, scale as a ratio, tilt in degrees.
+_NEW_POSITION = 0.12
+_NEW_SCALE = 1.2
+_NEW_TILT = 9.0
+# Number of pictures without the pattern after which similar patterns are tried. That takes a
+# second, and a live board is often just not visible yet.
+_UNMATCHED = 12
+# Factor by which that number grows after each trial.
+_PATIENCE = 4
+# Number of pictures in which similar patterns are tried while more pictures follow.
 _IDENTIFIED = 3
-# Markers that make a ChArUco board; fewer may be chance finds among the squares of a chessboard.
+# Number of markers that make a ChArUco board. Fewer may be chance finds on a chessboard.
 _BOARD_MARKERS = 4
-# Pictures without the pattern, and views still missing, that are named.
-_NAMED, _NAMED_MISSING = 5, 3
+# Number of pictures without the pattern, and of missing views, that are named.
+_NAMED = 5
+_NAMED_MISSING = 3
 
 
 class ViewGatherer:
     """Takes views one by one.
 
     Args:
-        pattern: What is shown; replaced when only its old layout is found.
+        pattern: The pattern in the pictures.
 
     Attributes:
-        pattern: The pattern that is found.
+        pattern: The pattern; replaced if only its old layout is found.
         views: The views so far.
-        notices: What is to be said, once.
+        notices: Messages for the report.
+        size: (width, height) of the pictures, px; None before the first.
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -61,9 +71,10 @@ class ViewGatherer:
         self._previous: FoundPattern | None = None
         self._features: list[Array] = []
         self._unmatched: deque[Image] = deque(maxlen=_UNMATCHED)
-        self._unmatched_count, self._identify_at = 0, _UNMATCHED
-        self._found_any = False
-        self._without: list[str] = []
+        self._unmatched_count = 0
+        self._identify_at = _UNMATCHED
+        self._is_found = False
+        self._names_without: list[str] = []
         self._first: list[Image] = []
 
     @property
@@ -72,16 +83,16 @@ class ViewGatherer:
         return self._previous is not None
 
     def offer(self, frame: Frame, name: str, *, selective: bool) -> bool:
-        """Looks at a picture; True when it became a view.
+        """Search a picture. Return whether it became a view.
 
         Args:
             frame: The picture.
-            name: What it is called in the report.
-            selective: Take it only when the board is held still and in a new way (moving sources).
+            name: Its name in the report.
+            selective: Take it only if the board is held still and in a new way (moving sources).
 
         Raises:
-            FrameSizeError: It has another size than the others.
-            CalibrationError: Another pattern than the wanted one is in the pictures.
+            FrameSizeError: It does not have the size of the others.
+            CalibrationError: The pictures show another pattern.
         """
         self.size = self.size or frame.size
         if frame.size != self.size:
@@ -92,65 +103,69 @@ class ViewGatherer:
             )
         found = self.pattern.find(frame.image)
         if found is None:
-            self._previous = None
-            if not selective:
-                self._without.append(name)
-            self._unmatched.append(frame.image)
-            self._unmatched_count += 1
-            if not self._found_any and self._unmatched_count == self._identify_at:
-                self._identify_at *= _PATIENCE
-                self._identify_pattern(last=False)
+            self._add_unmatched(frame.image, name, selective=selective)
             return False
-        self._found_any = True
-        still, self._previous = self._is_still(found, frame.size), found
+        self._is_found = True
+        is_still = self._is_still(found, frame.size)
+        self._previous = found
         features = self._view_features(found, frame.size)
-        new = all(np.linalg.norm(features - other) > 1.0 for other in self._features)
-        if selective and not (still and new):
+        is_new = all(np.linalg.norm(features - other) > 1.0 for other in self._features)
+        if selective and not (is_still and is_new):
             return False
         self._features.append(features)
-        tone = measure_tone(
-            to_gray(frame.image), found.pixels, found.ids, self.pattern.corners[0], self.pattern.plain
-        )
-        self.views.append(CalibrationView(name, found, tone, isinstance(self.pattern, CharucoPattern)))
+        self.views.append(CalibrationView(name, found))
         if len(self._first) < _IDENTIFIED:
             self._first.append(frame.image)
         return True
 
     def finish(self) -> None:
-        """Says what is wrong when the pattern was in none of the pictures, or only a part of one.
+        """Check what was found in the pictures and add notices.
 
         Raises:
-            CalibrationError: It was not; the hint says what was.
+            CalibrationError: No picture shows the pattern. The hint says what they show.
         """
-        if not self._found_any and self._unmatched:
+        if not self._is_found and self._unmatched:
             self._identify_pattern(last=True)
         self._check_counts()
-        if self._without and self._found_any:
-            names = ", ".join(self._without[:_NAMED]) + (", …" if len(self._without) > _NAMED else "")
-            self.notices.append(f"not seen well enough in {len(self._without)} of the pictures: {names}")
+        if self._names_without and self._is_found:
+            names = ", ".join(self._names_without[:_NAMED])
+            if len(self._names_without) > _NAMED:
+                names += ", …"
+            count = len(self._names_without)
+            self.notices.append(f"not seen well enough in {count} of the pictures: {names}")
 
     @property
     def coverage(self) -> Coverage:
-        """What the views so far have shown, with tilts by a guessed focal length."""
-        found = [v.found for v in self.views]
+        """Coverage by the views so far, with tilts by a guessed focal length."""
+        found = [view.found for view in self.views]
         size = self.size or (1, 1)
-        return cover(found, [_pose_guess(f, size)[0] for f in found], size)
+        return cover(found, [_guess_pose(view, size)[0] for view in found], size)
 
-    # ---------------------------------------------------------------------------------- parts
+    def _add_unmatched(self, image: Image, name: str, *, selective: bool) -> None:
+        self._previous = None
+        if not selective:
+            self._names_without.append(name)
+        self._unmatched.append(image)
+        self._unmatched_count += 1
+        if not self._is_found and self._unmatched_count == self._identify_at:
+            self._identify_at *= _PATIENCE
+            self._identify_pattern(last=False)
 
     def _identify_pattern(self, *, last: bool) -> None:
         images = list(self._unmatched) if last else list(self._unmatched)[-_IDENTIFIED:]
         other = fitting_pattern(self.pattern, images)
-        if isinstance(self.pattern, CharucoPattern) and other == replace(self.pattern, legacy=True):
+        is_charuco = isinstance(self.pattern, CharucoPattern)
+        if is_charuco and other == replace(self.pattern, legacy=True):  # type: ignore[call-arg]
             self.pattern = other
             self.notices.append(
                 "the board has the layout of OpenCV before 4.6 (legacy pattern): taken as such"
             )
-            self._without.clear()
+            self._names_without.clear()
             for number, image in enumerate(images):
                 self.offer(Frame(image, 0.0, number), f"picture {number + 1}", selective=False)
         elif other is not None:
-            counted = "squares" if isinstance(other, CharucoPattern) else "inner corners, not squares"
+            is_charuco = isinstance(other, CharucoPattern)
+            counted = "squares" if is_charuco else "inner corners, not squares"
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in the pictures, but a {describe(other)}",
                 hint=f"--columns {other.columns} --rows {other.rows} ({counted})",
@@ -158,71 +173,85 @@ class ViewGatherer:
         elif last:
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in any of the pictures",
-                hint=_other_kind(self.pattern, images),
+                hint=_hint_when_missing(self.pattern, images),
             )
 
     def _check_counts(self) -> None:
-        """Reports a chessboard that was counted wrongly although it was found: in part, or by chance."""
+        """Report a miscounted chessboard that was found in part, or by chance."""
         larger = larger_chessboard(self.pattern, self._first)
         if larger is not None:
             self.notices.append(
-                f"only a part of the board is used: it is a {describe(larger)}{_option_text(larger)}"
+                "only a part of the board is used: it is a "
+                f"{describe(larger)}{_option_text(larger)}"
             )
-        elif 0 < len(self.views) < len(self._without):
+        elif 0 < len(self.views) < len(self._names_without):
             other = fitting_pattern(self.pattern, list(self._unmatched)[-_IDENTIFIED:])
             if other is not None and other != self.pattern:
-                self.notices.append(f"most of the pictures show a {describe(other)}{_option_text(other)}")
+                self.notices.append(
+                    f"most of the pictures show a {describe(other)}{_option_text(other)}"
+                )
 
     def _is_still(self, found: FoundPattern, size: tuple[int, int]) -> bool:
-        before = self._previous
-        if before is None:
+        previous = self._previous
+        if previous is None:
             return False
-        _, new, old = np.intersect1d(found.ids, before.ids, return_indices=True)
-        if len(new) < 4:
+        _, new, old = np.intersect1d(found.ids, previous.ids, return_indices=True)
+        if len(new) < _MIN_COMMON:
             return False
-        moved = np.linalg.norm(found.pixels[new] - before.pixels[old], axis=1)
-        return bool(np.median(moved) < _STILL * size[0])
+        moves = np.linalg.norm(found.pixels[new] - previous.pixels[old], axis=1)
+        return bool(np.median(moves) < _STILL * size[0])
 
     def _view_features(self, found: FoundPattern, size: tuple[int, int]) -> Array:
-        """How the board is held, in units in which 1 makes a difference: position (2), scale, tilt (2)."""
-        rotation, depth = _pose_guess(found, size)
-        centre = found.pixels.mean(axis=0) / size / _NEW_POSITION
+        """Return position (2), scale and tilt (2) of a board, in units of a new view."""
+        rotation, depth = _guess_pose(found, size)
+        center = found.pixels.mean(axis=0) / size / _NEW_POSITION
         tilt = cover([found], [rotation], size).tilts[0] / _NEW_TILT
-        return np.array([*centre, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *tilt])
+        return np.array([*center, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *tilt])
 
 
-def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
-    """What to look at when the pattern and all that is nearly the same were not found."""
+def _hint_when_missing(pattern: Pattern, images: Sequence[Image]) -> str:
+    """Return what to check if neither the pattern nor a similar one was found."""
     if not isinstance(pattern, CharucoPattern):
         return (
-            "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
+            "it must be in view as a whole, with a white margin; check --columns and --rows, light "
+            "and focus"
         )
-    seen = guess_dictionary(images[-_IDENTIFIED:], least=_BOARD_MARKERS)
-    if seen is None:
-        return "there are no markers at all: is it a chessboard (--pattern chessboard)? Check light and focus"
-    if seen != pattern.dictionary:
-        return f"there are markers of {seen}: --dictionary {seen}, and --columns, --rows as on the print"
-    return "there are markers of its dictionary: check --columns, --rows and the two sizes against the print"
+    guess = guess_dictionary(images[-_IDENTIFIED:], min_count=_BOARD_MARKERS)
+    if guess is None:
+        return (
+            "no markers are visible; if it is a chessboard, give --pattern chessboard; else check "
+            "light and focus"
+        )
+    name, ids = guess
+    if name != full_dictionary_name(pattern.dictionary):
+        return f"{ids_text(name, ids)}: --dictionary {name}, and --columns, --rows as on the print"
+    return (
+        "markers of its dictionary are visible: check --columns, --rows and the sizes against the "
+        "print"
+    )
 
 
 def _option_text(pattern: Pattern) -> str:
     return f": --columns {pattern.columns} --rows {pattern.rows}"
 
 
-def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, float]:
-    """Rotation and distance of the board before anything is known of the camera: f = 1 width."""
+def _guess_pose(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, float]:
+    """Return rotation and distance of a board with a focal length of one width."""
     f = float(max(size))
     k = np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1.0]])
-    good, rotation_vector, shift = cv2.solvePnP(found.points_board, found.pixels, k, np.zeros(5))
-    if not good:
+    success, vector, translation = cv2.solvePnP(found.points_board, found.pixels, k, np.zeros(5))
+    if not success:
         return np.eye(3), 1.0
-    rotation = np.asarray(cv2.Rodrigues(np.asarray(rotation_vector, dtype=float).reshape(3))[0], dtype=float)
-    return rotation, float(np.asarray(shift, dtype=float).reshape(3)[2])
+    rotation, _ = cv2.Rodrigues(np.asarray(vector, dtype=float).reshape(3))
+    distance = np.asarray(translation, dtype=float).reshape(3)[2]
+    return np.asarray(rotation, dtype=float), float(distance)
 
 
 def missing_text(missing: Sequence[str]) -> str:
-    """What is still to be shown, shortly."""
+    """Return the views that are missing, in short."""
     if not missing:
         return "nothing is missing"
-    rest = f" and {len(missing) - _NAMED_MISSING} more" if len(missing) > _NAMED_MISSING else ""
-    return "still to show: " + "; ".join(missing[:_NAMED_MISSING]) + rest
+    text = "still to show: " + "; ".join(missing[:_NAMED_MISSING])
+    if len(missing) > _NAMED_MISSING:
+        text += f" and {len(missing) - _NAMED_MISSING} more"
+    return text

@@ -1,6 +1,7 @@
-"""Drawing a robot over a picture or into one, without OpenGL but for ``gl``.
+"""Drawing a robot over a picture or into one, without OpenGL.
 
-``meshes`` makes faces of a MuJoCo model, ``painter`` puts them into a picture by the compiled
-``rasteriser``, ``raycast`` asks MuJoCo what a pixel sees, ``prints`` has ink on paper, flat or before a
-camera; ``renderers`` lists the back ends, ``overlay`` draws outlines and captions.
+``meshes`` makes faces of a MuJoCo model, ``faces`` places them before a camera, and ``painter``
+fills them into a picture with the compiled ``zbuffer``. ``drawn_robot`` draws a robot with its
+shadow on a board, ``studio`` draws robots on an empty floor. ``prints`` draws exact ink on paper.
+``overlay``, ``outlines`` and ``text`` draw lines and captions.
 """

@@ -1,51 +1,80 @@
-"""Sheets to print at true scale, with bars to check it, the command that made them and one to use them."""
+"""Sheets to print at true scale, with bars to check the scale.
+
+A sheet shows the command that made it and a command that uses it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from robot_ik.camera.boards.patterns import (
+from robot_ik.camera.image import marker_boxes
+from robot_ik.camera.patterns import (
     CharucoPattern,
     Pattern,
     PatternRequest,
     check_millimetres,
     describe,
 )
-from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
-from robot_ik.camera.image import marker_boxes
+from robot_ik.camera.sheets.cube_net import FACES, cube_paper, dashed
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
+from robot_ik.camera.targets import MarkerTarget, marker_cube, marker_grid
 from robot_ik.errors import CameraError
 from robot_ik.files import toml_value
 from robot_ik.ports import Array
 
 Area = tuple[float, float]
-
 SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
-#: White round a marker that its detection needs, in markers: a cell, of six to ten in a marker with border.
+#: White round a marker that its detection needs, in markers: one cell.
 QUIET = 1.0 / 6.0
-# White round the marker on a face of a cube, in markers, on each side.
-_LEAST_WHITE = 0.1
-# What finds a board or cube as one body, with the file that --body writes.
+#: Paper, mm, upright.
+PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}
+
+# White round the marker on a face of a cube, in markers, on each side, at least.
+_CUBE_WHITE = 0.1
+# Side of a marker or square, mm, at least.
+_SMALLEST_MM = 3.0
+# The command that finds a board or cube as one body, with the file that --body writes.
 _BODY_USE = "robot-ik camera detect 0 --intrinsics camera.yaml --bodies body.toml"
-# Height of the letters under a marker, mm.
-_LABEL = 2.1
+# Height of the letters under a marker, and the space below them, mm.
+_LABEL_HEIGHT = 2.1
+_LABEL_SPACE = 1.0
+# Margin of a page, mm. Printers leave about 5 mm white.
+_MARGIN = 7.0
+# Height of the bar and the lines of text below the print, and width of the bar at the right, mm.
+_FOOT = 14.0
+_SIDE = 6.0
+# Length of the bars, and thickness of their lines and ticks, mm.
+_BAR = 100.0
+_TICK = 0.3
+# Lengths of a tick and of every fifth tick, mm.
+_TICK_LENGTH = 1.4
+_LONG_TICK_LENGTH = 2.4
+# Height of the letters and distance of the lines of text, mm.
+_TEXT_HEIGHT = 2.1
+_LINE_HEIGHT = 2.8
+# Sizes that are tried for a hint, mm: the smallest, and the step.
+_SMALLEST_HINT = 5.0
+_HINT_STEP = 0.5
+# Rounding error that a print may exceed a page by, mm.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class SheetRequest:
-    """What is to be printed; None where the usual will do.
+    """What is to be printed. None stands for the usual value.
 
     Attributes:
-        kind: What it is.
-        size_mm: Side of a marker's black square (50; cube 40), or of a square of a pattern (30; 25).
-        columns, rows: Board: markers (2 x 2).  Patterns: as ``PatternRequest``.
-        ids: Of the markers; board: the first one counts on.
+        kind: Of the sheet.
+        size_mm: Side of a marker's black square (50; cube 40), or of a square of a pattern
+            (charuco 30, chessboard 25).
+        columns: Board: markers (2). Patterns: as in ``PatternRequest``.
+        rows: The same downwards.
+        ids: Of the markers. A board counts on from the first one.
         dictionary: Of the markers.
         gap_mm: White between markers.
         edge_mm: Edge of the cube.
@@ -83,11 +112,13 @@ class SheetRequest:
     @property
     def counts(self) -> tuple[int, int]:
         """Columns and rows of a board."""
-        return 2 if self.columns is None else self.columns, 2 if self.rows is None else self.rows
+        columns = 2 if self.columns is None else self.columns
+        rows = 2 if self.rows is None else self.rows
+        return columns, rows
 
     @property
     def marker_ids(self) -> tuple[int, ...]:
-        """Ids of the markers on a sheet of them, a board or a cube."""
+        """Ids of the markers on a sheet of markers, a board or a cube."""
         if self.kind == "board":
             first = self.ids[0] if self.ids else 0
             return tuple(range(first, first + self.counts[0] * self.counts[1]))
@@ -96,109 +127,192 @@ class SheetRequest:
 
 @dataclass(frozen=True, eq=False)
 class Block(PrintedPage):
-    """What is laid out, before it is put on a page: as large as it is with the white that it needs.
+    """A print with the white that it needs, before it is put on a page.
 
     Attributes:
         use: The command that uses it.
-        board: What other commands call it behind ``--board``; empty where it has no such name.
+        board: Its name for ``--board``; empty if it has no such name.
     """
 
     use: str = ""
     board: str = ""
 
 
-def _black(boxes: Array, x: float, y: float) -> Array:
-    """Black rectangles (n, 4) as boxes (n, 5), shifted by (x, y) mm."""
-    return moved(np.hstack([boxes, np.ones((len(boxes), 1))]), x, y)
+def make_sheet_page(request: SheetRequest) -> PrintedPage:
+    """Lay a sheet out.
+
+    Raises:
+        CameraError: It does not fit (the hint says what would), or there is no such marker or
+            dictionary.
+        CalibrationError: No marker or square has this size.
+    """
+    if request.page not in PAPERS:
+        raise CameraError(f"unknown paper {request.page!r}", hint=f"known: {', '.join(PAPERS)}")
+    what = "a square" if MAKERS[request.kind] is _pattern else "a marker"
+    check_millimetres(what, request.size, _SMALLEST_MM)
+    if request.kind == "board" and min(request.counts) < 1:
+        columns, rows = request.counts
+        problem = f"a board of {columns} x {rows} markers is not possible"
+        raise CameraError(problem, hint="at least 1 x 1")
+    quiet = request.size * QUIET
+    if request.gap < quiet and request.kind in ("marker", "board"):
+        raise CameraError(
+            f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",
+            hint=f"the white round a marker must be a cell wide: at least {quiet:.1f} mm",
+        )
+    laid_out = _laid_out(request)
+    if laid_out is None:
+        raise _does_not_fit(request)
+    block, paper = laid_out
+    return _on_page(block, paper, request)
 
 
 def moved(boxes: Array, x: float, y: float) -> Array:
-    """Boxes (n, 5) shifted by (x, y) mm."""
+    """Return boxes (n, 5) shifted by (x, y) mm."""
     return np.asarray(boxes + np.array([x, y, 0.0, 0.0, 0.0]))
 
 
+def body_of(request: SheetRequest) -> MarkerTarget:
+    """Return the body on a sheet.
+
+    Raises:
+        CameraError: The sheet shows neither a board nor a cube.
+    """
+    size = request.size / 1e3
+    if request.kind == "board":
+        columns, rows = request.counts
+        gap = request.gap / 1e3
+        return marker_grid(columns, rows, size, gap, request.marker_ids[0], request.dictionary)
+    if request.kind == "cube":
+        return marker_cube(request.marker_ids, size, request.edge / 1e3, request.dictionary)
+    problem = f"a sheet of kind {request.kind!r} is no body"
+    raise CameraError(problem, hint="bodies are printed as board or cube")
+
+
+def body_file(request: SheetRequest, name: str) -> str:
+    """Return a file for ``target_files.load_bodies`` with the body called ``name``."""
+    lines = [
+        "# Metres; position and wxyz are the marker's pose in the body.",
+        "[[body]]",
+        f"name = {toml_value(name)}",
+        f'dictionary = "{request.dictionary}"',
+        "markers = [",
+    ]
+    for marker, (size, pose) in body_of(request).markers.items():
+        position = ", ".join(_number(v) for v in pose.position)
+        wxyz = ", ".join(_number(v) for v in pose.wxyz)
+        place = f"position = [{position}], wxyz = [{wxyz}]"
+        lines.append(f"  {{id = {marker}, size = {size:.9g}, {place}}},")
+    return "\n".join([*lines, "]", ""])
+
+
+def _number(value: float) -> str:
+    """Return a number to a billionth. Sines of quarter turns are then exactly 0."""
+    return f"{round(float(value), 12) + 0.0:.12g}"
+
+
+def _black(boxes: Array, x: float, y: float) -> Array:
+    """Return black rectangles (n, 4) as boxes (n, 5), shifted by (x, y) mm."""
+    return moved(np.hstack([boxes, np.ones((len(boxes), 1))]), x, y)
+
+
 def _prints(request: SheetRequest, places: Sequence[Area] | Array) -> Array:
-    """Boxes (n, 5) of the markers, each with its upper left corner at x, y of ``places``, mm."""
-    return np.concatenate([
-        _black(marker_boxes(request.dictionary, marker, request.size), x, y)
-        for marker, (x, y) in zip(request.marker_ids, places, strict=False)
-    ])  # fmt: skip
+    """Return the boxes (n, 5) of markers with their upper left corners at ``places``, mm."""
+    return np.concatenate(
+        [
+            _black(marker_boxes(request.dictionary, marker, request.size), x, y)
+            for marker, (x, y) in zip(request.marker_ids, places, strict=False)
+        ]
+    )
 
 
 def _names(ids: Sequence[int]) -> str:
+    """Return ids as text."""
     if len(ids) > 2 and list(ids) == list(range(ids[0], ids[0] + len(ids))):
         return f"{ids[0]} to {ids[-1]}"
     return ", ".join(map(str, ids))
 
 
 def _markers(request: SheetRequest, area: Area) -> Block:
+    """Lay markers out in rows, with their ids below them."""
     ids = request.marker_ids
-    quiet, pitch = request.size * QUIET, request.size + request.gap
+    quiet = request.size * QUIET
+    pitch = request.size + request.gap
     columns = int(np.clip((area[0] - 2 * quiet + request.gap) // pitch, 1, len(ids)))
     rows = -(-len(ids) // columns)
-    step = pitch + _LABEL + 1.0
+    step = pitch + _LABEL_HEIGHT + _LABEL_SPACE
     places = [(quiet + k % columns * pitch, quiet + k // columns * step) for k in range(len(ids))]
+    below = request.size + quiet + _LABEL_HEIGHT
     labels = tuple(
-        TextLine(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm")
+        TextLine(x, y + below, _LABEL_HEIGHT, f"{marker}  {request.size:g} mm")
         for marker, (x, y) in zip(ids, places, strict=True)
     )
     width = columns * pitch - request.gap + 2 * quiet
-    height = rows * step - request.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
+    height = rows * step - request.gap + 2 * quiet
     what = "marker" if len(ids) == 1 else "markers"
     about = f"{what} {_names(ids)} of {request.dictionary}, {request.size:g} mm"
-    options = (
-        f"--dictionary {request.dictionary} --size {request.size / 1e3:g} --ids {' '.join(map(str, ids))}"
-    )
+    options = f"--dictionary {request.dictionary} --size {request.size / 1e3:g}"
+    options += f" --ids {' '.join(map(str, ids))}"
     use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
     return Block(width, height, _prints(request, places), labels, about, use=use)
 
 
-def _board(request: SheetRequest, area: Area) -> Block:
-    (columns, rows), ids = request.counts, request.marker_ids
-    quiet, pitch = request.size * QUIET, request.size + request.gap
+def _board(request: SheetRequest, _area: Area) -> Block:
+    """Lay a board of markers out."""
+    columns, rows = request.counts
+    ids = request.marker_ids
+    quiet = request.size * QUIET
+    pitch = request.size + request.gap
     places = [(quiet + k % columns * pitch, quiet + k // columns * pitch) for k in range(len(ids))]
     about = (
-        f"board of {columns}x{rows} markers {_names(ids)} of {request.dictionary}, {request.size:g} mm, "
-        f"gap {request.gap:g} mm"
+        f"board of {columns}x{rows} markers {_names(ids)} of {request.dictionary}, "
+        f"{request.size:g} mm, gap {request.gap:g} mm"
     )
-    # That name says nothing of the ids: they count from 0.
+    # The name of a board does not contain ids. They begin at 0.
     board = "" if ids[0] else f"grid:{columns}x{rows}:{request.size:g}:{request.gap:g}"
-    size = [n * pitch - request.gap + 2 * quiet for n in (columns, rows)]
-    return Block(size[0], size[1], _prints(request, places), (), about, use=_BODY_USE, board=board)
+    width = columns * pitch - request.gap + 2 * quiet
+    height = rows * pitch - request.gap + 2 * quiet
+    boxes = _prints(request, places)
+    return Block(width, height, boxes, (), about, use=_BODY_USE, board=board)
 
 
-def _cube(request: SheetRequest, area: Area) -> Block:
+def _cube(request: SheetRequest, _area: Area) -> Block:
+    """Lay the net of a cube out."""
     white = (request.edge - request.size) / 2
-    if white < _LEAST_WHITE * request.size - 1e-9:
+    if white < _CUBE_WHITE * request.size - _ROUNDING:
         raise CameraError(
             f"a cube of {request.edge:g} mm leaves {white:g} mm of white round "
             f"markers of {request.size:g} mm",
-            hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * request.size:g} at least",
+            hint=f"--edge-mm {(1.0 + 2.0 * _CUBE_WHITE) * request.size:g} at least",
         )
-    body_of(request)  # which raises where there is no such cube
+    # Raise the error of an impossible cube.
+    body_of(request)
     cuts, folds, _ = cube_paper(request.edge)
     corners = np.vstack([cuts, folds]).reshape(-1, 2)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    boxes = _prints(request, request.edge * np.array(_FACES) - low - request.size / 2)
-    lines = np.vstack([cuts, dashed(folds)]) - np.tile(low, 2)
+    lower = corners.min(axis=0)
+    upper = corners.max(axis=0)
+    boxes = _prints(request, request.edge * np.array(FACES) - lower - request.size / 2)
+    lines = np.vstack([cuts, dashed(folds)]) - np.tile(lower, 2)
     about = (
         f"cube of {request.edge:g} mm with markers {_names(request.marker_ids)} of "
         f"{request.dictionary}, {request.size:g} mm "
         "(cut along the lines, fold the dashed ones back, glue the tabs inside)"
     )
-    width, height = (float(v) for v in high - low)
+    width, height = (float(v) for v in upper - lower)
     return Block(width, height, boxes, (), about, lines, _BODY_USE)
 
 
-def _pattern(request: SheetRequest, area: Area) -> Block:
-    kind: Literal["charuco", "chessboard"] = "charuco" if request.kind == "charuco" else "chessboard"
+def _pattern(request: SheetRequest, _area: Area) -> Block:
+    """Lay a calibration pattern out."""
+    kind: Literal["charuco", "chessboard"] = (
+        "charuco" if request.kind == "charuco" else "chessboard"
+    )
     pattern: Pattern = PatternRequest(
         kind, request.columns, request.rows, request.size, request.marker_mm, request.dictionary
     ).pattern()
     boxes = _black(pattern.black() * 1e3, *(-1e3 * np.array(pattern.origin)))
-    options = (
-        f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows} --square-mm {request.size:g}"
-    )
+    options = f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows}"
+    options += f" --square-mm {request.size:g}"
     board = f"{kind}:{pattern.columns}x{pattern.rows}:{request.size:g}"
     if isinstance(pattern, CharucoPattern):
         board += f":{1e3 * pattern.marker:g}"
@@ -209,77 +323,43 @@ def _pattern(request: SheetRequest, area: Area) -> Block:
 
 
 Maker = Callable[[SheetRequest, Area], Block]
-#: One row a kind of sheet: lays it out for the printable area (width, height) of a page, mm.
+#: Lays a kind of sheet out for the printable area (width, height) of a page, mm.
 MAKERS: dict[str, Maker] = {
-    "marker": _markers, "board": _board, "cube": _cube, "charuco": _pattern, "chessboard": _pattern,
-}  # fmt: skip
-
-
-#: Paper, mm, upright.
-PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}
-# Printers leave about 5 mm white.
-_MARGIN = 7.0
-# The bar, the lines of text under it, and the upright bar at the right, mm.
-_FOOT, _SIDE = 14.0, 6.0
-_BAR, _TICK = 100.0, 0.3
-_TEXT, _LINE = 2.1, 2.8
-
-
-def make_sheet_page(request: SheetRequest) -> PrintedPage:
-    """Lays the sheet out.
-
-    Raises:
-        CameraError: It does not fit (the hint says what would), or there is no such marker or dictionary.
-        CalibrationError: No marker or square has this size.
-    """
-    if request.page not in PAPERS:
-        raise CameraError(f"unknown paper {request.page!r}", hint=f"known: {', '.join(PAPERS)}")
-    check_millimetres("a square" if MAKERS[request.kind] is _pattern else "a marker", request.size, 3.0)
-    if request.kind == "board" and min(request.counts) < 1:
-        columns, rows = request.counts
-        raise CameraError(f"a board of {columns} x {rows} markers is not possible", hint="at least 1 x 1")
-    if request.gap < request.size * QUIET and request.kind in ("marker", "board"):
-        raise CameraError(
-            f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",
-            hint=f"the white round a marker must be a cell wide: at least {request.size * QUIET:.1f} mm",
-        )
-    if (found := _laid_out(request)) is None:
-        raise _does_not_fit(request)
-    return _on_page(*found, request)
+    "marker": _markers,
+    "board": _board,
+    "cube": _cube,
+    "charuco": _pattern,
+    "chessboard": _pattern,
+}
 
 
 def _laid_out(request: SheetRequest) -> tuple[Block, Area] | None:
-    """The block, and the paper, upright or lying, on which it fits; None: on neither."""
+    """Return the block and the paper, upright or turned, on which it fits. None: on neither."""
     upright = PAPERS[request.page]
     for paper in (upright, upright[::-1]):
-        area = _printable_area(paper)
-        block = MAKERS[request.kind](request, area)
-        if block.width <= area[0] + 1e-9 and block.height <= area[1] + 1e-9:
+        width, height = _printable_area(paper)
+        block = MAKERS[request.kind](request, (width, height))
+        if block.width <= width + _ROUNDING and block.height <= height + _ROUNDING:
             return block, paper
     return None
 
 
 def _printable_area(paper: Area) -> Area:
+    """Return the size of the area for a print, mm."""
     return paper[0] - 2 * _MARGIN - _SIDE, paper[1] - 2 * _MARGIN - _FOOT
 
 
 def _does_not_fit(request: SheetRequest) -> CameraError:
+    """Return the error that says what would fit."""
     upright = PAPERS[request.page]
     block = MAKERS[request.kind](request, _printable_area(upright))
-    areas = " or ".join("{:.0f}x{:.0f}".format(*_printable_area(one)) for one in (upright, upright[::-1]))
+    areas = " or ".join(
+        "{:.0f}x{:.0f}".format(*_printable_area(paper)) for paper in (upright, upright[::-1])
+    )
     hints = []
-    for size in np.arange(np.floor(request.size * 2 - 1e-6) / 2, 5.0, -0.5):
-        share = float(size) / request.size
-        less = replace(
-            request,
-            size_mm=float(size),
-            gap_mm=None if request.gap_mm is None else request.gap_mm * share,
-            edge_mm=None if request.edge_mm is None else request.edge_mm * share,
-            marker_mm=None if request.marker_mm is None else request.marker_mm * share,
-        )
-        if _laid_out(less) is not None:
-            hints.append(f"--size-mm {size:g} fits")
-            break
+    size = _fitting_size(request)
+    if size is not None:
+        hints.append(f"--size-mm {size:g} fits")
     larger = [page for page in PAPERS if _laid_out(replace(request, page=page)) is not None]
     hints += [f"it fits --page {name}" for name in larger[:1]]
     return CameraError(
@@ -289,37 +369,63 @@ def _does_not_fit(request: SheetRequest) -> CameraError:
     )
 
 
+def _fitting_size(request: SheetRequest) -> float | None:
+    """Return the largest smaller size, mm, that fits the page. None: there is none."""
+    start = np.floor(request.size / _HINT_STEP - 1e-6) * _HINT_STEP
+    for size in np.arange(start, _SMALLEST_HINT, -_HINT_STEP).tolist():
+        share = size / request.size
+        smaller = replace(
+            request,
+            size_mm=size,
+            gap_mm=None if request.gap_mm is None else request.gap_mm * share,
+            edge_mm=None if request.edge_mm is None else request.edge_mm * share,
+            marker_mm=None if request.marker_mm is None else request.marker_mm * share,
+        )
+        if _laid_out(smaller) is not None:
+            return float(size)
+    return None
+
+
 def _on_page(block: Block, paper: Area, request: SheetRequest) -> PrintedPage:
-    """The block in the middle of the printable area, bars and text at the rim."""
-    area = _printable_area(paper)
-    x, y = _MARGIN + (area[0] - block.width) / 2, _MARGIN + (area[1] - block.height) / 2
+    """Put a block in the middle of the printable area, with bars and text at the edges."""
+    width, height = _printable_area(paper)
+    x = _MARGIN + (width - block.width) / 2
+    y = _MARGIN + (height - block.height) / 2
     foot = paper[1] - _MARGIN - _FOOT + 4.0
-    boxes = [moved(block.boxes, x, y), _bar(_MARGIN, foot), _bar(paper[0] - _MARGIN, _MARGIN, upright=True)]
-    labels = [replace(w, x=w.x + x, y=w.y + y) for w in block.labels]
+    boxes = [
+        moved(block.boxes, x, y),
+        _bar(_MARGIN, foot),
+        _bar(paper[0] - _MARGIN, _MARGIN, upright=True),
+    ]
+    labels = [replace(label, x=label.x + x, y=label.y + y) for label in block.labels]
     scale = "both bars: 100.0 mm. Print at 100 % (actual size)."
-    scale += f"  --board {block.board}" if block.board else ""
+    if block.board:
+        scale += f"  --board {block.board}"
     beside = _MARGIN + _BAR + 3.0
     labels.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
     for k, text in enumerate((block.about, _command(request), block.use)):
-        labels.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
+        labels.append(_line(_MARGIN, foot + 4.2 + k * _LINE_HEIGHT, paper[0] - 2 * _MARGIN, text))
     lines = block.lines + np.array([x, y, x, y])
     about = f"{block.about} on {request.page}"
     return PrintedPage(paper[0], paper[1], np.concatenate(boxes), tuple(labels), about, lines)
 
 
 def _line(x: float, y: float, width: float, text: str) -> TextLine:
-    """A line of text that shrinks to fit: it is looked up from near by."""
-    return TextLine(x, y, min(_TEXT, width / (LETTER_WIDTH * len(text))), text)
+    """Return a line of text whose letters shrink to fit a width, mm."""
+    return TextLine(x, y, min(_TEXT_HEIGHT, width / (LETTER_WIDTH * len(text))), text)
 
 
 def _bar(x: float, y: float, *, upright: bool = False) -> Array:
-    """A bar of exactly 100 mm with a tick every 10 mm, from (x, y) to the right, or down and left of x."""
+    """Return a bar of exactly 100 mm with a tick every 10 mm.
+
+    It runs from (x, y) to the right. An upright bar runs down, left of x.
+    """
     rows = [(0.0, 0.0, _BAR, _TICK)]
     for k in range(11):
-        long = 2.4 if k % 5 == 0 else 1.4
-        # The outer edges of the first and last tick are 100 mm apart.
+        length = _LONG_TICK_LENGTH if k % 5 == 0 else _TICK_LENGTH
+        # The outer edges of the first and the last tick are 100 mm apart.
         at = {0: 0.0, 10: _BAR - _TICK}.get(k, 10.0 * k - _TICK / 2)
-        rows.append((at, -long, _TICK, long))
+        rows.append((at, -length, _TICK, length))
     bar = np.array([(*row, 1.0) for row in rows])
     if upright:
         bar = bar[:, [1, 0, 3, 2, 4]]
@@ -328,114 +434,12 @@ def _bar(x: float, y: float, *, upright: bool = False) -> Array:
 
 
 def _command(request: SheetRequest) -> str:
+    """Return the command that makes the sheet, without the usual values."""
     text = f"robot-ik camera print {request.kind}"
-    for option in fields(request)[1:]:  # all but the kind, where they are not the usual ones
+    for option in fields(request)[1:]:
         value = getattr(request, option.name)
         if value != option.default:
             values = value if isinstance(value, tuple) else (value,)
             shown = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
             text += f" --{option.name.replace('_', '-')} {shown}"
     return text
-
-
-# ------------------------------------------------------------------------------------------
-# The net of a cube: what is cut and folded.
-
-
-# Depth of a tab in edges, and at most, mm.
-_TAB, _TAB_MOST = 0.2, 10.0
-# A dash and the gap after it, mm.
-_DASH, _GAP = 2.0, 1.5
-# Middles of the six faces of ``cube_body``, in edges, y down: front, right, back, left, top, bottom.  All
-# prints stand upright.
-_FACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
-# Their sides that have a tab (face, way to the side); each is glued behind a side that has none.
-_TABBED = (
-    ((0, -1), (1, 0)), ((0, -1), (-1, 0)), ((0, -1), (0, -1)),
-    ((0, 1), (1, 0)), ((0, 1), (-1, 0)), ((0, 1), (0, 1)),
-    ((-1, 0), (-1, 0)),
-)  # fmt: skip
-
-
-def cube_paper(edge: float) -> tuple[Array, Array, Array]:
-    """The net of a cube of this edge, and tabs that hold it together; x right, y down, from its first face.
-
-    Returns:
-        Lines (n, 4) from x, y to x, y to cut along; (12, 4) to fold along, between the faces, and between a
-        face and its tab; corners (7, 4, 2) of the tabs, of which the first and the last are on the face.
-    """
-    depth = min(_TAB * edge, _TAB_MOST)
-    cuts, folds, tabs = [], [], []
-    for face in _FACES:
-        for direction in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-            start, end = _side(face, direction, edge)
-            if (face, direction) in _TABBED:
-                along = (end - start) / edge
-                out = np.array(direction, dtype=float)
-                # Its ends are cut back at 45 degrees: two tabs in one corner then do not meet.
-                tab = [start, start + depth * (along + out), end + depth * (out - along), end]
-                tabs.append(tab)
-                folds.append([start, end])
-                cuts += [[a, b] for a, b in pairwise(tab)]
-            elif (face[0] + direction[0], face[1] + direction[1]) not in _FACES:
-                cuts.append([start, end])
-            elif direction in ((1, 0), (0, 1)):  # a fold has two sides
-                folds.append([start, end])
-    return np.array(cuts).reshape(-1, 4), np.array(folds).reshape(-1, 4), np.array(tabs)
-
-
-def _side(face: tuple[int, int], direction: tuple[int, int], edge: float) -> tuple[Array, Array]:
-    """The two ends of a face's side."""
-    out = np.array(direction, dtype=float)
-    middle, half = edge * (np.array(face) + 0.5 * out), 0.5 * edge * np.array([-out[1], out[0]])
-    return middle - half, middle + half
-
-
-def dashed(lines: Array) -> Array:
-    """The dashes (m, 4) of lines (n, 4) in mm; each line begins and ends with half a dash."""
-    dashes = []
-    for line in np.asarray(lines, dtype=float):
-        start, end = line[:2], line[2:]
-        length = float(np.linalg.norm(end - start))
-        count = max(1, round(length / (_DASH + _GAP)))
-        share = _DASH / (_DASH + _GAP)
-        at = (np.arange(count + 1)[:, None] + 0.5 * share * np.array([-1.0, 1.0])) / count
-        for low, high in np.clip(at, 0.0, 1.0):
-            dashes.append([*(start + low * (end - start)), *(start + high * (end - start))])
-    return np.array(dashes)
-
-
-# ------------------------------------------------------------------------------------------
-# What a printed board or cube is to a tracker: a body, and the file that describes it.
-
-
-def body_of(request: SheetRequest) -> MarkerBody:
-    """The body on a sheet.
-
-    Raises:
-        CameraError: The sheet shows neither a board nor a cube.
-    """
-    size = request.size / 1e3
-    if request.kind == "board":
-        columns, rows = request.counts
-        return grid_body(columns, rows, size, request.gap / 1e3, request.marker_ids[0])
-    if request.kind == "cube":
-        return cube_body(request.marker_ids, size, request.edge / 1e3)
-    raise CameraError(
-        f"a sheet of kind {request.kind!r} is no body", hint="bodies are printed as board or cube"
-    )
-
-
-def body_file(request: SheetRequest, name: str) -> str:
-    """The text of a file for ``robot_ik.camera.bodies.load_bodies``, with the body called ``name``."""
-    lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
-    lines += [f"name = {toml_value(name)}", f'dictionary = "{request.dictionary}"', "markers = ["]
-    for marker, (size, pose) in body_of(request).markers.items():
-        position, wxyz = (", ".join(_number(v) for v in part) for part in (pose.position, pose.wxyz))
-        lines.append(f"  {{id = {marker}, size = {size:.9g}, position = [{position}], wxyz = [{wxyz}]}},")
-    return "\n".join([*lines, "]", ""])
-
-
-def _number(value: float) -> str:
-    """To a billionth; sines of quarter turns are then the 0 that they are meant to be."""
-    return f"{round(float(value), 12) + 0.0:.12g}"

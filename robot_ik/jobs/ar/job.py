@@ -13,14 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import MarkerBoard, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
-from robot_ik.camera.drawing.gl import make_artist
-from robot_ik.camera.drawing.painter import project, surface_points
-from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
+from robot_ik.camera.drawing.faces import project, surface_points
+from robot_ik.camera.drawing.occluders import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Sync
+from robot_ik.camera.registration import BoardTracker, LatencyOptions, Registrar, Sync
 from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.camera.target_files import parse_target
+from robot_ik.camera.targets import DEFAULT_DICTIONARY, MarkerTarget, marker
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
@@ -47,16 +48,15 @@ class ArRequest:
 
     Attributes:
         camera: ``synthetic``, or what ``open_source`` takes; ``intrinsics``: its calibration, of a real one.
-        board: See ``parse_board``; ``dictionary`` of its markers.
+        board: See ``parse_target``; ``dictionary`` of its markers.
         extrinsics: Of a camera that stands still, instead of a board.
         base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
             of the board (x right, y up, z out of the print), or in the world of ``extrinsics``.
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
-        backend: ``painter``, ``ray`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
-        alpha: 1 hides what is behind the robot.
+        alpha: Opacity of the robot, 0 to 1.
         out: Film, picture or folder.
         seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
         size: Of synthetic and live pictures.
@@ -72,7 +72,6 @@ class ArRequest:
     scale: float = 0.0
     motion: str = "wave"
     marker: tuple[int, float] = FOLLOWED
-    backend: str = "painter"
     occluders: Path | None = None
     occluder_geoms: tuple[str, ...] = ()
     latency_options: LatencyOptions = field(default_factory=LatencyOptions)
@@ -90,7 +89,7 @@ class ArReport:
     """What came of it.
 
     Attributes:
-        backend, scale: Who drew, and at which scale.
+        scale: Drawn size over true size.
         notice: What did not go as asked, in one line.
         pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
         reprojection_px: Mean RMS error of the board's corners.
@@ -98,7 +97,6 @@ class ArReport:
         interrupted: The run was ended by hand.
     """
 
-    backend: str
     scale: float
     notice: str
     pictures: int = 0
@@ -148,10 +146,8 @@ def run_ar(
             figure = _in_view(figure, request, robot, motion, opened, opened.pose_board_camera)
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = make(robot, figure)
-        artist, notice = make_artist(request.backend)
-        stack.callback(artist.close)
-        report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
-        registrar = _registrar(request, opened.intrinsics, artist, figure)
+        report = ArReport(figure.scale, motion.notice)
+        registrar = _registrar(request, opened.intrinsics, figure)
         _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
         report.file = sink.close()
     if report.pictures and not report.drawn:
@@ -213,16 +209,19 @@ def _draw(
     try:
         for tracked, shown in _pairs(opened.frames, request.latency_options.sync):
             start = time.perf_counter()
-            seen = registrar.track(tracked)
+            observation = registrar.track(tracked)
             compiling.wait()
-            image, drawing = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time, seen)))
+            pose_board_marker = None if observation is None else observation.pose_board_marker
+            q = motion.q(shown.time, pose_board_marker)
+            image, drawing = registrar.compose(observation, shown, robot.qpos(q))
             report.seconds += time.perf_counter() - start
             sink.write(image, shown.time)
             report.pictures += 1
             if drawing is not None:
                 report.drawn += 1
                 report.in_view += bool(drawing.robot.coverage.any())
-                errors += [] if seen is None else [seen.error]
+                if observation is not None:
+                    errors.append(observation.board.reprojection_error)
             progress(report.pictures, opened.total)
     except KeyboardInterrupt:
         report.interrupted = True
@@ -241,10 +240,11 @@ def marker_positions(request: ArRequest, robot: Robot) -> Iterator[tuple[float, 
     with contextlib.ExitStack() as stack:
         figure = _figure(request, robot)
         opened = _open(request, figure, standing(robot), stack)
-        watcher = _watcher(request, opened.intrinsics)
+        tracker = _board_tracker(request, opened.intrinsics)
         for frame in opened.frames:
-            seen = watcher.see(frame)
-            yield frame.time, None if seen is None else marker_from_base(seen, figure)
+            observation = tracker.observe(frame)
+            pose = None if observation is None else observation.pose_board_marker
+            yield frame.time, None if pose is None else marker_from_base(pose, figure)
 
 
 def _in_view(
@@ -361,28 +361,34 @@ def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]
     return ((frame, frame) for frame in frames) if sync == "tracked" else itertools.pairwise(frames)
 
 
-def _registrar(
-    request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
-) -> Registrar:
-    watcher = camera = None
+def _registrar(request: ArRequest, intrinsics: CameraIntrinsics, figure: DrawnRobot) -> Registrar:
+    tracker = None
+    camera = None
     if request.extrinsics is None:
-        watcher = _watcher(request, intrinsics)
+        tracker = _board_tracker(request, intrinsics)
     else:
         extrinsics = CameraExtrinsics.load(request.extrinsics, intrinsics)
         extrinsics.require_parent("world")
         camera = extrinsics.pose_parent_camera
     return Registrar(
-        watcher, artist, figure, intrinsics, request.latency_options, pose_board_camera=camera,
+        tracker, figure, intrinsics, request.latency_options, pose_board_camera=camera,
         alpha=request.alpha,
     )  # fmt: skip
 
 
-def _watcher(request: ArRequest, intrinsics: CameraIntrinsics) -> BoardWatcher:
-    board = parse_board(request.board, request.dictionary)
-    other = request.marker if request.motion == "follow" else None
-    if other is not None and isinstance(board, MarkerBoard) and other[0] in board.layout:
-        raise ConfigError(
-            f"marker {other[0]} is on the board, so it cannot be followed", file="command line",
-            key="--marker", allowed="an id that is not on the board",
-        )  # fmt: skip
-    return BoardWatcher(board, intrinsics, other, dictionary=request.dictionary or "DICT_5X5_50")
+def _board_tracker(request: ArRequest, intrinsics: CameraIntrinsics) -> BoardTracker:
+    board = parse_target(request.board, request.dictionary)
+    if request.motion != "follow":
+        return BoardTracker(board, intrinsics)
+    marker_id, size = request.marker
+    dictionary = request.dictionary or DEFAULT_DICTIONARY
+    if isinstance(board, MarkerTarget):
+        dictionary = board.dictionary
+        if marker_id in board.markers:
+            raise ConfigError(
+                f"marker {marker_id} is on the board, so it cannot be followed",
+                file="command line",
+                key="--marker",
+                allowed="an id that is not on the board",
+            )
+    return BoardTracker(board, intrinsics, marker(marker_id, size, dictionary))

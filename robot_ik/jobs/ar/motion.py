@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_ik.camera.drawing.renderers import DrawnRobot
-from robot_ik.camera.registration import Seen
+from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.config import read_text, read_toml
 from robot_ik.errors import ConfigError
+from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
@@ -109,19 +109,20 @@ class DrawnMotion:
     """What the drawn robot does.
 
     Attributes:
-        q: Gives (nq,) at a time, seconds since the first picture, with what was seen in that one.
+        q: Returns (nq,) at a time, s since the first picture. The second argument is
+            ``pose_board_marker`` of the marker to follow; None if it is not visible.
         seconds: Of a trajectory that is played over and over; 0: it has no end.
         notice: What the user should know of it, in one line.
     """
 
-    q: Callable[[float, Seen | None], Array]
+    q: Callable[[float, Pose | None], Array]
     seconds: float = 0.0
     notice: str = ""
 
 
 def standing(robot: Robot) -> DrawnMotion:
     """Stays at home."""
-    return DrawnMotion(lambda time, seen: robot.home)
+    return DrawnMotion(lambda time, marker: robot.home)
 
 
 def waving(robot: Robot) -> DrawnMotion:
@@ -131,23 +132,23 @@ def waving(robot: Robot) -> DrawnMotion:
     margin = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
     swing = np.clip(np.nan_to_num(_WAVE_SHARE * margin, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
     pace = 2.0 * np.pi / _WAVE_PERIOD * (1.0 + 0.5 * (np.arange(robot.nq) % 2))
-    return DrawnMotion(lambda time, seen: np.asarray(robot.home + swing * np.sin(pace * time)))
+    return DrawnMotion(lambda time, marker: np.asarray(robot.home + swing * np.sin(pace * time)))
 
 
 def replay(trajectory: Trajectory, notice: str = "") -> DrawnMotion:
     """Plays a trajectory over and over."""
     begin, length = float(trajectory.times[0]), trajectory.duration
     part = (lambda time: time % length) if length > 0 else (lambda time: 0.0)
-    return DrawnMotion(lambda time, seen: trajectory.at(begin + part(time)), length, notice)
+    return DrawnMotion(lambda time, marker: trajectory.at(begin + part(time)), length, notice)
 
 
 def following(robot: Robot, figure: DrawnRobot) -> DrawnMotion:
     """Reaches for the other marker with the tool; holds still while the marker is not seen."""
     last = np.array(robot.home)
 
-    def q(time: float, seen: Seen | None) -> Array:
-        wanted = None if seen is None else marker_from_base(seen, figure)
-        if wanted is not None:
+    def q(time: float, marker: Pose | None) -> Array:
+        if marker is not None:
+            wanted = marker_from_base(marker, figure)
             here = robot.forward(last).position
             goal = PositionGoal(robot.tool, position=here + _CHASE * (wanted - here))
             last[:] = solve(robot, goal, start=last).q
@@ -156,12 +157,10 @@ def following(robot: Robot, figure: DrawnRobot) -> DrawnMotion:
     return DrawnMotion(q)
 
 
-def marker_from_base(seen: Seen, figure: DrawnRobot) -> Array | None:
-    """(3,) the other marker seen from the base of the drawn robot, in its own metres; None: not seen."""
-    if seen.marker is None:
-        return None
-    board = seen.pose_camera_board.inverse().compose(seen.marker.pose)
-    return np.asarray(figure.pose_board_base.inverse().compose(board).position / figure.scale)
+def marker_from_base(pose_board_marker: Pose, figure: DrawnRobot) -> Array:
+    """Return the marker's position (3,) seen from the base of the drawn robot, in its own metres."""
+    pose_base_marker = figure.pose_board_base.inverse().compose(pose_board_marker)
+    return np.asarray(pose_base_marker.position / figure.scale)
 
 
 def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack) -> DrawnMotion:
@@ -194,7 +193,7 @@ def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.E
     if path.suffix == ".toml":
         read_text(path, "the script or arm file")
         arm = _live_arm(path, bus or "sim", robot, stack)
-        return DrawnMotion(lambda time, seen: arm.read().q)
+        return DrawnMotion(lambda time, marker: arm.read().q)
     raise ConfigError(
         f"{text!r} is no motion", file="command line", key="--motion",
         allowed="home, wave, follow, a trajectory (FILE.csv), a script (FILE.toml or "

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.camera.synthetic.camera import (
+    SyntheticMarker,
+    SyntheticScene,
+    SyntheticSource,
+)
+from robot_ik.camera.synthetic.painted import SceneTable
+from robot_ik.camera.targets import marker_grid
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
 
@@ -81,7 +84,7 @@ def synthetic_scene(
 
     ``occluders`` stand on the table, in the world's frame; to ``follow``, the other marker is there, too.
     """
-    board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
+    board = marker_grid(2, 2, 0.05, 0.0125, dictionary=_DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
         return lambda t: motion.pose(t).compose(pose)
@@ -90,7 +93,7 @@ def synthetic_scene(
     sheet = SyntheticMarker(_SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank")
     markers = [sheet] + [
         SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.006)
-        for id, (side, pose) in board.layout.items()
+        for id, (side, pose) in board.markers.items()
     ]
     if follow:
         markers.append(SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY))
@@ -102,4 +105,4 @@ def synthetic_scene(
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = VirtualClock()
-    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="fast"), clock
+    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock), clock

@@ -11,16 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from robot_ik.camera.boards.board import Board, MarkerBoard
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
 from robot_ik.camera.calibration.kinematic import CalibrationStation, doubted_zeros
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.camera.tracker import Layout
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import MarkerTarget, Squares, Target, marker_grid
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose, rotation_exp
@@ -75,7 +73,7 @@ class HandEyeRequest(ArmRequest):
     mounting: Mounting = "eye_to_hand"
     camera: str = "synthetic"
     intrinsics: Path | None = None
-    board: Board | None = None
+    board: Target | None = None
     pose_parent_camera: Pose | None = None
     pose_other_board: Pose | None = None
     views: int = 15
@@ -91,7 +89,7 @@ class HandEyeScene:
     """
 
     task: ViewTask
-    board: Board
+    board: Target
     source: FrameSource
     truth: Mount | None
     stale: int = 0
@@ -124,27 +122,27 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
         )  # fmt: skip
     scene, frame = scene_for(setup.robot, setup.frame), setup.frame
     if request.mounting == "eye_in_hand":
-        truth, layout, synthetic = _carried_camera(setup, scene)
+        truth, squares, synthetic = _carried_camera(setup, scene)
     else:  # the scene's camera looks at the markers on the tool
         truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
-        frame, layout, synthetic = scene.cube_frame, dict(scene.cube), scene.synthetic(setup.robot)
-    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock, quality="fast")
+        frame, squares, synthetic = scene.cube_frame, dict(scene.cube), scene.synthetic(setup.robot)
+    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
     stack.enter_context(source)
     camera = request.pose_parent_camera or truth.pose_parent_camera.plus(_WRONG)
     board = request.pose_other_board or truth.pose_other_board.plus(0.5 * _WRONG)
     roughly = Mount(camera, board, truth.mounting)
-    task = ViewTask(roughly, frame, layout, synthetic.intrinsics, scene.table)
-    return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), source, truth)
+    task = ViewTask(roughly, frame, squares, synthetic.intrinsics, scene.table)
+    return HandEyeScene(task, MarkerTarget(squares, scene.dictionary), source, truth)
 
 
-def _carried_camera(setup: RobotSetup, scene: Scene) -> tuple[Mount, Layout, SyntheticScene]:
+def _carried_camera(setup: RobotSetup, scene: Scene) -> tuple[Mount, Squares, SyntheticScene]:
     """A camera beside the tool looks at a board of markers on the table."""
     truth = Mount(_beside_the_tool(setup.robot, setup.frame), scene.pose_world_marker, "eye_in_hand")
     gap = _GAP_PART * scene.marker_size
-    layout = grid_body(*_GRID, _MARKER_PART * scene.marker_size, gap, _FIRST_ID).markers
+    squares = marker_grid(*_GRID, _MARKER_PART * scene.marker_size, gap, _FIRST_ID).markers
     marker = partial(SyntheticMarker, dictionary=scene.dictionary, margin=0.5 * gap)
-    markers = (marker(id, side, truth.pose_other_board @ pose) for id, (side, pose) in layout.items())
-    return truth, layout, SyntheticScene(
+    markers = (marker(id, side, truth.pose_other_board @ pose) for id, (side, pose) in squares.items())
+    return truth, squares, SyntheticScene(
         setup.robot, STANDARD_CAMERA, truth.pose_parent_camera, tuple(markers), table=scene.table,
         camera_frame=setup.frame,
     )  # fmt: skip
@@ -188,8 +186,8 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
     scene = scene_for(setup.robot, setup.frame)
     camera = request.pose_parent_camera or (Pose() if carried else scene.pose_world_camera)
     board = request.pose_other_board or (scene.pose_world_marker if carried else Pose())
-    layout: Layout = request.board.layout
-    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, layout, intrinsics, scene.table)
+    squares = request.board.squares
+    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, squares, intrinsics, scene.table)
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
 
 
@@ -377,7 +375,7 @@ def visit_stations(
         before, still = _come_to_rest(setup)
         frame = scene.take()
         q = 0.5 * (before + setup.q)  # where the servos say that it is, before and after the picture
-        view = scene.board.see(frame, scene.task.intrinsics) if still else None
+        view = scene.board.find(frame, scene.task.intrinsics) if still else None
         if view is None:
             report.unseen += (number,)
             continue

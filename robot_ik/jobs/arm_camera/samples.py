@@ -10,11 +10,11 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ConfigDict, ValidationError
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.extrinsics import Covariance, today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import Observation
 from robot_ik.config import (
     Pair,
     Position,
@@ -53,12 +53,12 @@ class SampleSet:
     intrinsics: CameraIntrinsics
     date: str = field(default_factory=today)
     q: list[Array] = field(default_factory=list)
-    views: list[BoardView] = field(default_factory=list)
+    views: list[Observation] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.q)
 
-    def add(self, q: Array, view: BoardView) -> None:
+    def add(self, q: Array, view: Observation) -> None:
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
 
@@ -89,7 +89,7 @@ class SampleSet:
         """What the file holds."""
         rows = [
             {"q": q, **{key: getattr(view, key) for key in ("points", "pixels", "sigma", "bias")}}
-            | plain(view.pose_camera_board)
+            | plain(view.pose)
             for q, view in zip(self.q, self.views, strict=True)
         ]
         lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
@@ -136,7 +136,7 @@ class SampleSet:
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
             points, pixels = np.array(one.points), np.array(one.pixels)
-            view = BoardView(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
+            view = Observation(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
             found.add(np.array(one.q), view)
         return found
 

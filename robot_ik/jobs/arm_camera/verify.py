@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
 from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.calibration.kinematic import (
@@ -26,6 +25,7 @@ from robot_ik.camera.calibration.kinematic import (
     measure_errors,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.targets import marker
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
@@ -308,8 +308,8 @@ def _locate(
 def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
     """The simulated camera is located by the marker on the table, as a person would have it done."""
     around, lens = scene_for(setup.robot, setup.frame), scene.task.intrinsics
-    marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
-    views = [marker.see(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
+    sheet = marker(around.marker_id, around.marker_size, around.dictionary)
+    views = [sheet.find(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
     seen = [view for view in views if view is not None]
     if not seen:
         raise MarkerNotFoundError(

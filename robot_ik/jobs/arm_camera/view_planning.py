@@ -14,12 +14,10 @@ import mujoco
 import numpy as np
 
 from robot_ik.budget import Budget
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.scene import SceneTable
-from robot_ik.camera.tracker import Layout
+from robot_ik.camera.synthetic.painted import SceneTable
+from robot_ik.camera.targets import Observation, Squares, marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
@@ -162,12 +160,12 @@ _TRY = Budget(iterations=300, restarts=1)
 class ViewTask:
     """What shall be looked at: rough poses of camera and board, and the frame that carries one of them.
 
-    ``layout`` has the board's markers, id -> (side, ``pose_board_marker``); the table is not to be touched.
+    ``squares`` has the board's markers, id -> (side, ``pose_board_marker``); the table is not to be touched.
     """
 
     mount: Mount
     frame: str
-    layout: Layout
+    squares: Squares
     intrinsics: CameraIntrinsics
     table: SceneTable | None = None
 
@@ -177,7 +175,7 @@ class ViewTask:
 
     def sample(self, robot: Robot, q: Array, points: Array) -> HandEyeSample:
         """The arm at ``q``, with a view that is yet to be taken of ``points`` (n, 3) of the board."""
-        view = BoardView(points, np.zeros((len(points), 2)), Pose(), _PIXEL)
+        view = Observation(points, np.zeros((len(points), 2)), Pose(), _PIXEL)
         return HandEyeSample(robot.forward(q, self.frame), view)
 
     def shown(self, pose_camera_board: Pose) -> tuple[int, ...]:
@@ -186,7 +184,7 @@ class ViewTask:
         None where too many of those that face the camera are cut off, as the board may be elsewhere.
         """
         size, facing, found = np.array(self.intrinsics.size), 0, []
-        for id, (side, pose) in self.layout.items():
+        for id, (side, pose) in self.squares.items():
             at = pose_camera_board.compose(pose)
             towards = -float(at.rotation[:, 2] @ at.position) / float(np.linalg.norm(at.position))
             if at.position[2] <= side or towards <= _LEAST_FACING:
@@ -268,7 +266,7 @@ def _candidates(
 def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator) -> Pose | None:
     """A pose of the hand about where it is at ``near`` that shows one of the markers, or None."""
     board = task.pose_camera_board(robot, near)
-    _, pose_board_marker = list(task.layout.values())[rng.integers(len(task.layout))]
+    _, pose_board_marker = list(task.squares.values())[rng.integers(len(task.squares))]
     mount = task.mount
     if mount.mounting == "eye_to_hand":
         seen = _tilted(board.apply(pose_board_marker.position), rng)
@@ -278,7 +276,7 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
             return None
         return mount.pose_world_hand(rotated_board)
     # The camera stays where it is; its view turns so that the middle of the board comes to a random pixel.
-    middle = board.apply(np.mean([pose.position for _, pose in task.layout.values()], axis=0))
+    middle = board.apply(np.mean([pose.position for _, pose in task.squares.values()], axis=0))
     pixel = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
     rotation = _rotation_onto(middle, task.intrinsics.unproject(pixel.reshape(1, 2))[0], rng)
     board = Pose(wxyz=rotation).compose(board)
@@ -317,7 +315,7 @@ def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Arra
     mount = task.mount
     parent = hand if mount.mounting == "eye_in_hand" else Pose()
     camera = parent.compose(mount.pose_parent_camera)
-    markers = [task.layout[id][1].apply(marker_points(task.layout[id][0])) for id in ids]
+    markers = [task.squares[id][1].apply(marker_points(task.squares[id][0])) for id in ids]
     clear = [m for m in markers if clearance.sees(q, camera.position, camera.compose(seen).apply(m))]
     # Half of a board is enough; of a cube, one side.
     if 2 * len(clear) < len(ids):

@@ -61,7 +61,7 @@ def open_camera(
     if marker_at is not None:
         scene = scene.with_marker_at(*marker_at)
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
-    source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
+    source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock)
     stack.enter_context(source)
     vision = Vision(scene, source, setup, synthetic=source)
     vision.picture()
@@ -187,8 +187,6 @@ class ScriptRun(RunState):
         solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=self.solver)
         if any(step.needs_camera for step in script.steps):
             self.vision = open_camera(setup, script.marker_at, self.seed, stack)
-            if any(step.do == "follow" for step in script.steps):
-                self.vision.get_ready_to_follow()
 
     def _steps(self, progress: Progress) -> None:
         steps = self.script.steps

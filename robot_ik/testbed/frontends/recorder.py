@@ -1,20 +1,21 @@
 """The front end without a screen: each view becomes a picture and a row of numbers.
 
-Robots are drawn by the artists of ``robot-ik ar``: MuJoCo's OpenGL renderer where it works, else the painter,
-which needs nothing.  Pictures are BGR.
+The painter draws robots, balls and a tiled floor. It needs no OpenGL. Pictures are BGR.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 
-from robot_ik.camera.drawing.overlay import write as put_text
-from robot_ik.camera.drawing.renderers import Artist, DrawnRobot
+from robot_ik.camera.drawing.studio import Body, ball_model, photograph, tiled_room
+from robot_ik.camera.drawing.text import write as put_text
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
@@ -33,9 +34,13 @@ from robot_ik.testbed.arrangement import (
 )
 from robot_ik.testbed.session import Session, View
 
-_GROUND, _CELL = (249, 247, 246), (226, 219, 214)
 _INK = (60, 50, 45)
-_GRID_STEP, _GRID_CELLS = 0.5, 12
+# Side of a tile of the floor, in extents of the model.
+_TILE_SIDE = 0.5
+# Radius and half thickness of the plate under an instance, in extents of the model.
+_PLATE = (0.21, 0.002)
+# Part of the plate's tone that is that of its instance, the rest is white.
+_PLATE_TINT = 0.4
 _LETTER = 0.022  # height of letters over the picture's
 _NEAR = 0.05  # metres before the lens: what is nearer is not drawn
 
@@ -45,7 +50,6 @@ class Recorder:
 
     Args:
         session: What is filmed.
-        artist: Draws a robot.
         size: Width and height of the pictures, pixels.
         write: Takes the pictures (height, width, 3) BGR with their times, s; None: only numbers are kept.
     """
@@ -53,11 +57,10 @@ class Recorder:
     def __init__(
         self,
         session: Session,
-        artist: Artist,
         size: tuple[int, int] = (1280, 720),
         write: Callable[[Image, float], None] | None = None,
     ) -> None:
-        self.session, self._artist, self._size, self._write = session, artist, size, write
+        self.session, self._size, self._write = session, size, write
         self._robot: Robot | None = None
         self._count = 0
         self._rows: list[list[object]] = []
@@ -91,22 +94,27 @@ class Recorder:
         if self._robot is not self.session.robot or self._count != view.count:
             self._robot, self._count = self.session.robot, view.count
             self._set_up(self._robot, view.count)
-        width, height = self._size
-        image = np.full((height, width, 3), _GROUND, np.uint8)
-        self._lines(image, self._grid, _CELL, 1)
-        for k in self._order:
-            one, offset = view.instances[k], self._arrangement.offsets[k]
-            if view.count > 1:
-                self._plate(image, k)
-            figure = DrawnRobot(self.session.robot.model)
-            seen_from = Pose(self._camera.position - offset, self._camera.wxyz)
-            qpos = self.session.robot.qpos(one.q)
-            self._artist.draw(figure, qpos, self._lens, seen_from).over(image)
+        bodies = [body for k in range(view.count) for body in self._bodies(view, k)]
+        photo = photograph(bodies, self._lens, self._camera, self._room)
+        image = photo.image
+        thickness = max(1, self._size[1] // 300)
+        for k, one in enumerate(view.instances):
             if len(one.trail) > 1:
-                self._lines(image, [one.trail + offset], INSTANCE_COLOURS[k][::-1], max(1, height // 300))
-            self._ball(image, np.array(view.ball.position) + offset)
+                trail = one.trail + self._arrangement.offsets[k]
+                self._lines(image, [trail], INSTANCE_COLOURS[k][::-1], thickness)
         self._caption(image, view)
         return image
+
+    def _bodies(self, view: View, k: int) -> Iterator[Body]:
+        """Robot and ball of an instance; its plate where there are several."""
+        one, offset = view.instances[k], self._arrangement.offsets[k]
+        extent = self._arrangement.extent
+        if view.count > 1:
+            rgba = _plate_rgba(INSTANCE_COLOURS[k])
+            yield Body(_plate_model(extent, rgba), [], Pose(offset))
+        yield Body(self.session.robot.model, self.session.robot.qpos(one.q), Pose(offset))
+        ball = ball_model(BALL_RADIUS * extent, _rgba(GOAL_COLOUR))
+        yield Body(ball, [], Pose(np.array(view.ball.position) + offset))
 
     def _set_up(self, robot: Robot, count: int) -> None:
         """Lens, camera and ground for a robot."""
@@ -116,13 +124,8 @@ class Recorder:
         self._arrangement: Arrangement = arranged(robot, count)
         position, look = self._arrangement.camera(self.session.ball_path(), width / height)
         self._camera = Pose.look_at(position, look)
-        away = np.linalg.norm(self._arrangement.offsets - position, axis=1)
-        self._order = np.argsort(-away).tolist()
-        reach = _GRID_CELLS * _GRID_STEP * max(0.5, self._arrangement.extent)
-        ticks = np.linspace(-reach, reach, 2 * _GRID_CELLS + 1)
-        along = np.linspace(-reach, reach, 60)
-        self._grid = [np.column_stack([np.full(60, x), along, np.zeros(60)]) for x in ticks]
-        self._grid += [np.column_stack([along, np.full(60, x), np.zeros(60)]) for x in ticks]
+        extent = self._arrangement.extent
+        self._room = tiled_room(extent + float(np.ptp(self._arrangement.offsets)), _TILE_SIDE * extent)
 
     def _seen(self, points: Array) -> tuple[Array, Array]:
         """Pixels (n, 2) and depths (n,) of points (n, 3)."""
@@ -137,23 +140,6 @@ class Recorder:
                 row = np.round(16.0 * pixels[good]).astype(np.int32)
                 cv2.polylines(image, [row], False, colour, thickness, cv2.LINE_AA, 4)
 
-    def _plate(self, image: Image, k: int) -> None:
-        angle = np.linspace(0.0, 2.0 * np.pi, 48)
-        radius = 0.21 * self._arrangement.extent
-        ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(48)])
-        pixels, depth = self._seen(ring + self._arrangement.offsets[k])
-        if (depth > _NEAR).all():
-            shade = image.copy()
-            cv2.fillPoly(shade, [np.round(pixels).astype(np.int32)], INSTANCE_COLOURS[k][::-1], cv2.LINE_AA)
-            cv2.addWeighted(shade, 0.4, image, 0.6, 0.0, image)
-
-    def _ball(self, image: Image, position: Array) -> None:
-        pixels, depth = self._seen(position[None])
-        if depth[0] > _NEAR and (np.abs(pixels) < 1e4).all():
-            radius = BALL_RADIUS * self._arrangement.extent * self._lens.fx / float(depth[0])
-            x, y = np.round(16.0 * pixels[0]).astype(int).tolist()
-            cv2.circle(image, (x, y), round(16.0 * radius), GOAL_COLOUR[::-1], -1, cv2.LINE_AA, 4)
-
     def _caption(self, image: Image, view: View) -> None:
         """A line for each instance: method, steps, share solved, error."""
         size = max(10, round(_LETTER * image.shape[0]))
@@ -162,6 +148,29 @@ class Recorder:
             colour = INSTANCE_COLOURS[k][::-1]
             cv2.rectangle(image, (size, y - size), (2 * size, y), colour, -1)
             put_text(image, f"{one.method}: {one.summary}", (round(2.5 * size), y), size, _INK)
+
+
+def _rgba(colour: Colour) -> tuple[float, float, float, float]:
+    """A colour of 0 to 255 as MuJoCo has it."""
+    red, green, blue = (value / 255.0 for value in colour)
+    return (red, green, blue, 1.0)
+
+
+def _plate_rgba(colour: Colour) -> tuple[float, float, float, float]:
+    """The light tone of the plate of an instance of that colour."""
+    red, green, blue, _ = (1.0 - _PLATE_TINT * (1.0 - value) for value in _rgba(colour))
+    return (red, green, blue, 1.0)
+
+
+@lru_cache(maxsize=16)
+def _plate_model(extent: float, rgba: tuple[float, float, float, float]) -> mujoco.MjModel:
+    """A round plate on the floor."""
+    radius, half = (share * extent for share in _PLATE)
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, half, 0], pos=[0, 0, -half], rgba=rgba
+    )
+    return spec.compile()
 
 
 COLUMNS = (

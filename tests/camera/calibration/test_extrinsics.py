@@ -11,25 +11,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.boards.board import BoardView, MarkerBoard, PatternBoard, parse_board
-from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera, today
-from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.target_files import parse_target
+from robot_ik.camera.targets import (
+    MarkerTarget,
+    Observation,
+    PatternTarget,
+    marker_grid,
+    marker_points,
+)
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
-LAYOUT = grid_body(3, 2, 0.05, 0.0125).markers
+LAYOUT = marker_grid(3, 2, 0.05, 0.0125).markers
 POINTS = np.concatenate([pose.apply(marker_points(side)) for side, pose in LAYOUT.values()])
 BOARD = Pose((0.4, -0.1, 0.02), rotation_exp([0.0, 0.0, 0.7]))
 SEEN = Pose((0.03, -0.02, 0.7), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, -0.3, 0.2])))
 
 
-def observed(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
+def observed(rng: np.random.Generator, noise: float = 0.1) -> Observation:
     """One frame of the board."""
     pixels = STANDARD_CAMERA.project(SEEN.apply(POINTS)) + rng.normal(0, noise, (len(POINTS), 2))
-    return BoardView(POINTS, pixels, SEEN.compose(Pose().plus(rng.normal(0, 2e-3, 6))), 0.1)
+    return Observation(POINTS, pixels, SEEN.compose(Pose().plus(rng.normal(0, 2e-3, 6))), 0.1)
 
 
 def extrinsics_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
@@ -115,8 +120,8 @@ def test_frames_are_averaged_and_a_hand_before_the_board_does_no_harm() -> None:
     true, rng = BOARD.compose(SEEN.inverse()), np.random.default_rng(1)
     views = [observed(rng) for _ in range(9)]
     one = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
-    spoilt = BoardView(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
-    part = BoardView(POINTS[:8], views[1].pixels[:8], SEEN, 0.1)
+    spoilt = Observation(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
+    part = Observation(POINTS[:8], views[1].pixels[:8], SEEN, 0.1)
     many = locate_camera([*views, spoilt, part], BOARD, STANDARD_CAMERA)
     assert many.residual_px < 0.6 * one.residual_px and many.views == 11
     assert many.pose_parent_camera.distance(true)[0] < 5e-4
@@ -129,35 +134,35 @@ def test_markers_are_seen_in_a_picture_as_a_board() -> None:
     rng = np.random.default_rng(0)
     image = render_markers(STANDARD_CAMERA, markers, rng, dictionary="DICT_5X5_50", margin=0.12)
     frame = Frame(np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)
-    board = parse_board("grid:3x2:50:12.5")
-    assert isinstance(board, MarkerBoard)
-    view = board.see(frame, STANDARD_CAMERA)
+    board = parse_target("grid:3x2:50:12.5")
+    assert isinstance(board, MarkerTarget)
+    view = board.find(frame, STANDARD_CAMERA)
     assert view is not None and len(view.points) == 24
     extrinsics = locate_camera([view], BOARD, STANDARD_CAMERA)
     assert extrinsics.pose_parent_camera.distance(BOARD.compose(SEEN.inverse()))[0] < 1e-3
-    assert MarkerBoard(grid_body(1, 1, 0.05, 0.01, 40).markers).see(frame, STANDARD_CAMERA) is None
+    assert marker_grid(1, 1, 0.05, 0.01, 40).find(frame, STANDARD_CAMERA) is None
 
 
 @pytest.mark.parametrize("text", ["charuco:7x5:30:22", "chessboard:7x5:30"])
 def test_patterns_are_seen_with_their_frame_in_the_corner(text: str) -> None:
-    board = parse_board(text)
-    assert isinstance(board, PatternBoard)
+    board = parse_target(text)
+    assert isinstance(board, PatternTarget)
     # The whole of it in view: x right, y down, z away from the camera.
     turn = Pose(wxyz=rotation_exp([0.4, -0.3, 0.1]))
     pose = Pose((-0.1, -0.06, 0.5), turn.wxyz)
     frame = pattern_frame(board, pose)
-    view = board.see(frame, STANDARD_CAMERA)
+    view = board.find(frame, STANDARD_CAMERA)
     assert view is not None
-    position, angle = view.pose_camera_board.distance(pose)
+    position, angle = view.pose.distance(pose)
     assert position < 2e-3 and angle < np.deg2rad(0.5)
-    (side, square), *_ = board.layout.values()
+    (side, square), *_ = board.squares.values()
     assert square.rotation[2, 2] == pytest.approx(-1.0) and side > 0.1
-    assert board.see(Frame(np.zeros((480, 640, 3), np.uint8), 0.0, 0), STANDARD_CAMERA) is None
+    assert board.find(Frame(np.zeros((480, 640, 3), np.uint8), 0.0, 0), STANDARD_CAMERA) is None
 
 
-def pattern_frame(board: PatternBoard, pose: Pose) -> Frame:
+def pattern_frame(board: PatternTarget, pose: Pose) -> Frame:
     """A picture of the pattern at ``pose_camera_board``."""
-    from robot_ik.camera.synthetic.datasets import render_pattern
+    from robot_ik.camera.synthetic.pictures import render_pattern
 
     image = render_pattern(board.pattern, STANDARD_CAMERA, pose, np.random.default_rng(0))
     return Frame(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)
@@ -165,14 +170,14 @@ def pattern_frame(board: PatternBoard, pose: Pose) -> Frame:
 
 @pytest.mark.parametrize("text", ["", "marker:7", "grid:3x:50:12", "marker:x:50", "grid:3x2:-50:12", "cube"])
 def test_a_board_that_means_nothing_is_refused(text: str) -> None:
-    with pytest.raises(CameraError, match="is no board") as refused:
-        parse_board(text)
+    with pytest.raises(CameraError, match="is not a board") as refused:
+        parse_target(text)
     assert "charuco:COLUMNSxROWS" in refused.value.hint
 
 
 def test_metres_in_the_words_of_a_board_are_reported() -> None:
     with pytest.raises(CameraError, match=r"0\.05 mm is too small for a board") as refused:
-        parse_board("grid:2x2:0.05:0.0125")
+        parse_target("grid:2x2:0.05:0.0125")
     assert "0.05 m are 50" in refused.value.hint
 
 
@@ -180,7 +185,7 @@ def test_metres_in_the_words_of_a_board_are_reported() -> None:
 def test_a_pattern_that_cannot_be_is_refused_in_millimetres(text: str) -> None:
     """It was said to have squares of 2 m, which were to be 2 mm."""
     with pytest.raises(CameraError, match="a square of 2000 mm is not possible") as refused:
-        parse_board(text)
+        parse_target(text)
     assert refused.value.hint == "give 1 to 1000 mm"
 
 
@@ -188,12 +193,12 @@ def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "bodies.toml"
     one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
     path.write_text(one.format(name="hand", id=3))
-    board = parse_board(str(path), "DICT_4X4_50")
-    assert isinstance(board, MarkerBoard) and set(board.layout) == {3} and board.dictionary == "DICT_4X4_50"
+    board = parse_target(str(path), "DICT_4X4_50")
+    assert isinstance(board, MarkerTarget) and set(board.squares) == {3} and board.dictionary == "DICT_4X4_50"
     path.write_text(one.format(name="hand", id=3) + one.format(name="table", id=4))
-    assert set(parse_board(f"{path}:table").layout) == {4}
+    assert set(parse_target(f"{path}:table").squares) == {4}
     with pytest.raises(CameraError, match="several bodies") as refused:
-        parse_board(str(path))
+        parse_target(str(path))
     assert f"{path}:table" in refused.value.hint
 
 
@@ -203,7 +208,7 @@ def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
     for k in range(6):
         there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
         pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
-        moving.append(BoardView(POINTS, pixels, there, 0.1))
+        moving.append(Observation(POINTS, pixels, there, 0.1))
     with pytest.raises(CalibrationError, match=r"move by .* px between the pictures") as refused:
         locate_camera(moving, BOARD, STANDARD_CAMERA)
     assert "handeye" in str(refused.value.hint)
@@ -211,9 +216,9 @@ def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
 
 def test_a_board_of_other_sizes_gives_no_place() -> None:
     """Gaps twice as wide as the layout says: no pose meets the corners."""
-    printed = grid_body(3, 2, 0.05, 0.03).markers
+    printed = marker_grid(3, 2, 0.05, 0.03).markers
     points = np.concatenate([pose.apply(marker_points(side)) for side, pose in printed.values()])
-    view = BoardView(POINTS, STANDARD_CAMERA.project(SEEN.apply(points)), SEEN, 0.1)
+    view = Observation(POINTS, STANDARD_CAMERA.project(SEEN.apply(points)), SEEN, 0.1)
     with pytest.raises(CalibrationError, match="px off"):
         locate_camera([view], BOARD, STANDARD_CAMERA)
 
@@ -227,8 +232,8 @@ def test_wrong_corners_count_less_even_where_the_plain_fit_was_the_start() -> No
     vector, shift = cv2.solvePnPRefineLM(POINTS, pixels, STANDARD_CAMERA.matrix, lens, vector, shift)
     plain = Pose.from_rotation(cv2.Rodrigues(vector)[0], shift.ravel())
     one, other = (
-        locate_camera([BoardView(POINTS, pixels, pose, view.sigma)], BOARD, STANDARD_CAMERA)
-        for pose in (view.pose_camera_board, plain)
+        locate_camera([Observation(POINTS, pixels, pose, view.sigma)], BOARD, STANDARD_CAMERA)
+        for pose in (view.pose, plain)
     )
     moved, turned = one.pose_parent_camera.distance(other.pose_parent_camera)
     assert moved < 1e-6 and turned < 1e-6

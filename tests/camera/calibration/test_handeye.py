@@ -12,20 +12,18 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from robot_ik.camera.boards.board import BoardView
+from benchmarks.camera.pictures import handeye_set
 from robot_ik.camera.calibration.handeye import (
     MOUNTINGS,
     HandEyeSample,
     Mounting,
-    mean_rotation,
-    robust_mean_pose,
-    rotation_spread,
     solve_handeye,
     start_handeye,
     view_derivatives,
 )
-from robot_ik.camera.observations import marker_points
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, handeye_set
+from robot_ik.camera.calibration.pose_means import mean_rotation, robust_mean_pose, rotation_spread
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, STANDARD_SIZE
+from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -37,7 +35,7 @@ MARKER = marker_points(STANDARD_SIZE)
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6), mounting=st.sampled_from(MOUNTINGS))
 def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None:
-    truth, samples = handeye_set(6, mounting=mounting, seed=seed, pixel=0.0, arm=(0.0, 0.0))
+    truth, samples = handeye_set(6, mounting=mounting, seed=seed, corner_sigma=0.0, arm_sigma=(0.0, 0.0))
     start = start_handeye(samples, mounting)
     assert max(start.pose_parent_camera.distance(truth.pose_parent_camera)) < 1e-7
     found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
@@ -66,13 +64,14 @@ def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> Non
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None:
     mount, (sample, *_) = handeye_set(mounting=mounting, seed=3)
-    miss, shared, hand = view_derivatives(mount, sample, STANDARD_CAMERA)
-    np.testing.assert_allclose(miss, mount.miss(sample, STANDARD_CAMERA).ravel(), atol=1e-10)
+    residual, shared, hand = view_derivatives(mount, sample, STANDARD_CAMERA)
+    np.testing.assert_allclose(residual, mount.residual(sample, STANDARD_CAMERA).ravel(), atol=1e-10)
     step = 1e-6
     for k in range(12):
         move = np.eye(12)[k] * step
         difference = (
-            mount.plus(move).miss(sample, STANDARD_CAMERA) - mount.plus(-move).miss(sample, STANDARD_CAMERA)
+            mount.plus(move).residual(sample, STANDARD_CAMERA)
+            - mount.plus(-move).residual(sample, STANDARD_CAMERA)
         ).ravel()
         np.testing.assert_allclose(shared[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
     for k in range(6):
@@ -82,7 +81,7 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
             )
             for sign in (1, -1)
         )
-        difference = (mount.miss(there, STANDARD_CAMERA) - mount.miss(back, STANDARD_CAMERA)).ravel()
+        difference = (mount.residual(there, STANDARD_CAMERA) - mount.residual(back, STANDARD_CAMERA)).ravel()
         np.testing.assert_allclose(hand[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
 
 
@@ -104,7 +103,7 @@ def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mou
 
 
 def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
-    truth, samples = handeye_set(seed=4, pixel=0.003, arm=(1e-7, 1e-7))
+    truth, samples = handeye_set(seed=4, corner_sigma=0.003, arm_sigma=(1e-7, 1e-7))
 
     def found(bias: float, outwards: float) -> tuple[float, float]:
         shifted = []
@@ -112,7 +111,7 @@ def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
             view = sample.view
             away = view.pixels - view.pixels.mean(axis=0)
             pixels = view.pixels + outwards * away / np.linalg.norm(away, axis=1, keepdims=True)
-            one = BoardView(view.points, pixels, view.pose_camera_board, view.sigma, bias)
+            one = Observation(view.points, pixels, view.pose, view.sigma, bias)
             shifted.append(HandEyeSample(sample.pose_world_hand, one))
         result = solve_handeye(shifted, STANDARD_CAMERA, mounting="eye_in_hand")
         return (
@@ -136,14 +135,14 @@ def test_views_turned_by_little_are_said_to_be_worse() -> None:
 
 
 def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
-    truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm=(0.0, 0.0))
+    truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm_sigma=(0.0, 0.0))
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
-    def misses(step: Array) -> Array:
+    def residuals(step: Array) -> Array:
         mount = truth.plus(step)
-        return np.concatenate([mount.miss(sample, STANDARD_CAMERA).ravel() for sample in samples])
+        return np.concatenate([mount.residual(sample, STANDARD_CAMERA).ravel() for sample in samples])
 
-    judge = truth.plus(least_squares(misses, np.zeros(12), x_scale=1e-3).x)
+    judge = truth.plus(least_squares(residuals, np.zeros(12), x_scale=1e-3).x)
     position, angle = found.pose_parent_camera.distance(judge.pose_parent_camera)
     assert position < 0.5 * found.sigma_position and angle < 0.5 * found.sigma_angle
 
@@ -155,7 +154,7 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
     samples[4] = HandEyeSample(samples[4].pose_world_hand.compose(bumped), samples[4].view)
     view = samples[11].view
     moved = view.pixels + np.array([[9, 0], [0, 7], [-6, 0], [0, -8]])
-    shifted = BoardView(view.points, moved, view.pose_camera_board)
+    shifted = Observation(view.points, moved, view.pose)
     samples[11] = HandEyeSample(samples[11].pose_world_hand, shifted)
     found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
     assert found.outliers == (4, 11)
@@ -167,9 +166,9 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
 def test_a_flipped_first_estimate_does_no_harm() -> None:
     truth, samples = handeye_set(mounting="eye_to_hand", seed=7)
     view = samples[6].view
-    mirrored = view.pose_camera_board.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
+    mirrored = view.pose.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
     samples[6] = HandEyeSample(
-        samples[6].pose_world_hand, BoardView(view.points, view.pixels, mirrored, view.sigma)
+        samples[6].pose_world_hand, Observation(view.points, view.pixels, mirrored, view.sigma)
     )
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
     assert not found.outliers
@@ -198,10 +197,10 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
         (MARKER, np.full((4, 2), np.nan)),
     ):
         with pytest.raises(CameraError):
-            BoardView(points, pixels, Pose())
-    with pytest.raises(CameraError, match="4 corners"):
-        BoardView(np.eye(5, 3), np.zeros((5, 2)), Pose(), bias=0.01)
-    with pytest.raises(CalibrationError, match="eye_in_hand, eye_to_hand"):
+            Observation(points, pixels, Pose())
+    with pytest.raises(CameraError, match="four corners"):
+        Observation(np.eye(5, 3), np.zeros((5, 2)), Pose(), bias=0.01)
+    with pytest.raises(CalibrationError, match="eye_in_hand or eye_to_hand"):
         solve_handeye(handeye_set()[1], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
 
 

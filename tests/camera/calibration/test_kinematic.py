@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
     ArmModel,
@@ -20,7 +19,9 @@ from robot_ik.camera.calibration.kinematic import (
     fit_zero_offsets,
     measure_errors,
 )
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import Observation
+from robot_ik.cli.arm_camera import unobservable_text
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot
@@ -50,7 +51,7 @@ def views_of(
         seen = CAMERA.inverse().compose(robot.forward(q + offsets, FRAME)).compose(BOARD)
         pixels = STANDARD_CAMERA.project(seen.apply(POINTS)) + rng.normal(0, 1, (8, 2)) * pixel
         if seen.position[2] > 0.2 and (np.abs(pixels - 300) < 400).all():
-            view = BoardView(POINTS, pixels, seen, max(pixel, 0.01))
+            view = Observation(POINTS, pixels, seen, max(pixel, 0.01))
             views.append(CalibrationStation(q + rng.normal(0, 1, robot.nv) * joint, view))
     return views
 
@@ -86,7 +87,7 @@ def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
         seen = robot.forward(q + offsets, FRAME).compose(camera).inverse().compose(board)
         if seen.position[2] > 0.1 and (np.abs(seen.position[:2]) < seen.position[2]).all():
             pixels = STANDARD_CAMERA.project(seen.apply(POINTS))
-            views.append(CalibrationStation(q, BoardView(POINTS, pixels, seen, 0.01)))
+            views.append(CalibrationStation(q, Observation(POINTS, pixels, seen, 0.01)))
     known = {"camera": KnownPose.within(camera, *EXACT), "board": KnownPose.within(board, *EXACT)}
     found = fit(views, robot, mounting="eye_in_hand", **known)
     np.testing.assert_allclose(found.offsets, offsets, atol=1e-5)
@@ -129,7 +130,7 @@ def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
     found = fit(views, robot, **loose)
     assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
     assert found.found == ("joint2", "joint3", "joint4", "joint5")
-    texts = {one.joint: one.text for one in found.unobservable}
+    texts = {one.joint: unobservable_text(one, "link6") for one in found.unobservable}
     assert "the offset of joint1 and the rotation of the camera about z of the world" in texts["joint1"]
     assert "the offset of joint6 and the rotation of the board about" in texts["joint6"]
     np.testing.assert_allclose(found.offsets[1:5], offsets[1:5], atol=np.deg2rad(0.02))
@@ -147,13 +148,16 @@ def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
     def seen_from_link5(one: CalibrationStation) -> CalibrationStation:
         seen = CAMERA.inverse().compose(robot.forward(one.q, "link5")).compose(BOARD)
         return CalibrationStation(
-            one.q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.01)
+            one.q, Observation(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.01)
         )
 
     views = [seen_from_link5(one) for one in views_of(robot, np.zeros(6), 8, 1)]
     found = fit(views, robot, frame="link5")
     (one,) = found.unobservable
-    assert one.joint == "joint6" and one.text == "the offset of joint6 does not show in these views"
+    assert (
+        one.joint == "joint6"
+        and unobservable_text(one, "link5") == "the offset of joint6 does not show in these views"
+    )
     assert np.isinf(one.sigma)
     held = fit(views, robot, frame="link5", hold=["joint6", "joint2"])
     assert held.unobservable == () and held.offsets[1] == held.sigma[1] == 0.0
@@ -185,7 +189,7 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
     turned = KnownPose.within(CAMERA, 1e-6, 1e-3), known[1]
     errors = measure_errors(model_of(views, robot, camera=turned[0], board=turned[1]))
     for one, view in zip(errors, views, strict=True):
-        far = float(np.linalg.norm(view.view.pose_camera_board.position))
+        far = float(np.linalg.norm(view.view.pose.position))
         assert one.sigma == pytest.approx(np.sqrt(2.0) * 1e-3 * far, rel=0.03)
 
 

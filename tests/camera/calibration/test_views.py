@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
 from robot_ik.camera.drawing.prints import Print
+from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_pattern
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_pattern
+from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.errors import CalibrationError, FrameSizeError
 from robot_ik.geometry import Pose, rotation_exp
 

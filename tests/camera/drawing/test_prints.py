@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.drawing.prints import Print, SeenPrint, blank_paper, marker_print, see_print
-from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -77,7 +77,8 @@ def test_a_print_is_seen_from_its_front_only_and_not_beside_the_picture() -> Non
 
 def test_what_is_in_front_takes_its_share_of_every_pixel() -> None:
     field = ray_field(LENS)
-    found = see_print(blank_paper(0.04), Pose((0, 0, 1)), field, lambda rays, depth: rays[:, 0] < 0.00525)
+    pose = Pose((0, 0, 1))
+    found = see_print(blank_paper(0.04), pose, field, lambda pixels, depth: pixels[:, 0] < 165.25)
     assert found is not None
     row = found.coverage[120 - found.box[1], 160 - found.box[0] :][:8]
     # By quarters of a pixel, at the middles of which it is asked: 5.25 mm leaves one quarter of pixel 5.

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.observations import marker_points
-from robot_ik.camera.sheets.page import pdf_bytes, rasterize
-from robot_ik.camera.sheets.sheets import SheetRequest, body_of, cube_paper, make_sheet_page
+from robot_ik.camera.sheets.cube_net import cube_paper
+from robot_ik.camera.sheets.page import pdf_bytes
+from robot_ik.camera.sheets.sheets import SheetRequest, body_of, make_sheet_page
+from robot_ik.camera.targets import marker_points
+from tests.camera.sheets.printing import printed
 
 DPI, EDGE = 150.0, 50.0
 #: Faces on the net: front, right, back, left, top, bottom; x right, y down.
@@ -21,7 +23,7 @@ PLACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
 
 def found(sheet: SheetRequest) -> dict[int, np.ndarray]:
     """Id -> corners (4, 2) in mm of paper, by a detector."""
-    image = rasterize(make_sheet_page(sheet), DPI)
+    image = printed(make_sheet_page(sheet), DPI)
     return {m.id: (m.corners + 0.5) * 25.4 / DPI for m in MarkerDetector("DICT_5X5_50").detect(image)}
 
 

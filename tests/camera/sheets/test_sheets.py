@@ -1,20 +1,16 @@
-"""Printed sheets: parsed back from the PDF, found again in the PNG, refused when they do not fit."""
+"""Printed sheets: parsed back from the PDF, found by the detector, refused when they do not fit."""
 
 from __future__ import annotations
 
 import re
-import struct
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.boards.board import PatternBoard, parse_board
-from robot_ik.camera.boards.patterns import PatternKind, PatternRequest
-from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
+from robot_ik.camera.patterns import PatternKind, PatternRequest
+from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, write_sheet
 from robot_ik.camera.sheets.sheets import (
     SheetKind,
     SheetRequest,
@@ -22,7 +18,10 @@ from robot_ik.camera.sheets.sheets import (
     body_of,
     make_sheet_page,
 )
+from robot_ik.camera.target_files import load_bodies, parse_target
+from robot_ik.camera.targets import PatternTarget
 from robot_ik.errors import CalibrationError, CameraError, OutputError
+from tests.camera.sheets.printing import printed
 
 DPI = 150.0
 
@@ -86,14 +85,9 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
         assert steps == pytest.approx(np.full(len(steps), square), abs=0.01)
 
 
-def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> None:
+def test_the_print_is_found_by_the_detector_at_the_right_size() -> None:
     asked = SheetRequest("board", size_mm=42.0, columns=3, rows=2, ids=(10,), gap_mm=11.0)
-    path = tmp_path / "board.png"
-    write_sheet(make_sheet_page(asked), path, dpi=int(DPI))
-    data = path.read_bytes()
-    place = data.index(b"pHYs")
-    assert struct.unpack(">IIB", data[place + 4 : place + 13]) == (round(DPI / 0.0254),) * 2 + (1,)
-    corners = found(cv2.imread(str(path)))
+    corners = found(printed(make_sheet_page(asked), DPI))
     assert set(corners) == {10, 11, 12, 13, 14, 15}
     centres = {k: c.mean(axis=0) for k, c in corners.items()}
     for corner in corners.values():
@@ -109,11 +103,11 @@ def test_the_png_is_found_by_the_detector_at_the_right_size(tmp_path: Path) -> N
         assert there == pytest.approx(pose.position[:2], abs=2e-4)
 
 
-def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
+def test_a_cell_border_lies_where_it_should_in_the_print() -> None:
     """To 0.1 mm, from the grey of the pixels that an edge cuts."""
     asked = SheetRequest("marker", size_mm=50.0)
     sheet = make_sheet_page(asked)
-    image = rasterize(sheet, DPI).astype(float)
+    image = printed(sheet, DPI).astype(float)
     cells = sheet.boxes[np.isclose(sheet.boxes[:, 2], 50.0 / 7.0)]
     left, top = cells[:, :2].min(axis=0)
     row = image[round((top + 3.0) / 25.4 * DPI)]
@@ -125,7 +119,7 @@ def test_a_cell_border_lies_where_it_should_in_the_png() -> None:
 def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
     for kind in ("charuco", "chessboard"):
         pattern = PatternRequest(kind).pattern()
-        seen = pattern.find(rasterize(make_sheet_page(SheetRequest(kind)), 75.0))
+        seen = pattern.find(printed(make_sheet_page(SheetRequest(kind)), 75.0))
         assert seen is not None and len(seen.ids) == pattern.corners[0] * pattern.corners[1]
         scale = np.ptp(seen.pixels[:, 0]) * 25.4 / 75.0 / np.ptp(seen.points_board[:, 0])
         assert scale == pytest.approx(1000.0, rel=1e-3)
@@ -157,18 +151,18 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
 def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
     page = make_sheet_page(asked)
     (text,) = [w.text for w in page.labels if "--board" in w.text]
-    board = parse_board(text.split("--board ")[1], asked.dictionary)
-    if isinstance(board, PatternBoard):
+    board = parse_target(text.split("--board ")[1], asked.dictionary)
+    if isinstance(board, PatternTarget):
         kind: PatternKind = "charuco" if asked.kind == "charuco" else "chessboard"
         true = PatternRequest(kind, asked.columns, asked.rows, asked.size).pattern()
         assert type(board.pattern) is type(true) and board.pattern.corners == true.corners
         assert board.pattern.black() == pytest.approx(true.black())
     else:
         markers = body_of(asked).markers
-        assert list(board.layout) == list(markers)
+        assert list(board.squares) == list(markers)
         for marker, (size, pose) in markers.items():
-            assert board.layout[marker][0] == pytest.approx(size)
-            assert max(board.layout[marker][1].distance(pose)) < 1e-9
+            assert board.squares[marker][0] == pytest.approx(size)
+            assert max(board.squares[marker][1].distance(pose)) < 1e-9
     assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.labels)
 
 
@@ -226,8 +220,8 @@ def test_the_size_that_is_said_to_fit_fits() -> None:
         make_sheet_page(SheetRequest("charuco", size_mm=size + 0.5))
 
 
-@pytest.mark.parametrize(("name", "dpi"), [("sheet.svg", 300), ("sheet", 300), ("sheet.png", 7)])
-def test_other_files_are_refused(name: str, dpi: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["sheet.svg", "sheet", "sheet.png"])
+def test_other_files_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(OutputError):
-        write_sheet(make_sheet_page(SheetRequest("marker")), tmp_path / name, dpi=dpi)
+        write_sheet(make_sheet_page(SheetRequest("marker")), tmp_path / name)
     assert not list(tmp_path.iterdir())

@@ -9,16 +9,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.corner_refinement import refine_markers
+from robot_ik.camera.corners import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, see_print
-from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FrameSource
-from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.camera.synthetic.photograph import INK, PAPER
-from robot_ik.camera.synthetic.scene import SceneTable
+from robot_ik.camera.synthetic.camera import (
+    SyntheticMarker,
+    SyntheticScene,
+    SyntheticSource,
+)
+from robot_ik.camera.synthetic.painted import INK, PAPER, SceneTable
 from robot_ik.camera.synthetic.sensor import LINEAR
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
@@ -57,7 +60,7 @@ def corner_misses(scene: SyntheticScene, seeds: int, **options: object) -> np.nd
         assert set(found) == set(frame.truth["corners"])
         for id, corners in found.items():
             (refined,) = refine_markers(frame.image, [corners], [id], "DICT_5X5_50", scene.intrinsics)
-            misses.append(refined.corners - frame.truth["corners"][id])
+            misses.append(refined.pixels - frame.truth["corners"][id])
     return np.concatenate(misses)
 
 
@@ -217,12 +220,12 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
             side = robot.forward(where[0], f"marker_{id}")
             assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx((0, 0), abs=1e-9)
             (refined,) = refine_markers(frame.image, [found[id]], [id], "DICT_5X5_50", lens)
-            assert np.abs(refined.corners - frame.truth["corners"][id]).max() < 0.5
+            assert np.abs(refined.pixels - frame.truth["corners"][id]).max() < 0.5
 
 
-def test_fast_pictures_keep_markers_exact() -> None:
+def test_corners_beside_an_object_with_its_shadow_are_exact() -> None:
     scene = desk(*marker_grid(), body="<geom type='sphere' size='.05' pos='.2 .15 .05'/>")
-    misses = corner_misses(scene, 1, quality="fast", noise=0.0)
+    misses = corner_misses(scene, 1, noise=0.0)
     assert np.sqrt((misses**2).mean()) <= 0.03
 
 
@@ -265,8 +268,6 @@ def test_scenes_that_cannot_be_are_refused() -> None:
         photograph(desk(SyntheticMarker(50, 0.05), lens=SMALL)).read()
     with pytest.raises(CameraError, match="did you mean 'DICT_5X5_50'"):
         photograph(desk(SyntheticMarker(1, 0.05, dictionary="DICT_5X550"), lens=SMALL)).read()
-    with pytest.raises(CameraError, match="fast"):
-        photograph(desk(lens=SMALL), quality="draft")
 
 
 @pytest.mark.parametrize(

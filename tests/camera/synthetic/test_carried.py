@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
+from robot_ik.camera.targets import marker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
@@ -20,13 +20,14 @@ def test_each_picture_is_taken_from_where_the_hand_is() -> None:
     markers = (SyntheticMarker(7, 0.1, board),)
     scene = SyntheticScene(robot, lens, carried, markers, camera_frame="gripper")
     places = iter([here, robot.clip(here + np.array([0.03, -0.02, 0.02, 0.02, 0.02, 0.3]))])
-    tracker, poses = MarkerTracker(lens, "DICT_5X5_50", {7: 0.1}), []
+    target, poses = marker(7, 0.1), []
     clock = VirtualClock(2.0)
-    with SyntheticSource(scene, lambda: next(places), clock=clock, quality="fast") as source:
+    with SyntheticSource(scene, lambda: next(places), clock=clock) as source:
         for number in range(2):
             frame = source.read()
             assert (frame.size, frame.sequence, frame.time) == ((320, 240), number, 2.0)
-            (seen,) = tracker.observe(frame)
+            seen = target.find(frame, lens)
+            assert seen is not None
             true = frame.truth["pose_camera_marker"][7]  # type: ignore[index]
             assert seen.pose.distance(true)[0] < 2e-3
             poses.append(seen.pose)

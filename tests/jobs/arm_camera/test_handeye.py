@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import BoardView, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticScene
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.target_files import parse_target
+from robot_ik.camera.targets import Observation
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.arm_camera import handeye
@@ -167,7 +168,7 @@ def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ({"camera": "0"}, CalibrationError, "has no calibration"),
         ({"camera": "0", "intrinsics": Path("x.yaml")}, CameraError, "what board"),
-        ({"board": parse_board("marker:7:50")}, ConfigError, "a board of its own"),
+        ({"board": parse_target("marker:7:50")}, ConfigError, "a board of its own"),
     ],
 )
 def test_what_is_missing_is_reported_before_anything_moves(
@@ -190,7 +191,7 @@ def test_a_file_without_samples_is_reported(tmp_path: Path, text: str | None) ->
 
 def test_samples_of_views_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     samples = SampleSet("puma560", ("joint1",), "gripper", "eye_in_hand", STANDARD_CAMERA)
-    view = BoardView(np.eye(4, 3), np.ones((4, 2)), Pose())
+    view = Observation(np.eye(4, 3), np.ones((4, 2)), Pose())
     samples.add(np.zeros(1), view)
     path = tmp_path / "some.json"
     samples.save(path)

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.bench.camera import Effort, arm
-from robot_ik.camera.boards.board import MarkerBoard
+from benchmarks.camera import arm
+from benchmarks.camera.rows import Effort
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.calibration.kinematic import PoseError
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticScene
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.targets import MarkerTarget
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
 from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
@@ -152,7 +153,7 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     found = run_verify(
         VerifyRequest(
             "tabletop_puma", camera="0", intrinsics=lens, extrinsics=place, views=4, frame=scene.cube_frame,
-            board=MarkerBoard(dict(scene.cube), scene.dictionary), pose_other_board=scene.cube_offset,
+            board=MarkerTarget(dict(scene.cube), scene.dictionary), pose_other_board=scene.cube_offset,
         )
     )  # fmt: skip
     assert (

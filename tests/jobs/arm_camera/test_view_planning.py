@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.camera.calibration.handeye import Mount, compress, rotation_spread
-from robot_ik.camera.observations import marker_points
+from robot_ik.camera.calibration.handeye import Mount, compress
+from robot_ik.camera.calibration.pose_means import rotation_spread
+from robot_ik.camera.targets import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.arm_camera.view_planning import ViewTask, plan_views
@@ -92,7 +93,7 @@ def test_they_tell_more_than_views_at_random(robot: Robot, task: ViewTask, views
 
     def reported(some: list[Array]) -> float:
         """Log determinant of the information on camera and board, every marker of the cube seen."""
-        corners = np.concatenate([pose.apply(marker_points(side)) for side, pose in task.layout.values()])
+        corners = np.concatenate([pose.apply(marker_points(side)) for side, pose in task.squares.values()])
         seen, _ = compress(task.mount, [task.sample(robot, q, corners) for q in some], task.intrinsics)
         arm = np.diag([5e-4**2] * 3 + [2e-3**2] * 3)
         weighted = np.linalg.solve(seen.pixels + arm, seen.rows)

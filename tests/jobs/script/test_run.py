@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.camera.marker_goals import LatestGoals
+from robot_ik.camera.latest_goals import LatestGoals
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.limiter import SafetyLimiter
 from robot_ik.jobs.script import (

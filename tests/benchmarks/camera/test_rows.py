@@ -1,0 +1,79 @@
+"""The benchmark of the camera: its rows, its figures, and that they can fail."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from benchmarks.camera import accuracy
+from benchmarks.camera.rows import ROWS, Effort
+from robot_ik.jobs.ar.self_test import PINHOLE, projection_misses
+from robot_ik.jobs.quantity import Quantity
+
+
+def figures(of: object, **effort: object) -> dict[str, Quantity]:
+    return {one.quantity: one for one in of(Effort(quick=True, **effort))}  # type: ignore[operator]
+
+
+def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
+    assert len({row.name for row in ROWS}) == len(ROWS)
+    for row in ROWS:
+        module, _, name = row.function.partition(":")
+        assert callable(getattr(importlib.import_module(module), name)), row.name
+
+
+@pytest.mark.parametrize(
+    ("value", "bounds", "passed", "wanted"),
+    [
+        (1.0, {"most": 1.0}, True, "≤ 1 mm"),
+        (1.1, {"most": 1.0}, False, "≤ 1 mm"),
+        (1.1, {"least": 1.0}, True, "≥ 1 mm"),
+        (0.9, {"least": 1.0}, False, "≥ 1 mm"),
+        (0.9, {"least": 1.0, "most": 2.0}, False, "1 … 2 mm"),
+        (2.0, {"least": 1.0, "most": 2.0}, True, "1 … 2 mm"),
+        (1.0, {}, None, ""),
+        (float("nan"), {"most": 1.0}, False, "≤ 1 mm"),
+        (float("nan"), {"most": 1.0, "missing": "no camera"}, None, "≤ 1 mm"),
+    ],
+)
+def test_a_figure_passes_on_the_right_side(
+    value: float, bounds: dict[str, Any], passed: bool | None, wanted: str
+) -> None:
+    one = Quantity("x", value, "mm", **bounds)
+    assert one.passed is passed and one.wanted_text == wanted
+
+
+def test_clutter_gives_no_find_and_a_tracker_that_believes_all_is_caught(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert all(one.value == 0 for one in figures(accuracy.clutter).values())
+    (view,) = accuracy.standard_set(0.3, 1, seed=2, marker_id=7, dictionary="DICT_5X5_50")
+    real = accuracy.find_corners
+
+    def believing(_frame: object, *rest: Any) -> object:
+        return real(accuracy.frame_of(view.image), *rest)
+
+    monkeypatch.setattr(accuracy, "find_corners", believing)
+    found = list(figures(accuracy.clutter).values())
+    assert [one.passed for one in found] == [False]
+
+
+def test_boards_are_seen_as_well_as_wanted_and_half_hidden_ones_too() -> None:
+    found = figures(accuracy.occlusion)
+    assert len(found) == 4 and all(one.passed in (True, None) for one in found.values()), found
+
+
+def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen() -> None:
+    found = figures(accuracy.projection)
+    assert len(found) == 4 and all(one.passed for one in found.values()), found
+    # A painter that takes the middle of a pixel for its corner.
+    shifted = replace(PINHOLE, cx=PINHOLE.cx + 0.5)
+    assert projection_misses(PINHOLE, drawn_through=shifted).rms > 0.4
+
+
+def test_handeye_comes_near_and_says_how_near() -> None:
+    found = figures(accuracy.handeye)
+    assert all(one.passed for one in found.values()), found
