@@ -1,7 +1,7 @@
 """Train SAC with hindsight experience replay (HER) to reach goals with a Koch v1.1.
 
 Prints the success rate on 50 new goals before and after the training. It needs
-``pip install "robot_ik[gym]" stable-baselines3``.
+``pip install "robot-ik-testbed[gym]" stable-baselines3``.
 """
 
 import argparse

@@ -653,7 +653,7 @@ class PreparedFiveJoint:
             problem.given,
             self._target.copy(),
             self._trace() if self._trace_wanted and iterations else None,
-            None if math.isnan(bound) else bound,
+            angle_bound=None if math.isnan(bound) else bound,
         )
 
     def run_many(
