@@ -1,6 +1,6 @@
 """One step of differential inverse kinematics that keeps away from collisions.
 
-    minimise ½ |J d − r|² + ½ λ |d|²    with    low ≤ d ≤ high
+    minimise ½ |J d − r|² + ½ λ |d|²    with    lower ≤ d ≤ upper
     and for each near pair    g · d ≥ −gain (distance − margin)
 
 g is the change of the pair's distance per unit of d (Faverjon & Tournassoud 1987). A pair that is
@@ -96,11 +96,11 @@ def write_objective(run):
             program.hessian[i, j] = step.normal_matrix[i, j]
             program.hessian[j, i] = step.normal_matrix[i, j]
         program.hessian[i, i] += damping
-    step_bounds(run.tree, run.goals, run.search.q, program.low, program.high)
+    step_bounds(run.tree, run.goals, run.search.q, program.lower, program.upper)
     for u in range(columns):
         longest = step.largest[u] / run.goals.joint_scale[u]
-        program.low[u] = max(program.low[u], -longest)
-        program.high[u] = min(program.high[u], longest)
+        program.lower[u] = max(program.lower[u], -longest)
+        program.upper[u] = min(program.upper[u], longest)
 
 
 @kernel

@@ -141,8 +141,8 @@ WORK = Layout(
     best_cost="floats levels",  # the same of the best point
     accepted="floats nq",  # the point before the step
     jacobian="table m u",
-    low="floats u",  # bounds of the step
-    high="floats u",
+    lower="floats u",  # bounds of the step
+    upper="floats u",
     side="ints u",  # -1, 1 for a joint that the step puts at its lower or upper bound
     basis="table l u",  # orthonormal rows that span the rows of the levels served so far
     projected="table m u",  # rows of a level without their part in the basis
@@ -225,7 +225,7 @@ def stacked_step(tree, goals, search, work, top, damping):
     side = work.side
     columns = step.shape[0]
     write_jacobian(tree, goals, search, work)
-    step_bounds(tree, goals, search.q, work.low, work.high)
+    step_bounds(tree, goals, search.q, work.lower, work.upper)
     for u in range(columns):
         side[u] = 0
     pressed = 0
@@ -234,14 +234,14 @@ def stacked_step(tree, goals, search, work, top, damping):
         worst = worst_violation(step, work)
         if worst < 0:
             break
-        side[worst] = 1 if step[worst] > work.high[worst] else -1
+        side[worst] = 1 if step[worst] > work.upper[worst] else -1
         pressed += 1
     largest = 0.0
     for u in range(columns):
         largest = max(largest, abs(step[u]))
     share = _STRIDE / largest if largest > _STRIDE else 1.0
     for u in range(columns):
-        step[u] = min(max(share * step[u], work.low[u]), work.high[u])
+        step[u] = min(max(share * step[u], work.lower[u]), work.upper[u])
     return pressed, largest
 
 
@@ -249,7 +249,7 @@ def stacked_step(tree, goals, search, work, top, damping):
 def serve_levels(goals, search, work, top, damping):
     """Write the step for the levels up to ``top``, with some joints at their bounds."""
     for u in range(search.step.shape[0]):
-        bound = work.low[u] if work.side[u] < 0 else work.high[u]
+        bound = work.lower[u] if work.side[u] < 0 else work.upper[u]
         search.step[u] = 0.0 if work.side[u] == 0 else bound
     rank = _ZERO
     for level in range(top + 1):
@@ -270,7 +270,7 @@ def worst_violation(step, work):
     worst = -1
     largest = _BOUND_SLACK
     for u in range(step.shape[0]):
-        excess = max(step[u] - work.high[u], work.low[u] - step[u])
+        excess = max(step[u] - work.upper[u], work.lower[u] - step[u])
         if work.side[u] == 0 and excess > largest:
             worst = u
             largest = excess

@@ -1,6 +1,6 @@
 """A small quadratic program: Goldfarb & Idnani, A numerically stable dual method, 1983.
 
-    minimise ½ dᵀ H d − gᵀ d    with    low ≤ d ≤ high    and    A d ≥ b
+    minimise ½ dᵀ H d − gᵀ d    with    lower ≤ d ≤ upper    and    A d ≥ b
 
 It begins at the free minimum and adds the constraint that is violated most, until none is.
 """
@@ -27,8 +27,8 @@ PROGRAM = Layout(
     active="int",  # active constraints
     hessian="table u u",  # H, symmetric positive definite
     gradient="floats u",  # g
-    low="floats u",
-    high="floats u",
+    lower="floats u",
+    upper="floats u",
     rows="table r u",  # A
     bounds="floats r",  # b
     solution="floats u",  # d
@@ -173,16 +173,16 @@ def most_violated(program):
             constraint = c
             bound = program.bounds[c]
     for k in range(n):
-        slack = program.solution[k] - program.low[k]
+        slack = program.solution[k] - program.lower[k]
         if slack < worst:
             worst = slack
             constraint = count + k
-            bound = program.low[k]
-        slack = program.high[k] - program.solution[k]
+            bound = program.lower[k]
+        slack = program.upper[k] - program.solution[k]
         if slack < worst:
             worst = slack
             constraint = count + n + k
-            bound = -program.high[k]
+            bound = -program.upper[k]
     return constraint, bound
 
 

@@ -120,8 +120,8 @@ WORK = Layout(
     before="floats u",  # gradient at ``accepted``
     moved="floats u",  # from ``accepted`` to q, in units of the step
     image="floats u",  # H y
-    low="floats u",
-    high="floats u",
+    lower="floats u",
+    upper="floats u",
     held="ints u",  # 1 for a joint whose limit is active
 )
 RUN = run_layout("BfgsRun", WORK, OPTIONS)
@@ -227,9 +227,9 @@ def update_metric(work):
 @outlined
 def constrain(tree, goals, search, work):
     """Hold the limits that the slope pushes against; release those that it leads away from."""
-    step_bounds(tree, goals, search.q, work.low, work.high)
+    step_bounds(tree, goals, search.q, work.lower, work.upper)
     for u in range(work.gradient.shape[0]):
-        leaving = pushed_out(work.low[u], work.high[u], work.gradient[u]) != 0
+        leaving = pushed_out(work.lower[u], work.upper[u], work.gradient[u]) != 0
         if leaving and work.held[u] == 0:
             hold(work, u)
         elif work.held[u] != 0 and not leaving:
@@ -250,7 +250,7 @@ def choose_direction(search, work):
             direction[i] = s
         crossed = False
         for u in range(columns):
-            if work.held[u] == 0 and pushed_out(work.low[u], work.high[u], direction[u]) != 0:
+            if work.held[u] == 0 and pushed_out(work.lower[u], work.upper[u], direction[u]) != 0:
                 hold(work, u)
                 crossed = True
         if not crossed:
@@ -283,7 +283,7 @@ def try_step(tree, goals, search, work, share):
     step = search.step
     copy(work.accepted, search.q)
     for u in range(step.shape[0]):
-        step[u] = min(max(share * work.direction[u], work.low[u]), work.high[u])
+        step[u] = min(max(share * work.direction[u], work.lower[u]), work.upper[u])
     apply_step(tree, goals, search)
     difference(tree, work.accepted, search.q, search.dq)
     promised = 0.0
