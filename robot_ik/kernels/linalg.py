@@ -206,7 +206,7 @@ def row_products(jacobian, residual, hits, hit_count, gram, gradient):
 
 @inlined
 def pushed_out(lower, upper, direction):
-    """Return -1 or 1 if a joint is at that bound and ``direction`` leads out there, else 0."""
+    """Return -1 or 1 if a joint is at a bound and ``direction`` leads beyond the bound, else 0."""
     if direction < 0.0 and lower > -AT_BOUND:
         return -1
     return 1 if direction > 0.0 and upper < AT_BOUND else 0
@@ -229,8 +229,8 @@ def solve_box_by_columns(box, matrix, damping, step):
 
     Block principal pivoting (Júdice & Pires, Computers & Operations Research 21(5), 1994): guess
     which joints stop at a bound, solve for the others, then exchange all joints that are on the
-    wrong side of the guess. If that does not lower their number, exchange one at a time, which
-    always ends. Most steps need one solve.
+    wrong side of the guess. If that does not lower their number, exchange one joint at a time,
+    which always ends. Most steps need one solve.
 
     Args:
         box: Memory of ``BOX_PROBLEM``; reads gradient g, lower and upper.
@@ -261,11 +261,11 @@ def solve_box_by_columns(box, matrix, damping, step):
                 for j in range(i + 1, columns):
                     slope -= matrix[j, i] * step[j]
                 box.slope[i] = slope
-        wrong, last = revise_sides(box, step, steepest)
-        if wrong == 0:
+        changes, last = revise_sides(box, step, steepest)
+        if changes == 0:
             break
-        patience = _FAILED_EXCHANGES if wrong < fewest else patience - 1
-        fewest = min(fewest, wrong)
+        patience = _FAILED_EXCHANGES if changes < fewest else patience - 1
+        fewest = min(fewest, changes)
         exchange_sides(box, patience, last)
     return keep_to_box(box, step)
 
@@ -304,11 +304,11 @@ def solve_box_by_rows(box, hits, hit_count, damping, step):
             if box.side[u] != 0:
                 step[u] = box.lower[u] if box.side[u] < 0 else box.upper[u]
                 box.slope[u] = damping * (free_step - step[u])
-        wrong, last = revise_sides(box, step, steepest)
-        if wrong == 0:
+        changes, last = revise_sides(box, step, steepest)
+        if changes == 0:
             break
-        patience = _FAILED_EXCHANGES if wrong < fewest else patience - 1
-        fewest = min(fewest, wrong)
+        patience = _FAILED_EXCHANGES if changes < fewest else patience - 1
+        fewest = min(fewest, changes)
         exchange_sides(box, patience, last)
     return keep_to_box(box, step)
 
@@ -327,7 +327,7 @@ def guess_sides(box):
 def reduced_system(matrix, damping, gradient, lower, upper, side, factor, step):
     """Write the system of the free joints to ``factor`` and ``step``.
 
-    A joint at its bound has a row of its own, which says that it stays there.
+    The row of a joint at its bound keeps the joint at the bound.
     """
     n = gradient.shape[0]
     for i in range(n):
@@ -365,7 +365,7 @@ def remove_joint(box, hits, hit_count, u, bound):
 @inlined
 def revise_sides(box, step, steepest):
     """Write better guesses to box.next_side; return how many differ, and the last that does."""
-    wrong = 0
+    changes = 0
     last = -1
     for i in range(step.shape[0]):
         side = box.side[i]
@@ -376,14 +376,14 @@ def revise_sides(box, step, steepest):
         elif box.upper[i] > box.lower[i] and box.slope[i] * side < -_SLOPE_ROUNDING * steepest:
             box.next_side[i] = 0
         if box.next_side[i] != side:
-            wrong += 1
+            changes += 1
             last = i
-    return wrong, last
+    return changes, last
 
 
 @inlined
 def exchange_sides(box, patience, last):
-    """Take all new guesses, or without patience only that of joint ``last``."""
+    """Take all new guesses; without patience only the guess of joint ``last``."""
     for i in range(box.side.shape[0]):
         if patience >= 0 or i == last:
             box.side[i] = box.next_side[i]
@@ -391,7 +391,7 @@ def exchange_sides(box, patience, last):
 
 @inlined
 def keep_to_box(box, step):
-    """Remove rounding beyond the bounds; return how many joints press where they already were."""
+    """Clip rounding errors beyond the bounds; return the number of joints that press on a bound."""
     pressed = 0
     for i in range(step.shape[0]):
         step[i] = min(max(step[i], box.lower[i]), box.upper[i])

@@ -1,15 +1,15 @@
-"""``lm`` for goals of several priorities: no level costs the levels before it anything.
+"""``lm`` for goals of several priorities: a level never raises the cost of an earlier level.
 
-A level is all goals of one priority. Soft goals form the last levels: they are served, but they do
-not decide whether the solve has converged, and nothing is searched for them.
+A level is all goals of one priority. Soft goals form the last levels: they are minimised, but they
+do not decide whether the solve has converged, and they cause no restarts.
 
-One step serves level 0 by damped least squares, then level 1 with the freedom that is left, and so
-on (Siciliano & Slotine, A general framework for managing multiple tasks in highly redundant robotic
-systems, ICAR 1991). A joint that the step would push over a limit is put there, and the step is
-computed again without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint
+One step serves level 0 by damped least squares, then level 1 with the remaining freedom, and so on
+(Siciliano & Slotine, A general framework for managing multiple tasks in highly redundant robotic
+systems, ICAR 1991). A joint that the step would move over a limit is set to the limit, and the step
+is computed again without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint
 constraints, IEEE Transactions on Robotics 31(3), 2015). Null spaces are correct to first order
-only. After each step the earlier levels are therefore restored, and the step is kept only if no
-earlier level lost and its own level improved.
+only. After each step the earlier levels are therefore restored. The step is accepted only if no
+earlier level is worse and its own level is better.
 
 The search has its own phases, because its cost is a list of costs that are compared in order:
 
@@ -104,7 +104,7 @@ _DEPENDENT = 1e-6
 _ZERO_ROW = 1e-24
 # Added to the diagonal of a system, so that it stays positive definite.
 _TINY = 1e-15
-# A joint may exceed its bound by this before it is put there, rad or m.
+# A joint may exceed its bound by this before it is set to the bound, rad or m.
 _BOUND_SLACK = 1e-12
 # Largest change of a joint in one step, rad or m.
 _STRIDE = 0.5
@@ -438,9 +438,9 @@ def add_soft_row(search, work, r):
 
 @outlined
 def levels_kept(goals, search, work, top, tolerances):
-    """Return whether the levels before ``top`` are as good as when they were left.
+    """Return whether the levels before ``top`` are as good as when the search left them.
 
-    Those that were met must be within so many tolerances.
+    A level that was met must be within ``tolerances`` times its tolerance.
     """
     for level in range(top):
         left_cost = work.left_cost[level]

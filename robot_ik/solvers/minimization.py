@@ -122,7 +122,7 @@ WORK = Layout(
     image="floats u",  # H y
     lower="floats u",
     upper="floats u",
-    held="ints u",  # 1 for a joint whose limit is active
+    active="ints u",  # 1 for a joint whose limit is active
 )
 RUN = run_layout("BfgsRun", WORK, OPTIONS)
 open_run = RUN.open
@@ -157,13 +157,13 @@ def measure_gradient(tree, goals, search, work):
 
 @outlined
 def reset_metric(work):
-    """Make the metric the scale of the slope times the identity, with no limit held."""
+    """Make the metric the scale of the slope times the identity, with no active limit."""
     columns = work.metric.shape[0]
     for u in range(columns):
         for i in range(columns):
             work.metric[u, i] = 0.0
         work.metric[u, u] = work.scale
-        work.held[u] = 0
+        work.active[u] = 0
     work.updates = 0
 
 
@@ -181,7 +181,7 @@ def hold(work, u):
     for i in range(columns):
         metric[i, u] = 0.0
         metric[u, i] = 0.0
-    work.held[u] = 1
+    work.active[u] = 1
 
 
 @outlined
@@ -230,11 +230,11 @@ def constrain(tree, goals, search, work):
     step_bounds(tree, goals, search.q, work.lower, work.upper)
     for u in range(work.gradient.shape[0]):
         leaving = pushed_out(work.lower[u], work.upper[u], work.gradient[u]) != 0
-        if leaving and work.held[u] == 0:
+        if leaving and work.active[u] == 0:
             hold(work, u)
-        elif work.held[u] != 0 and not leaving:
+        elif work.active[u] != 0 and not leaving:
             work.metric[u, u] = work.scale
-            work.held[u] = 0
+            work.active[u] = 0
 
 
 @outlined
@@ -250,14 +250,14 @@ def choose_direction(search, work):
             direction[i] = s
         crossed = False
         for u in range(columns):
-            if work.held[u] == 0 and pushed_out(work.lower[u], work.upper[u], direction[u]) != 0:
+            if work.active[u] == 0 and pushed_out(work.lower[u], work.upper[u], direction[u]) != 0:
                 hold(work, u)
                 crossed = True
         if not crossed:
             break
     search.pressed = 0
     for u in range(columns):
-        search.pressed += work.held[u]
+        search.pressed += work.active[u]
     return slope_along(work)
 
 
