@@ -7,9 +7,9 @@ Each check looks at pairs of links first, then at pairs of geoms:
     exact distance (``gjk.py``)
 
 A filter removes only pairs that are farther apart than the reach. Each call of ``next_pair``
-returns one of the remaining pairs. A pair is free if the *lower* bound of its distance exceeds the margin.
-Within rounding of contact the bounds do not agree. The verdict is then UNDECIDED, and MuJoCo
-decides.
+returns one of the remaining pairs. A pair is free if the *lower* bound of its distance exceeds the
+margin. Within rounding of contact the bounds do not agree. The verdict is then UNDECIDED, and
+MuJoCo decides.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
