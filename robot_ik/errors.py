@@ -125,7 +125,7 @@ def distinct_texts(*values: float, digits: int = 1, form: str = "f") -> list[str
 
     Args:
         values: The numbers.
-        digits: The least number of digits: behind the point for form "f", in all for form "g".
+        digits: The smallest number of digits: after the point for form "f", in total for form "g".
         form: The format of the numbers, "f" or "g".
     """
     texts: list[str] = []
@@ -394,14 +394,14 @@ class UnsafeCommandError(HardwareError, ValueError):
     """A command was refused. Nothing was sent to any servo.
 
     Attributes:
-        asked: The command.
+        command: The refused command.
         allowed: What is allowed.
     """
 
-    def __init__(self, asked: str, allowed: str) -> None:
-        self.asked = asked
+    def __init__(self, command: str, allowed: str) -> None:
+        self.command = command
         self.allowed = allowed
-        super().__init__(f"refused: {asked}; allowed: {allowed}. Nothing was sent to any servo.")
+        super().__init__(f"refused: {command}; allowed: {allowed}. Nothing was sent to any servo.")
 
 
 class ArmStateError(HardwareError):
@@ -590,9 +590,9 @@ class MotionBlockedError(TrajectoryError, CollisionError):
     Attributes:
         time: Seconds from the start of the motion.
         pair: Names of the two parts.
-        distance: Least distance of the two parts that was found on the motion, m; negative: the
+        distance: Smallest known distance of the two parts on the motion, m; negative: the
             depth of their contact.
-        margin: Distance that was asked for, m.
+        margin: The required distance, m.
         q: Joint angles (nq,) at ``time``.
     """
 

@@ -17,18 +17,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.budget import Budget
 from robot_ik.errors import TrajectoryError, distinct_texts
 from robot_ik.geometry import is_real
 from robot_ik.goals import Goal
 from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
+from robot_ik.problem import Problem, check_arguments
+from robot_ik.solvers import make_solver
 
 if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.goals import Tolerance
     from robot_ik.motion.limited_step import LimitedStep
-    from robot_ik.problem import Problem
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver
@@ -152,9 +154,9 @@ class FollowTick:
         goal: The goal of the source. None while the position is kept.
         solution: The solution. None while the position is kept.
         q: The command (nq,): towards ``solution.q``, as far as the joints may move in one period.
-        capped: Whether that was less than the whole distance.
+        capped: Whether the command stopped short of ``solution.q``.
         better: A solution on another branch whose orientation is nearer by ``BETTER_ANGLE`` or
-            more. It is searched a few times a second, for arms with five joints only.
+            more. It is searched a few times a second, and only for arms with five joints.
         measured: The measured joint angles (nq,) after the command. None without a source.
     """
 
@@ -249,9 +251,9 @@ def clock_of(clock: Clock | None, source: JointSource | None, sinks: Sequence[Jo
     if clock is not None:
         return clock
     for part in (source, *sinks):
-        own: Clock | None = getattr(part, "clock", None)
-        if own is not None:
-            return own
+        arm_clock: Clock | None = getattr(part, "clock", None)
+        if arm_clock is not None:
+            return arm_clock
     return RealClock()
 
 
@@ -386,11 +388,11 @@ def follow(
 
     Each joint moves at most ``speed`` times its velocity limit. If one joint would be too fast, all
     are slowed by the same factor, so the path stays straight. A solution that did not converge is
-    followed too, because it is the nearest that was found. The loop ends when ``duration`` is over
+    followed too, because it is the nearest solution known. The loop ends when ``duration`` is over
     or ``until`` returns True.
 
     An arm with five joints stays on its branch while the branch goes on, even if another branch
-    has a better orientation. ``FollowTick.better`` tells where that is.
+    has a better orientation. ``FollowTick.better`` is the pose of that branch.
 
     With ``collisions`` each tick is one step of differential inverse kinematics that keeps the
     margin: the joints slow down in front of an obstacle and slide along it, and give way to an
@@ -422,9 +424,6 @@ def follow(
         TrajectoryError: Neither ``start`` nor ``source``, or malformed options; nothing was sent.
         UnknownSolverError, OptionError: There is no such solver or option; nothing was sent.
     """
-    from robot_ik.problem import check_arguments  # here, because it loads the compiler
-    from robot_ik.solvers import make_solver
-
     check_arguments(robot, tolerance, None, 0)
     method = make_solver(solver, **options)
     _require_sinks(sinks)
@@ -485,7 +484,7 @@ class _FollowState:
         self._collisions = collisions
         self._limited: LimitedStep | None = None
         if collisions is not None:
-            # Here, because it loads the kernels of collision checks.
+            # Here: it loads the compiled collision checks, 0.05 s that few callers need.
             from robot_ik.collision.avoidance import require_same_robot
 
             require_same_robot(robot, collisions)
@@ -500,9 +499,6 @@ class _FollowState:
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:
         """Return a problem with these goals: the last one, if only the targets differ."""
-        from robot_ik.budget import Budget
-        from robot_ik.problem import Problem  # here, because it loads the compiler
-
         budget = Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS)
         kinds = [goal.kind for goal in goals]
         if self._problem is not None and kinds == self._kinds:
@@ -523,7 +519,7 @@ class _FollowState:
             )
         self._kinds = kinds
         if self._collisions is not None:
-            # Here, because it loads the kernels of collision checks.
+            # Here: it loads the compiled collision checks, 0.05 s that few callers need.
             from robot_ik.motion.limited_step import LimitedStep
 
             self._limited = LimitedStep(self._problem, self._collisions, self._largest_allowed)

@@ -93,12 +93,12 @@ class FaultPlayer:
         from robot_ik.hardware.virtual.faults import load_faults, parse_faults
 
         text = isinstance(source, str) and "\n" in source
-        found = (
+        loaded = (
             parse_faults(str(source), self._config) if text else load_faults(source, self._config)
         )
-        self._bus.reseed(found.seed)
-        self._bus.inject(*found.faults)
-        return found
+        self._bus.reseed(loaded.seed)
+        self._bus.inject(*loaded.faults)
+        return loaded
 
     def inject(
         self,

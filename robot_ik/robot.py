@@ -186,9 +186,9 @@ class Robot:
         if isinstance(frame, int):
             body = self._bodies[frame]
             return body.node, body.local.row
-        found = self.frame(frame)
-        body = self._bodies[found.body]
-        return body.node, body.local.compose(found.local).row
+        named_frame = self.frame(frame)
+        body = self._bodies[named_frame.body]
+        return body.node, body.local.compose(named_frame.local).row
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
         """Return the world pose of a frame (default: the tool) at ``q`` (nq,).
@@ -235,9 +235,11 @@ class Robot:
 
         It does not use the compiled kinematics, so it is an independent check of a solution.
         """
-        found = self.frame(frame)
+        named_frame = self.frame(frame)
         data = self.data_at(q)
-        return Pose(data.xpos[found.body], data.xquat[found.body]).compose(found.local)
+        return Pose(data.xpos[named_frame.body], data.xquat[named_frame.body]).compose(
+            named_frame.local
+        )
 
     def center_of_mass(self, q: ArrayLike, body: str | None = None) -> Array:
         """Return the centre of mass (3,) of a body and its subtree (None: the model), by MuJoCo."""
@@ -491,7 +493,7 @@ def _read_model(
     model, velocity_limits, missing_meshes = mjcf.read_model(name, Path("<memory>/model"))
     model_name = model.names[: model.names.index(b"\0")].decode() or "model"
     file = RobotFile(name=model_name)
-    # This folder cannot exist, so no file is ever found beside the model.
+    # This folder cannot exist, so MuJoCo finds no file beside the model.
     return Path(f"<memory>/{model_name}"), file, model, velocity_limits, missing_meshes
 
 

@@ -106,7 +106,7 @@ class Solution:
         solver: Name of the method that found q.
         given: The goals as given to the problem.
         targets: The matrices (g, 4, 4) of their parts in this solve. ``goals`` joins the two.
-        avoidance: The condition on collisions, if there was one.
+        avoidance: The condition on collisions. None without one.
         angle_bound: Radians, or None if nothing is proven. No configuration inside the limits with
             the position of this one has a smaller angle to the wanted orientation.
     """
@@ -170,7 +170,7 @@ class Solution:
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:
-        """One row for each step, when a trace was asked for."""
+        """The trace: one row for each step; empty without ``trace=True``."""
         rows = [] if self.trace_rows is None else self.trace_rows.tolist()
         return tuple(
             Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows

@@ -5,7 +5,7 @@
     scene.free(Q, margin=0.005)     # (n,) compiled, all cores
 
 MuJoCo judges every distance that is reported. The compiled check decides only that a posture is
-free, and only by a lower bound of the distance. Where it cannot tell, MuJoCo is asked.
+free, and only by a lower bound of the distance. If the bound cannot decide, MuJoCo does.
 """
 
 from __future__ import annotations
@@ -257,27 +257,27 @@ class Scene:
         """
         data = self.data_at(q)
         pairs = self.pairs if pairs is None else pairs
-        least = FARTHEST
+        nearest_distance = FARTHEST
         nearest = None
         ends = np.zeros(6)
         segment = np.zeros(6)
         for lower, pair in _by_lower_bound(self.model, data, pairs):
-            if lower > least:
+            if lower > nearest_distance:
                 break
             a, b = self._outer_first(*pairs[pair].tolist())
-            distance = mujoco.mj_geomDistance(self.model, data, a, b, least, segment)
-            if distance < least:
-                least = distance
+            distance = mujoco.mj_geomDistance(self.model, data, a, b, nearest_distance, segment)
+            if distance < nearest_distance:
+                nearest_distance = distance
                 nearest = a, b
                 ends[:] = segment
         if nearest is None:
             return Clearance(np.inf, None, np.full((2, 3), np.nan), np.full(3, np.nan))
         points = ends.reshape(2, 3)
-        normal = (points[0] - points[1]) * (1.0 if least > 0.0 else -1.0)
+        normal = (points[0] - points[1]) * (1.0 if nearest_distance > 0.0 else -1.0)
         length = float(np.linalg.norm(normal))
         a, b = nearest
         return Clearance(
-            float(least),
+            float(nearest_distance),
             (part_name(self.model, a), part_name(self.model, b)),
             points,
             normal / length if length > 0.0 else np.full(3, np.nan),
@@ -316,11 +316,11 @@ class Scene:
             depths = {pair: min(d, depths.get(pair, d)) for pair, d in deepest.items()}
             # Other geoms of the same two parts may touch in the next posture.
             candidates = [i for i in candidates if names[i] in depths]
-        found = [
+        contacts = [
             Touching((pair[0], pair[1]), depth, _exclude_line(self.model, bodies[pair]))
             for pair, depth in depths.items()
         ]
-        return tuple(sorted(found, key=lambda item: -item.depth))
+        return tuple(sorted(contacts, key=lambda item: -item.depth))
 
     # Compiled checks
 
@@ -364,11 +364,11 @@ class Scene:
         """
         rows = posture_rows(self.robot, q)
         announce()
-        found = np.zeros(len(rows))
+        distances = np.zeros(len(rows))
         nearest = np.zeros(len(rows), dtype=np.int64)
         memory = self.memory(self._all_pairs)
-        collision.least_distances(memory.address, rows, float(reach), found, nearest)
-        return found if np.ndim(q) == 2 else found[0]
+        collision.least_distances(memory.address, rows, float(reach), distances, nearest)
+        return distances if np.ndim(q) == 2 else distances[0]
 
 
 def free_postures(
@@ -480,9 +480,9 @@ def _compiled(
         mjcf.compiled(spec)  # now each body of the spec has its id
     carriers = {body.id: body for body in spec.bodies} if parts else {}
     for part, frame in parts.values():
-        found = robot.frame(frame)
-        place = found.local.compose(part.pose)
-        _add_part(spec, carriers[found.body], part, place)
+        named_frame = robot.frame(frame)
+        place = named_frame.local.compose(part.pose)
+        _add_part(spec, carriers[named_frame.body], part, place)
     for name, obstacle in obstacles.items():
         body = spec.worldbody.add_body(
             name=name, mocap=True, pos=obstacle.pose.position, quat=obstacle.pose.wxyz

@@ -76,17 +76,17 @@ def rotation_terms(correlation, axis):
 
 
 @outlined
-def best_angle(a, b, low, high):
-    """Return the φ in [low, high] that maximises A cos φ + B sin φ; 0 if no angle is better."""
+def best_angle(a, b, lower, upper):
+    """Return the φ in [lower, upper] that maximises A cos φ + B sin φ; 0 if no angle is better."""
     if a * a + b * b < _NO_GAIN:
         return 0.0
     angle = math.atan2(b, a)
     for candidate in (angle, angle - 2.0 * math.pi, angle + 2.0 * math.pi):
-        if low <= candidate <= high:
+        if lower <= candidate <= upper:
             return candidate
-    at_low = a * math.cos(low) + b * math.sin(low)
-    at_high = a * math.cos(high) + b * math.sin(high)
-    return low if at_low > at_high else high
+    at_lower = a * math.cos(lower) + b * math.sin(lower)
+    at_upper = a * math.cos(upper) + b * math.sin(upper)
+    return lower if at_lower > at_upper else upper
 
 
 @outlined

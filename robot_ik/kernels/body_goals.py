@@ -37,7 +37,7 @@ def center_of_mass(tree, world, masses, first, moments):
             all its descendants. Row ``first + n`` is the whole body.
     """
     nodes = tree.parent.shape[0]
-    whole = first + nodes
+    total_row = first + nodes
     for k in range(nodes):
         mass = masses[first + k, 0]
         center = so3.read_vector(masses, first + k, 1)
@@ -46,18 +46,18 @@ def center_of_mass(tree, world, masses, first, moments):
             row = so3.read_vector(world, k, 3 + 3 * i)
             at = world[k, i] + row[0] * center[0] + row[1] * center[1] + row[2] * center[2]
             moments[first + k, 1 + i] = mass * at if mass > 0.0 else 0.0
-    moments[whole, 0] = masses[whole, 0]
+    moments[total_row, 0] = masses[total_row, 0]
     for i in range(1, 4):
-        moments[whole, i] = masses[whole, 0] * masses[whole, i]
+        moments[total_row, i] = masses[total_row, 0] * masses[total_row, i]
     for back in range(nodes):
         k = nodes - 1 - back
-        carrier = first + tree.parent[k] if tree.parent[k] >= 0 else whole
+        carrier = first + tree.parent[k] if tree.parent[k] >= 0 else total_row
         for i in range(4):
             moments[carrier, i] += moments[first + k, i]
     return (
-        moments[whole, 1] / moments[whole, 0],
-        moments[whole, 2] / moments[whole, 0],
-        moments[whole, 3] / moments[whole, 0],
+        moments[total_row, 1] / moments[total_row, 0],
+        moments[total_row, 2] / moments[total_row, 0],
+        moments[total_row, 3] / moments[total_row, 0],
     )
 
 

@@ -426,9 +426,9 @@ def twist_ball(tree, goals, search, bones, k, a, cone):
             locate(tree, goals, search, bones, child)
             correlation = add_point(correlation, bones, k, child)
         child = bones.sibling[child]
-    low, high = twist_range(search, k, a, bone, cone)
+    lower, upper = twist_range(search, k, a, bone, cone)
     a_term, b_term = rotation_terms(correlation, bone)
-    rotate_ball(search, k, a, bone, best_angle(a_term, b_term, low, high))
+    rotate_ball(search, k, a, bone, best_angle(a_term, b_term, lower, upper))
 
 
 @inlined

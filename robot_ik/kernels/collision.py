@@ -6,9 +6,10 @@ Each check looks at pairs of links first, then at pairs of geoms:
     ball against ball of two geoms               or against the box or plane
     exact distance (``gjk.py``)
 
-A filter only removes pairs that are farther apart than asked for. ``next_pair`` yields the pairs
-that are left, one a call. A pair counts as free if the *lower* bound of its distance says so. Where
-the bounds do not agree, within rounding of contact, the verdict is UNDECIDED and MuJoCo is asked.
+A filter removes only pairs that are farther apart than the reach. Each call of ``next_pair``
+returns one of the remaining pairs. A pair is free if the *lower* bound of its distance exceeds the
+margin. Within rounding of contact the bounds do not agree. The verdict is then UNDECIDED, and
+MuJoCo decides.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -57,7 +58,7 @@ CHECK = Layout(
     last_hit="int",  # pair of geoms that touched last + 1; 0 for none
     last_nearest="int",  # pair of geoms that was the nearest last + 1; 0 for none
     near_count="int",
-    least="float",  # least distance of the near pairs
+    nearest_distance="float",  # smallest distance of the near pairs
     q="floats nq",
     world="table n 12",
     scratch="table 2 12",
@@ -314,7 +315,8 @@ def pair_verdict(run, pair, margin):
 def verdict(run, q, margin):
     """Return FREE if all pairs are farther apart than ``margin`` at ``q``, else TOUCHING.
 
-    UNDECIDED: no pair touches for sure, but one is too near to tell. Then check.last_hit stays.
+    UNDECIDED: no pair certainly touches, but one is within rounding of contact. In this case
+    check.last_hit does not change.
     """
     check = run.check
     begin_check(run, q)
@@ -344,25 +346,25 @@ def least_distance(run, q, reach):
     """
     check = run.check
     begin_check(run, q)
-    least = reach
+    nearest_distance = reach
     nearest = -1
     if check.last_nearest > 0:
         # A small distance to begin with spares the exact distances of most other pairs.
         pair = check.last_nearest - 1
         place_pair(run, pair)
-        if balls_are_near(run, pair, least):
-            distance = lower_distance(run, pair, least)
-            if distance < least:
-                least = distance
+        if balls_are_near(run, pair, nearest_distance):
+            distance = lower_distance(run, pair, nearest_distance)
+            if distance < nearest_distance:
+                nearest_distance = distance
                 nearest = pair
     while True:
-        pair = next_pair(run, least)
+        pair = next_pair(run, nearest_distance)
         if pair < 0:
             check.last_nearest = nearest + 1
-            return least, nearest
-        distance = lower_distance(run, pair, least)
-        if distance < least:
-            least = distance
+            return nearest_distance, nearest
+        distance = lower_distance(run, pair, nearest_distance)
+        if distance < nearest_distance:
+            nearest_distance = distance
             nearest = pair
 
 
@@ -378,14 +380,16 @@ def lower_distance(run, pair, far):
 
 @outlined
 def list_near(run, q, reach):
-    """Write all pairs nearer than ``reach`` at ``q``: near_pair, near_distance, near_rows, least.
+    """Write all pairs nearer than ``reach`` at ``q`` to the arrays of near pairs in ``run.check``.
+
+    Writes near_pair, near_distance, near_rows and nearest_distance.
 
     If there are too many, the nearest are kept.
     """
     check = run.check
     begin_check(run, q)
     check.near_count = 0
-    check.least = reach
+    check.nearest_distance = reach
     capacity = check.near_pair.shape[0]
     while True:
         pair = next_pair(run, reach)
@@ -395,7 +399,7 @@ def list_near(run, q, reach):
         if lower > reach:
             continue
         distance = write_witness(run, pair, upper, overlap)
-        check.least = min(check.least, distance)
+        check.nearest_distance = min(check.nearest_distance, distance)
         slot = check.near_count
         if slot == capacity:
             slot = 0

@@ -41,7 +41,7 @@ def prepare(tree, goals, search, box, clamp, alternative):
     polishing = search.phase == POLISH
     goal_jacobian(tree, goals, search, alternative and not polishing, box.jacobian)
     clamp_residual(goals, search.residual, clamp, polishing, box.residual)
-    step_bounds(tree, goals, search.q, box.low, box.high)
+    step_bounds(tree, goals, search.q, box.lower, box.upper)
 
 
 @inlined
@@ -65,7 +65,7 @@ def fix_pushed_by_gradient(search, box):
         for r in range(box.residual.shape[0]):
             slope += box.jacobian[r, u] * box.residual[r]
         box.gradient[u] = slope
-        if pushed_out(box.low[u], box.high[u], slope) != 0:
+        if pushed_out(box.lower[u], box.upper[u], slope) != 0:
             fix_joint(box, u)
             box.gradient[u] = 0.0
             search.pressed += 1
@@ -81,9 +81,9 @@ def fix_pushed_by_step(search, box):
     farthest = AT_BOUND
     for u in range(search.step.shape[0]):
         outward = 0.0
-        if box.low[u] > -AT_BOUND:
+        if box.lower[u] > -AT_BOUND:
             outward = -search.step[u]
-        if box.high[u] < AT_BOUND:
+        if box.upper[u] < AT_BOUND:
             outward = max(outward, search.step[u])
         if outward > farthest:
             worst = u
@@ -105,10 +105,10 @@ def keep_inside(box, step):
     for u in range(columns):
         if box.side[u] != 0:
             step[u] = 0.0
-        elif step[u] > box.high[u]:
-            share = min(share, box.high[u] / step[u])
-        elif step[u] < box.low[u]:
-            share = min(share, box.low[u] / step[u])
+        elif step[u] > box.upper[u]:
+            share = min(share, box.upper[u] / step[u])
+        elif step[u] < box.lower[u]:
+            share = min(share, box.lower[u] / step[u])
     if share >= 1.0:
         return 1.0
     before = 0.0
@@ -117,12 +117,12 @@ def keep_inside(box, step):
         left = box.residual[r]
         before += left * left
         for u in range(columns):
-            left -= box.jacobian[r, u] * min(max(step[u], box.low[u]), box.high[u])
+            left -= box.jacobian[r, u] * min(max(step[u], box.lower[u]), box.upper[u])
         after += left * left
     if after < before:
         share = 1.0
     for u in range(columns):
-        step[u] = min(max(share * step[u], box.low[u]), box.high[u])
+        step[u] = min(max(share * step[u], box.lower[u]), box.upper[u])
     return share
 
 

@@ -1,6 +1,6 @@
 """One step of differential inverse kinematics that keeps away from collisions.
 
-    minimise ½ |J d − r|² + ½ λ |d|²    with    low ≤ d ≤ high
+    minimise ½ |J d − r|² + ½ λ |d|²    with    lower ≤ d ≤ upper
     and for each near pair    g · d ≥ −gain (distance − margin)
 
 g is the change of the pair's distance per unit of d (Faverjon & Tournassoud 1987). A pair that is
@@ -96,11 +96,11 @@ def write_objective(run):
             program.hessian[i, j] = step.normal_matrix[i, j]
             program.hessian[j, i] = step.normal_matrix[i, j]
         program.hessian[i, i] += damping
-    step_bounds(run.tree, run.goals, run.search.q, program.low, program.high)
+    step_bounds(run.tree, run.goals, run.search.q, program.lower, program.upper)
     for u in range(columns):
         longest = step.largest[u] / run.goals.joint_scale[u]
-        program.low[u] = max(program.low[u], -longest)
-        program.high[u] = min(program.high[u], longest)
+        program.lower[u] = max(program.lower[u], -longest)
+        program.upper[u] = min(program.upper[u], longest)
 
 
 @kernel
@@ -121,11 +121,11 @@ def limited_step(address):
     if not search.cost < math.inf:
         return NOT_FINITE
     list_near(run.collision, search.q, step.detection)
-    least = check.least
+    distance_before = check.nearest_distance
     cost = search.cost
     step.pressed = 0
     step.halvings = 0
-    if within and least >= step.margin:
+    if within and distance_before >= step.margin:
         return AT_GOAL
     write_objective(run)
     write_rows(run, step.way_out)
@@ -140,17 +140,17 @@ def limited_step(address):
             step.pressed += 1
     copy(step.program.solution, search.step)
     copy(search.q, step.before)
-    allowed = min(_HELD_SHARE * step.margin, least - _ROUNDING)
+    allowed = min(_HELD_SHARE * step.margin, distance_before - _ROUNDING)
     for halving in range(_MOST_HALVINGS):
         apply_step(run.tree, run.goals, search)
         list_near(run.collision, search.q, step.detection)
         within = measure(run.tree, run.goals, search)
-        # Of two flat parts the nearest points jump from edge to edge. So that the joints do not
-        # follow them to and fro, a step must bring the goal nearer, unless it leads out.
-        useful = search.cost < cost or least < _HELD_SHARE * step.margin
-        if useful and check.least >= allowed:
+        # Of two flat parts the nearest points jump from edge to edge. A step must
+        # bring the goal nearer or lead out of the margin, else the joints follow the jumps.
+        useful = search.cost < cost or distance_before < _HELD_SHARE * step.margin
+        if useful and check.nearest_distance >= allowed:
             copy(search.q, search.best)
-            if within and check.least >= step.margin:
+            if within and check.nearest_distance >= step.margin:
                 return AT_GOAL
             square = 0.0
             for u in range(search.step.shape[0]):

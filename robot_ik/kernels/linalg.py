@@ -19,7 +19,7 @@ _SLOPE_ROUNDING = 1e-14
 # Exchanges of all wrong sides that may fail to lower their number before single exchanges follow.
 _FAILED_EXCHANGES = 3
 
-# The step d that minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside low ≤ d ≤ high.
+# The step d that minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside lower ≤ d ≤ upper.
 # With m rows, u columns, k = max(m, u).
 BOX_PROBLEM = Layout(
     "BoxProblem",
@@ -27,8 +27,8 @@ BOX_PROBLEM = Layout(
     residual="floats m",
     gradient="floats u",  # Jᵀr
     matrix="table k k",  # JᵀJ or J Jᵀ, whichever is smaller; lower triangle
-    low="floats u",  # ≤ 0
-    high="floats u",  # ≥ 0
+    lower="floats u",  # ≤ 0
+    upper="floats u",  # ≥ 0
     side="ints u",  # -1, 1 for a joint that stops at its lower or upper bound, else 0
     next_side="ints u",
     slope="floats u",  # where the cost of a held joint falls; 0 for free joints
@@ -205,11 +205,11 @@ def row_products(jacobian, residual, hits, hit_count, gram, gradient):
 
 
 @inlined
-def pushed_out(low, high, direction):
-    """Return -1 or 1 if a joint is at that bound and ``direction`` leads out there, else 0."""
-    if direction < 0.0 and low > -AT_BOUND:
+def pushed_out(lower, upper, direction):
+    """Return -1 or 1 if a joint is at a bound and ``direction`` leads beyond the bound, else 0."""
+    if direction < 0.0 and lower > -AT_BOUND:
         return -1
-    return 1 if direction > 0.0 and high < AT_BOUND else 0
+    return 1 if direction > 0.0 and upper < AT_BOUND else 0
 
 
 @outlined
@@ -229,11 +229,11 @@ def solve_box_by_columns(box, matrix, damping, step):
 
     Block principal pivoting (Júdice & Pires, Computers & Operations Research 21(5), 1994): guess
     which joints stop at a bound, solve for the others, then exchange all joints that are on the
-    wrong side of the guess. If that does not lower their number, exchange one at a time, which
-    always ends. Most steps need one solve.
+    wrong side of the guess. If that does not lower their number, exchange one joint at a time,
+    which always ends. Most steps need one solve.
 
     Args:
-        box: Memory of ``BOX_PROBLEM``; reads gradient g, low and high.
+        box: Memory of ``BOX_PROBLEM``; reads gradient g, lower and upper.
         matrix: (u, u) symmetric M; the lower triangle is read.
         damping: λ. M + λ must be positive definite.
         step: (u,) result.
@@ -247,7 +247,9 @@ def solve_box_by_columns(box, matrix, damping, step):
     fewest = columns + 1
     patience = _FAILED_EXCHANGES
     for _ in range(10 + 4 * columns):
-        reduced_system(matrix, damping, box.gradient, box.low, box.high, box.side, box.factor, step)
+        reduced_system(
+            matrix, damping, box.gradient, box.lower, box.upper, box.side, box.factor, step
+        )
         if not solve_definite(box.factor, step, columns):
             return -1
         for i in range(columns):
@@ -259,11 +261,11 @@ def solve_box_by_columns(box, matrix, damping, step):
                 for j in range(i + 1, columns):
                     slope -= matrix[j, i] * step[j]
                 box.slope[i] = slope
-        wrong, last = revise_sides(box, step, steepest)
-        if wrong == 0:
+        changes, last = revise_sides(box, step, steepest)
+        if changes == 0:
             break
-        patience = _FAILED_EXCHANGES if wrong < fewest else patience - 1
-        fewest = min(fewest, wrong)
+        patience = _FAILED_EXCHANGES if changes < fewest else patience - 1
+        fewest = min(fewest, changes)
         exchange_sides(box, patience, last)
     return keep_to_box(box, step)
 
@@ -289,7 +291,7 @@ def solve_box_by_rows(box, hits, hit_count, damping, step):
         for u in range(columns):
             if box.side[u] != 0:
                 remove_joint(
-                    box, hits, hit_count, u, box.low[u] if box.side[u] < 0 else box.high[u]
+                    box, hits, hit_count, u, box.lower[u] if box.side[u] < 0 else box.upper[u]
                 )
         if not solve_definite(box.factor, box.multipliers, rows):
             return -1
@@ -300,13 +302,13 @@ def solve_box_by_rows(box, hits, hit_count, damping, step):
             step[u] = free_step
             box.slope[u] = 0.0
             if box.side[u] != 0:
-                step[u] = box.low[u] if box.side[u] < 0 else box.high[u]
+                step[u] = box.lower[u] if box.side[u] < 0 else box.upper[u]
                 box.slope[u] = damping * (free_step - step[u])
-        wrong, last = revise_sides(box, step, steepest)
-        if wrong == 0:
+        changes, last = revise_sides(box, step, steepest)
+        if changes == 0:
             break
-        patience = _FAILED_EXCHANGES if wrong < fewest else patience - 1
-        fewest = min(fewest, wrong)
+        patience = _FAILED_EXCHANGES if changes < fewest else patience - 1
+        fewest = min(fewest, changes)
         exchange_sides(box, patience, last)
     return keep_to_box(box, step)
 
@@ -317,15 +319,15 @@ def guess_sides(box):
     steepest = 0.0
     for i in range(box.gradient.shape[0]):
         steepest = max(steepest, abs(box.gradient[i]))
-        box.side[i] = pushed_out(box.low[i], box.high[i], box.gradient[i])
+        box.side[i] = pushed_out(box.lower[i], box.upper[i], box.gradient[i])
     return steepest
 
 
 @inlined
-def reduced_system(matrix, damping, gradient, low, high, side, factor, step):
+def reduced_system(matrix, damping, gradient, lower, upper, side, factor, step):
     """Write the system of the free joints to ``factor`` and ``step``.
 
-    A joint at its bound has a row of its own, which says that it stays there.
+    The row of a joint at its bound keeps the joint at the bound.
     """
     n = gradient.shape[0]
     for i in range(n):
@@ -336,7 +338,7 @@ def reduced_system(matrix, damping, gradient, low, high, side, factor, step):
     for p in range(n):
         if side[p] == 0:
             continue
-        bound = low[p] if side[p] < 0 else high[p]
+        bound = lower[p] if side[p] < 0 else upper[p]
         for j in range(p):
             step[j] -= matrix[p, j] * bound
             factor[p, j] = 0.0
@@ -346,7 +348,7 @@ def reduced_system(matrix, damping, gradient, low, high, side, factor, step):
         factor[p, p] = 1.0
     for p in range(n):
         if side[p] != 0:
-            step[p] = low[p] if side[p] < 0 else high[p]
+            step[p] = lower[p] if side[p] < 0 else upper[p]
 
 
 @inlined
@@ -363,25 +365,25 @@ def remove_joint(box, hits, hit_count, u, bound):
 @inlined
 def revise_sides(box, step, steepest):
     """Write better guesses to box.next_side; return how many differ, and the last that does."""
-    wrong = 0
+    changes = 0
     last = -1
     for i in range(step.shape[0]):
         side = box.side[i]
         box.next_side[i] = side
         if side == 0:
-            if step[i] < box.low[i] or step[i] > box.high[i]:
-                box.next_side[i] = -1 if step[i] < box.low[i] else 1
-        elif box.high[i] > box.low[i] and box.slope[i] * side < -_SLOPE_ROUNDING * steepest:
+            if step[i] < box.lower[i] or step[i] > box.upper[i]:
+                box.next_side[i] = -1 if step[i] < box.lower[i] else 1
+        elif box.upper[i] > box.lower[i] and box.slope[i] * side < -_SLOPE_ROUNDING * steepest:
             box.next_side[i] = 0
         if box.next_side[i] != side:
-            wrong += 1
+            changes += 1
             last = i
-    return wrong, last
+    return changes, last
 
 
 @inlined
 def exchange_sides(box, patience, last):
-    """Take all new guesses, or without patience only that of joint ``last``."""
+    """Take all new guesses; without patience only the guess of joint ``last``."""
     for i in range(box.side.shape[0]):
         if patience >= 0 or i == last:
             box.side[i] = box.next_side[i]
@@ -389,13 +391,13 @@ def exchange_sides(box, patience, last):
 
 @inlined
 def keep_to_box(box, step):
-    """Remove rounding beyond the bounds; return how many joints press where they already were."""
+    """Clip rounding errors beyond the bounds; return the number of joints that press on a bound."""
     pressed = 0
     for i in range(step.shape[0]):
-        step[i] = min(max(step[i], box.low[i]), box.high[i])
-        at_low = box.side[i] < 0 and box.low[i] > -AT_BOUND
-        at_high = box.side[i] > 0 and box.high[i] < AT_BOUND
-        if at_low or at_high:
+        step[i] = min(max(step[i], box.lower[i]), box.upper[i])
+        at_lower = box.side[i] < 0 and box.lower[i] > -AT_BOUND
+        at_upper = box.side[i] > 0 and box.upper[i] < AT_BOUND
+        if at_lower or at_upper:
             pressed += 1
     return pressed
 

@@ -1,15 +1,15 @@
-"""``lm`` for goals of several priorities: no level costs the levels before it anything.
+"""``lm`` for goals of several priorities: a level never raises the cost of an earlier level.
 
-A level is all goals of one priority. Soft goals form the last levels: they are served, but they do
-not decide whether the solve has converged, and nothing is searched for them.
+A level is all goals of one priority. Soft goals form the last levels: they are minimised, but they
+do not decide whether the solve has converged, and they cause no restarts.
 
-One step serves level 0 by damped least squares, then level 1 with the freedom that is left, and so
-on (Siciliano & Slotine, A general framework for managing multiple tasks in highly redundant robotic
-systems, ICAR 1991). A joint that the step would push over a limit is put there, and the step is
-computed again without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint
+One step serves level 0 by damped least squares, then level 1 with the remaining freedom, and so on
+(Siciliano & Slotine, A general framework for managing multiple tasks in highly redundant robotic
+systems, ICAR 1991). A joint that the step would move over a limit is set to the limit, and the step
+is computed again without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint
 constraints, IEEE Transactions on Robotics 31(3), 2015). Null spaces are correct to first order
-only. After each step the earlier levels are therefore restored, and the step is kept only if no
-earlier level lost and its own level improved.
+only. After each step the earlier levels are therefore restored. The step is accepted only if no
+earlier level is worse and its own level is better.
 
 The search has its own phases, because its cost is a list of costs that are compared in order:
 
@@ -104,7 +104,7 @@ _DEPENDENT = 1e-6
 _ZERO_ROW = 1e-24
 # Added to the diagonal of a system, so that it stays positive definite.
 _TINY = 1e-15
-# A joint may exceed its bound by this before it is put there, rad or m.
+# A joint may exceed its bound by this before it is set to the bound, rad or m.
 _BOUND_SLACK = 1e-12
 # Largest change of a joint in one step, rad or m.
 _STRIDE = 0.5
@@ -141,8 +141,8 @@ WORK = Layout(
     best_cost="floats levels",  # the same of the best point
     accepted="floats nq",  # the point before the step
     jacobian="table m u",
-    low="floats u",  # bounds of the step
-    high="floats u",
+    lower="floats u",  # bounds of the step
+    upper="floats u",
     side="ints u",  # -1, 1 for a joint that the step puts at its lower or upper bound
     basis="table l u",  # orthonormal rows that span the rows of the levels served so far
     projected="table m u",  # rows of a level without their part in the basis
@@ -225,7 +225,7 @@ def stacked_step(tree, goals, search, work, top, damping):
     side = work.side
     columns = step.shape[0]
     write_jacobian(tree, goals, search, work)
-    step_bounds(tree, goals, search.q, work.low, work.high)
+    step_bounds(tree, goals, search.q, work.lower, work.upper)
     for u in range(columns):
         side[u] = 0
     pressed = 0
@@ -234,14 +234,14 @@ def stacked_step(tree, goals, search, work, top, damping):
         worst = worst_violation(step, work)
         if worst < 0:
             break
-        side[worst] = 1 if step[worst] > work.high[worst] else -1
+        side[worst] = 1 if step[worst] > work.upper[worst] else -1
         pressed += 1
     largest = 0.0
     for u in range(columns):
         largest = max(largest, abs(step[u]))
     share = _STRIDE / largest if largest > _STRIDE else 1.0
     for u in range(columns):
-        step[u] = min(max(share * step[u], work.low[u]), work.high[u])
+        step[u] = min(max(share * step[u], work.lower[u]), work.upper[u])
     return pressed, largest
 
 
@@ -249,7 +249,7 @@ def stacked_step(tree, goals, search, work, top, damping):
 def serve_levels(goals, search, work, top, damping):
     """Write the step for the levels up to ``top``, with some joints at their bounds."""
     for u in range(search.step.shape[0]):
-        bound = work.low[u] if work.side[u] < 0 else work.high[u]
+        bound = work.lower[u] if work.side[u] < 0 else work.upper[u]
         search.step[u] = 0.0 if work.side[u] == 0 else bound
     rank = _ZERO
     for level in range(top + 1):
@@ -270,7 +270,7 @@ def worst_violation(step, work):
     worst = -1
     largest = _BOUND_SLACK
     for u in range(step.shape[0]):
-        excess = max(step[u] - work.high[u], work.low[u] - step[u])
+        excess = max(step[u] - work.upper[u], work.lower[u] - step[u])
         if work.side[u] == 0 and excess > largest:
             worst = u
             largest = excess
@@ -438,9 +438,9 @@ def add_soft_row(search, work, r):
 
 @outlined
 def levels_kept(goals, search, work, top, tolerances):
-    """Return whether the levels before ``top`` are as good as when they were left.
+    """Return whether the levels before ``top`` are as good as when the search left them.
 
-    Those that were met must be within so many tolerances.
+    A level that was met must be within ``tolerances`` times its tolerance.
     """
     for level in range(top):
         left_cost = work.left_cost[level]

@@ -1,8 +1,8 @@
 """A small quadratic program: Goldfarb & Idnani, A numerically stable dual method, 1983.
 
-    minimise ½ dᵀ H d − gᵀ d    with    low ≤ d ≤ high    and    A d ≥ b
+    minimise ½ dᵀ H d − gᵀ d    with    lower ≤ d ≤ upper    and    A d ≥ b
 
-It begins at the free minimum and adds the constraint that is violated most, until none is.
+It begins at the free minimum and adds the most violated constraint until no constraint is violated.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -27,8 +27,8 @@ PROGRAM = Layout(
     active="int",  # active constraints
     hessian="table u u",  # H, symmetric positive definite
     gradient="floats u",  # g
-    low="floats u",
-    high="floats u",
+    lower="floats u",
+    upper="floats u",
     rows="table r u",  # A
     bounds="floats r",  # b
     solution="floats u",  # d
@@ -62,27 +62,27 @@ def solve_program(program):
         added = False
         while not added:
             slope = project(program)
-            most = math.inf
+            partial_length = math.inf
             drop = -1
             for a in range(program.active):
                 if program.share[a] > _NO_CHANGE:
                     length = program.multiplier[a] / program.share[a]
-                    if length < most:
-                        most = length
+                    if length < partial_length:
+                        partial_length = length
                         drop = a
-            full = math.inf
+            full_length = math.inf
             if slope > 0.0 and program.active < program.chosen.shape[0]:
-                full = (bound - dot(program.normal, program.solution)) / slope
-            length = min(most, full)
+                full_length = (bound - dot(program.normal, program.solution)) / slope
+            length = min(partial_length, full_length)
             if length == math.inf:
                 return False
-            if full < math.inf:
+            if full_length < math.inf:
                 for i in range(n):
                     program.solution[i] += length * program.direction[i]
             for a in range(program.active):
                 program.multiplier[a] -= length * program.share[a]
             multiplier += length
-            if full <= most:
+            if full_length <= partial_length:
                 add_constraint(program, constraint, multiplier)
                 added = True
             else:
@@ -173,16 +173,16 @@ def most_violated(program):
             constraint = c
             bound = program.bounds[c]
     for k in range(n):
-        slack = program.solution[k] - program.low[k]
+        slack = program.solution[k] - program.lower[k]
         if slack < worst:
             worst = slack
             constraint = count + k
-            bound = program.low[k]
-        slack = program.high[k] - program.solution[k]
+            bound = program.lower[k]
+        slack = program.upper[k] - program.solution[k]
         if slack < worst:
             worst = slack
             constraint = count + n + k
-            bound = -program.high[k]
+            bound = -program.upper[k]
     return constraint, bound
 
 

@@ -2,13 +2,14 @@
 
 Each frame minimises, from the end of the frame before it,
 
-    Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  low <= q + dq <= high
+    Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  lower <= dq <= upper
 
-in two to four steps. ``low`` and ``high`` are the joint limits and what the speed limits leave of
-them within one frame. There are no priorities below the hard rows, no test of convergence of the
-soft rows and no restarts: ``lm`` has all of these and takes three times as long. A step is solved
-by the Schur complement of its hard rows (Nocedal & Wright, *Numerical Optimization*, section 16.2).
-Joints that it would take over a bound are held there, and it is solved again.
+in two to four steps. The bounds of dq (``step_lower``, ``step_upper``) are what the joint limits
+and the speed limits allow within one frame. There are no priorities below the hard rows, no test of
+convergence of the soft rows and no restarts: ``lm`` has all of these and takes three times as long.
+A step is solved by the Schur complement of its hard rows (Nocedal & Wright, *Numerical
+Optimization*, section 16.2). A joint that the step would move over a bound is held at the bound,
+and the step is solved again.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -91,8 +92,8 @@ WHOLE_BODY = Layout(
     factor="table nv nv",
     gradient="floats nv",
     step="floats nv",
-    low="floats nv",
-    high="floats nv",
+    step_lower="floats nv",  # bounds of the step
+    step_upper="floats nv",
     side="ints nv",  # -1, 1 for a joint that is held at its lower or upper bound
     first="ints k",  # zeros: the matrices are dense
     hard_solved="table h nv",  # ``hard`` times L⁻ᵀ of the factors
@@ -224,11 +225,11 @@ def measure_displacement(tree, body, q):
         v = tree.vadr[k]
         if tree.kind[k] == FREE:
             for i in range(6):
-                body.low[v + i] = -math.inf
-                body.high[v + i] = math.inf
+                body.step_lower[v + i] = -math.inf
+                body.step_upper[v + i] = math.inf
         else:
-            body.low[v] = max(body.lower[v], body.previous[a] - body.stride[v]) - q[a]
-            body.high[v] = min(body.upper[v], body.previous[a] + body.stride[v]) - q[a]
+            body.step_lower[v] = max(body.lower[v], body.previous[a] - body.stride[v]) - q[a]
+            body.step_upper[v] = min(body.upper[v], body.previous[a] + body.stride[v]) - q[a]
 
 
 @outlined
@@ -317,7 +318,14 @@ def solve_held(body, damping, slack):
     count = body.hard_count
     n = step.shape[0]
     reduced_system(
-        body.matrix, damping, body.gradient, body.low, body.high, body.side, factor, step
+        body.matrix,
+        damping,
+        body.gradient,
+        body.step_lower,
+        body.step_upper,
+        body.side,
+        factor,
+        step,
     )
     factorise(factor, body.first, n)
     copy(body.wanted, multiplier)
@@ -356,13 +364,15 @@ def hold_and_solve(body, damping, slack):
         body.side[v] = 0
     for _ in range(_HOLDS):
         solve_held(body, damping, slack)
-        held = 0
+        newly_held = 0
         for v in range(n):
-            below = body.step[v] < body.low[v] - _BOUND_SLACK
-            if body.side[v] == 0 and (below or not body.step[v] <= body.high[v] + _BOUND_SLACK):
+            below = body.step[v] < body.step_lower[v] - _BOUND_SLACK
+            if body.side[v] == 0 and (
+                below or not body.step[v] <= body.step_upper[v] + _BOUND_SLACK
+            ):
                 body.side[v] = -1 if below else 1
-                held += 1
-        if held == 0:
+                newly_held += 1
+        if newly_held == 0:
             break
     longest = 0.0
     for v in range(n):
@@ -380,7 +390,7 @@ def bounded_step(tree, body, q):
         longest = hold_and_solve(body, _CAUTIOUS, _YIELDING)
     share = _LONGEST / longest if longest > _LONGEST else 1.0
     for v in range(body.step.shape[0]):
-        body.step[v] = min(max(share * body.step[v], body.low[v]), body.high[v])
+        body.step[v] = min(max(share * body.step[v], body.step_lower[v]), body.step_upper[v])
     kinematics.integrate(tree, tree.every, q, body.step)
     return longest
 

@@ -1,12 +1,12 @@
 """``PreparedAvoiding``: a prepared method whose solutions must be free of collisions.
 
-The method solves as always. If its solution touches, the answer is looked for elsewhere:
+The method solves without regard to collisions. If its solution touches, another one is searched:
 
-    closed form      the nearest free branch. None is free, and no branch is singular: a proof.
+    closed form      the nearest free branch. If none is free or singular, that is a proof.
     other methods    the same method from other starts, first near the start, then anywhere
 
-Only a solution that keeps the margin is CONVERGED. The compiled check decides; where it cannot
-tell, MuJoCo does.
+Only a solution that keeps the margin is CONVERGED. The compiled check decides. If it
+cannot, MuJoCo does.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from robot_ik.budget import Budget
     from robot_ik.problem import Problem
 
-# Starts that are tried after a solution that touches, if the budget does not say.
+# Starts that are tried after a solution that touches, if the budget has no limit of restarts.
 _MOST_STARTS = 200
 # The share of the way to a random posture grows by this from start to start.
 _SHARE_STEP = 0.25
@@ -127,17 +127,16 @@ class PreparedAvoiding:
         return self._closed_form.branches()
 
     def _free_branch(self, problem: Problem, touching: Solution, start: Array) -> Solution | None:
-        """Return the nearest free branch, or the proof that there is none; None without either."""
+        """Return the nearest free branch, or the proof that none exists; None without either."""
         if self._closed_form is None:
             return None
         robot = problem.robot
-        found = self._closed_form.branches()
-        branches = listed_branches(robot, found, start, limits=True)
+        branches = listed_branches(robot, self._closed_form.branches(), start, limits=True)
         for branch in branches:
             if self.is_free(branch.q):
                 self._start[...] = branch.q
                 solution = self._closed_form.run(problem, problem.budget)
-                # At a singular pose the closed form is exact to its square root only.
+                # At a singular pose the closed form is exact only to the square root of rounding.
                 if solution.converged and self.is_free(solution.q):
                     solution.iterations += touching.iterations
                     solution.restarts += touching.restarts
@@ -163,8 +162,10 @@ class PreparedAvoiding:
     ) -> Solution:
         """Return a free solution from another start, else ``first`` as BLOCKED_BY_COLLISION."""
         rng = np.random.default_rng(problem.seed)
-        most = _MOST_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
-        for attempt in range(most):
+        max_starts = (
+            _MOST_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
+        )
+        for attempt in range(max_starts):
             seconds = None
             if budget.seconds is not None:
                 seconds = budget.seconds - (time.perf_counter() - began)
@@ -177,7 +178,7 @@ class PreparedAvoiding:
                 budget,
                 iterations=budget.iterations - first.iterations,
                 seconds=seconds,
-                restarts=min(_RESTARTS_EACH, most - attempt - 1),
+                restarts=min(_RESTARTS_EACH, max_starts - attempt - 1),
             )
             solution = self.method.run(problem, rest)
             first.iterations += solution.iterations

@@ -73,8 +73,8 @@ OPTIONS = options_layout(CyclicCoordinateDescent)
 WORK = Layout(
     "CcdWork",
     node="ints 1",  # list of nodes for the forward pass of one joint
-    low="floats u",
-    high="floats u",
+    lower="floats u",
+    upper="floats u",
 )
 
 RUN = run_layout("CcdRun", WORK, OPTIONS)
@@ -106,8 +106,8 @@ def correlation_of_goals(goals, search, k, u):
 
 
 @inlined
-def best_shift(goals, search, axis, u, low, high):
-    """Return the shift along ``axis`` in [low, high] that minimises the weighted distances."""
+def best_shift(goals, search, axis, u, lower, upper):
+    """Return the shift along ``axis`` in [lower, upper] that minimises the weighted distances."""
     wanted = 0.0
     total = 0.0
     for g in range(goals.row.shape[0]):
@@ -120,7 +120,7 @@ def best_shift(goals, search, axis, u, low, high):
         wanted += weight * so3.dot(axis, error)
     if total <= 0.0:
         return 0.0
-    return min(max(wanted / total, low), high)
+    return min(max(wanted / total, lower), upper)
 
 
 @inlined
@@ -153,7 +153,7 @@ def rotate_freely(tree, goals, search, work, u, correlation):
     x, y, z, _ = dof_axis(tree.kind, search.world, k, v - tree.vadr[k])
     along = so3.dot(axis, (x, y, z))
     twist = 2.0 * math.atan2(math.sin(0.5 * angle) * along, math.cos(0.5 * angle))
-    search.step[u] = min(max(twist, work.low[u]), work.high[u])
+    search.step[u] = min(max(twist, work.lower[u]), work.upper[u])
 
 
 # A sweep
@@ -192,7 +192,7 @@ def sweep(tree, goals, search, work, rotates_freely):
     """
     step = search.step
     columns = goals.dofs.shape[0]
-    step_bounds(tree, goals, search.q, work.low, work.high)
+    step_bounds(tree, goals, search.q, work.lower, work.upper)
     for u in range(columns):
         step[u] = 0.0
     for u in range(columns - 1, -1, -1):
@@ -201,7 +201,7 @@ def sweep(tree, goals, search, work, rotates_freely):
         index = v - tree.vadr[k]
         x, y, z, rotational = dof_axis(tree.kind, search.world, k, index)
         if not rotational:
-            step[u] = best_shift(goals, search, (x, y, z), u, work.low[u], work.high[u])
+            step[u] = best_shift(goals, search, (x, y, z), u, work.lower[u], work.upper[u])
         elif rotates_freely and tree.kind[k] >= BALL and index % 3 != 0:
             continue  # moved with the first of its three columns
         else:
@@ -210,7 +210,7 @@ def sweep(tree, goals, search, work, rotates_freely):
                 rotate_freely(tree, goals, search, work, u, correlation)
             else:
                 a_term, b_term = rotation_terms(correlation, (x, y, z))
-                step[u] = best_angle(a_term, b_term, work.low[u], work.high[u])
+                step[u] = best_angle(a_term, b_term, work.lower[u], work.upper[u])
         move_joint(tree, goals, search, work, u)
         for i in range(u, min(u + 3, columns)):
             step[i] = 0.0

@@ -120,9 +120,9 @@ WORK = Layout(
     before="floats u",  # gradient at ``accepted``
     moved="floats u",  # from ``accepted`` to q, in units of the step
     image="floats u",  # H y
-    low="floats u",
-    high="floats u",
-    held="ints u",  # 1 for a joint whose limit is active
+    lower="floats u",
+    upper="floats u",
+    active="ints u",  # 1 for a joint whose limit is active
 )
 RUN = run_layout("BfgsRun", WORK, OPTIONS)
 open_run = RUN.open
@@ -157,13 +157,13 @@ def measure_gradient(tree, goals, search, work):
 
 @outlined
 def reset_metric(work):
-    """Make the metric the scale of the slope times the identity, with no limit held."""
+    """Make the metric the scale of the slope times the identity, with no active limit."""
     columns = work.metric.shape[0]
     for u in range(columns):
         for i in range(columns):
             work.metric[u, i] = 0.0
         work.metric[u, u] = work.scale
-        work.held[u] = 0
+        work.active[u] = 0
     work.updates = 0
 
 
@@ -181,7 +181,7 @@ def hold(work, u):
     for i in range(columns):
         metric[i, u] = 0.0
         metric[u, i] = 0.0
-    work.held[u] = 1
+    work.active[u] = 1
 
 
 @outlined
@@ -227,14 +227,14 @@ def update_metric(work):
 @outlined
 def constrain(tree, goals, search, work):
     """Hold the limits that the slope pushes against; release those that it leads away from."""
-    step_bounds(tree, goals, search.q, work.low, work.high)
+    step_bounds(tree, goals, search.q, work.lower, work.upper)
     for u in range(work.gradient.shape[0]):
-        leaving = pushed_out(work.low[u], work.high[u], work.gradient[u]) != 0
-        if leaving and work.held[u] == 0:
+        leaving = pushed_out(work.lower[u], work.upper[u], work.gradient[u]) != 0
+        if leaving and work.active[u] == 0:
             hold(work, u)
-        elif work.held[u] != 0 and not leaving:
+        elif work.active[u] != 0 and not leaving:
             work.metric[u, u] = work.scale
-            work.held[u] = 0
+            work.active[u] = 0
 
 
 @outlined
@@ -250,14 +250,14 @@ def choose_direction(search, work):
             direction[i] = s
         crossed = False
         for u in range(columns):
-            if work.held[u] == 0 and pushed_out(work.low[u], work.high[u], direction[u]) != 0:
+            if work.active[u] == 0 and pushed_out(work.lower[u], work.upper[u], direction[u]) != 0:
                 hold(work, u)
                 crossed = True
         if not crossed:
             break
     search.pressed = 0
     for u in range(columns):
-        search.pressed += work.held[u]
+        search.pressed += work.active[u]
     return slope_along(work)
 
 
@@ -283,7 +283,7 @@ def try_step(tree, goals, search, work, share):
     step = search.step
     copy(work.accepted, search.q)
     for u in range(step.shape[0]):
-        step[u] = min(max(share * work.direction[u], work.low[u]), work.high[u])
+        step[u] = min(max(share * work.direction[u], work.lower[u]), work.upper[u])
     apply_step(tree, goals, search)
     difference(tree, work.accepted, search.q, search.dq)
     promised = 0.0

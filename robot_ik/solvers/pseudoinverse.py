@@ -165,7 +165,7 @@ def away_from_limits(tree, q, dq):
 def keep_aim_inside(box, aim):
     """Write 0 to ``aim`` where a joint is fixed, or at a bound that the aim leads out of."""
     for u in range(aim.shape[0]):
-        if box.side[u] != 0 or pushed_out(box.low[u], box.high[u], aim[u]) != 0:
+        if box.side[u] != 0 or pushed_out(box.lower[u], box.upper[u], aim[u]) != 0:
             aim[u] = 0.0
 
 

@@ -30,7 +30,7 @@ _STOPPED = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 @dataclass(frozen=True)
 class _Progress:
-    """What the attempts so far have used and found."""
+    """The budget used and the best result of the attempts so far."""
 
     best: Solution
     best_cost: float

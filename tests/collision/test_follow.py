@@ -213,8 +213,8 @@ def test_quadratic_programs_keep_their_conditions_of_optimality(seed, size, coun
     arrays = program.arrays
     arrays["hessian"][...] = hessian
     arrays["gradient"][...] = gradient
-    arrays["low"][...] = low
-    arrays["high"][...] = high
+    arrays["lower"][...] = low
+    arrays["upper"][...] = high
     arrays["rows"][:count] = rows
     arrays["bounds"][:count] = bounds
     program["row_count"] = count

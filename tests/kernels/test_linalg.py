@@ -30,8 +30,8 @@ def solve(matrix, gradient, low, high, damping=0.0):
     n = len(gradient)
     box = BOX_PROBLEM.allocate({"m": 0, "u": n, "k": n})
     box.arrays["gradient"][:] = gradient
-    box.arrays["low"][:] = low
-    box.arrays["high"][:] = high
+    box.arrays["lower"][:] = low
+    box.arrays["upper"][:] = high
     step = np.zeros(n)
     pressed = solve_by_columns(box.address, np.tril(matrix), damping, step)
     return pressed, step
@@ -172,8 +172,8 @@ def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, 
     box = BOX_PROBLEM.allocate({"m": m, "u": n, "k": n})
     box.arrays["jacobian"][:] = jacobian
     box.arrays["residual"][:] = residual
-    box.arrays["low"][:] = low
-    box.arrays["high"][:] = high
+    box.arrays["lower"][:] = low
+    box.arrays["upper"][:] = high
     step = np.zeros(n)
     assert solve_by_rows(box.address, hits, hit_count, 10.0**damping, step) == pressed
     gradient = box.arrays["gradient"]

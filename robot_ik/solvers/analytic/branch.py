@@ -34,7 +34,7 @@ class Branch:
         name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
         q: (nq,) joint angles. Multiples of 2π bring each into its limits, near the start.
         inside: Whether all joints are inside their limits.
-        angle: Radians between its orientation and the wanted one. 0 except for five joints.
+        angle: Radians between its orientation and the target. 0 except for arms with five joints.
         angle_bound: No configuration of this branch has a smaller angle.
         clearance: The nearest pair of parts, by MuJoCo; None without a condition on collisions.
         free: Whether the clearance is at least the margin; True without a condition on collisions.
@@ -54,33 +54,40 @@ class Branch:
 
 
 def listed_branches(
-    robot: Robot, found: Sequence[FoundBranch], origin: Array, *, limits: bool
+    robot: Robot, branches: Sequence[FoundBranch], origin: Array, *, limits: bool
 ) -> tuple[Branch, ...]:
-    """Return different branches in order: inside the limits, least angle, nearest to ``origin``.
+    """Return the different branches in the order in which a caller would prefer them.
+
+    Branches inside the limits are first, then those with a smaller angle, then those nearer to
+    ``origin``.
 
     Args:
         robot: The robot.
-        found: The branches of the closed form.
+        branches: The branches of the closed form.
         origin: Joint angles (nq,).
         limits: Leave out branches outside the joint limits.
     """
-    if not found:
+    if not branches:
         return ()
-    qs = np.array([branch.q for branch in found])
+    qs = np.array([branch.q for branch in branches])
     same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
-    far = ((qs - origin) ** 2).sum(axis=1).tolist()
-    first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
-    hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
-    ends = (
-        np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    square_distance = ((qs - origin) ** 2).sum(axis=1).tolist()
+    distinct = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
+    is_scalar = robot.nq == robot.nv  # other joints need robot.clip
+    clipped = (
+        np.clip(qs, robot.lower, robot.upper)
+        if is_scalar
+        else np.array([robot.clip(q) for q in qs])
     )
-    off = np.abs(ends - qs)
-    if off.max() > _SLACK:
-        qs = np.where(off <= _ROUNDING, ends, qs)
-    inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
-    first.sort(key=lambda k: (not inside[k], round(found[k].angle / _EQUAL_ANGLE), far[k]))
+    excess = np.abs(clipped - qs)
+    if excess.max() > _SLACK:
+        qs = np.where(excess <= _ROUNDING, clipped, qs)
+    inside = (np.abs(clipped - qs) <= _SLACK).all(axis=1).tolist()
+    distinct.sort(
+        key=lambda k: (not inside[k], round(branches[k].angle / _EQUAL_ANGLE), square_distance[k])
+    )
     return tuple(
-        Branch(found[k].name, qs[k], inside[k], found[k].angle, found[k].angle_bound)
-        for k in first
+        Branch(branches[k].name, qs[k], inside[k], branches[k].angle, branches[k].angle_bound)
+        for k in distinct
         if inside[k] or not limits
     )

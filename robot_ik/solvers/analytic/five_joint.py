@@ -178,7 +178,7 @@ def step_to_target(run):
     arm = run.arm
     point = so3.read_vector(state.frames, run.position_goal, 0)
     error = so3.subtract(so3.read_matrix_point(state.target, run.position_goal), point)
-    held = (False, False, False, False, False)
+    stopped = (False, False, False, False, False)
     for _ in range(5):
         xx = _CLOSING_DAMPING
         yy = _CLOSING_DAMPING
@@ -187,7 +187,7 @@ def step_to_target(run):
         xz = 0.0
         yz = 0.0
         for k in range(5):
-            if held[k]:
+            if stopped[k]:
                 continue
             v, _ = velocity_of(tree, state.world, arm.vadr[k], point)
             xx += v[0] * v[0]
@@ -213,13 +213,13 @@ def step_to_target(run):
             q = state.q[arm.qadr[k]]
             dof = arm.vadr[k]
             outwards = q + dq > tree.upper[dof] if dq > 0.0 else q + dq < tree.lower[dof]
-            if outwards and not held[k]:
-                held = with_held(held, k)
+            if outwards and not stopped[k]:
+                stopped = with_stopped(stopped, k)
                 any_blocked = True
         if not any_blocked:
             break
     for k in range(5):
-        if not held[k]:
+        if not stopped[k]:
             v, _ = velocity_of(tree, state.world, arm.vadr[k], point)
             dq = so3.dot(v, solved)
             state.q[arm.qadr[k]] += max(-_LONGEST_CLOSING, min(_LONGEST_CLOSING, dq))
@@ -227,14 +227,14 @@ def step_to_target(run):
 
 
 @inlined
-def with_held(held, joint):
+def with_stopped(stopped, joint):
     """Return five flags with one more set."""
     return (
-        held[0] or joint == 0,
-        held[1] or joint == 1,
-        held[2] or joint == 2,
-        held[3] or joint == 3,
-        held[4] or joint == 4,
+        stopped[0] or joint == 0,
+        stopped[1] or joint == 1,
+        stopped[2] or joint == 2,
+        stopped[3] or joint == 3,
+        stopped[4] or joint == 4,
     )
 
 
@@ -449,10 +449,10 @@ def five_joint_form(problem: Problem) -> FiveJointForm | None:
     axes, tool = axes_at_zero(tree, chain, local)
     if not is_five_joint(axes):
         return None
-    whole = rows[angle].orientation_part == frame_goals.ALL_AXES
+    all_axes = rows[angle].orientation_part == frame_goals.ALL_AXES
     return FiveJointForm(
         arm=arm_block(tree, chain, axes, tool),
-        kind=WHOLE if whole else ONE_AXIS,
+        kind=WHOLE if all_axes else ONE_AXIS,
         position_goal=position,
         angle_goal=angle,
         needs_angle=not goal.soft,
@@ -684,7 +684,7 @@ class PreparedFiveJoint:
         find = self._run.nested["find"].arrays
         arm = self.form.arm.arrays
         by_turn = self._run.nested["target"]["by_turn"]
-        found = []
+        branches = []
         for branch in range(self._run.nested["find"]["branches"]):
             _, angle, bound = find["results"][branch].tolist()
             if not math.isfinite(angle):
@@ -694,8 +694,8 @@ class PreparedFiveJoint:
             elbow = "elbow+" if arm["sheets"][sheet, 0] > 0.0 else "elbow-"
             q = self._start.copy()
             q[arm["qadr"]] = arm["signs"] * find["qs"][branch]
-            found.append(FoundBranch(f"{title} {elbow}", q, angle, bound))
-        return found
+            branches.append(FoundBranch(f"{title} {elbow}", q, angle, bound))
+        return branches
 
     def _trace(self) -> Array:
         """Return the one row of a closed form's trace."""

@@ -53,11 +53,11 @@ def limb_of(problem: Problem) -> Limb | None:
     if not problem.compiled.goal_rows[0].takes_matrix:
         return None
     position_weight, angle_weight = goal.weights
-    asks_angle = isinstance(goal, PoseGoal)
-    if position_weight <= 0.0 or (asks_angle and angle_weight <= 0.0):
+    full_pose = isinstance(goal, PoseGoal)
+    if position_weight <= 0.0 or (full_pose and angle_weight <= 0.0):
         return None
     node, local = problem.robot.attachment(goal.frame)
-    return recognise_limb(problem.robot.tree, node, local, whole=asks_angle)
+    return recognise_limb(problem.robot.tree, node, local, full_pose=full_pose)
 
 
 def limb_block(limb: Limb, tree: Tree) -> Block:

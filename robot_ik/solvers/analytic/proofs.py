@@ -44,24 +44,24 @@ PAD = 1e-9
 
 @inlined
 def may_fit(middle, radius, lower, upper):
-    """Whether an angle of the interval, up to multiples of 2π, may lie inside the limits."""
+    """Return whether an angle of the interval, up to multiples of 2π, may lie inside the limits."""
     radius += _ANGLE_PAD
-    whole = 2.0 * math.pi
-    if radius >= math.pi or upper - lower >= whole:
+    revolution = 2.0 * math.pi
+    if radius >= math.pi or upper - lower >= revolution:
         return True
-    revolutions = math.ceil((lower - middle - radius) / whole)
-    return middle - radius + whole * revolutions <= upper
+    revolutions = math.ceil((lower - middle - radius) / revolution)
+    return middle - radius + revolution * revolutions <= upper
 
 
 @inlined
-def arc(low, high, amplitude):
-    """Return middle, radius and existence of h in [0, pi] with amplitude · cos h in [low, high]."""
+def arc(lower, upper, amplitude):
+    """Return middle, radius, existence of h in [0, π] with lower <= amplitude · cos h <= upper."""
     if amplitude <= PAD:
-        return 0.5 * math.pi, 0.5 * math.pi, low <= 2.0 * PAD and high >= -2.0 * PAD
-    if low > amplitude + PAD or high < -amplitude - PAD:
+        return 0.5 * math.pi, 0.5 * math.pi, lower <= 2.0 * PAD and upper >= -2.0 * PAD
+    if lower > amplitude + PAD or upper < -amplitude - PAD:
         return 0.0, 0.0, False
-    first = math.acos(min(max(high / amplitude, -1.0), 1.0))
-    last = math.acos(min(max(low / amplitude, -1.0), 1.0))
+    first = math.acos(min(max(upper / amplitude, -1.0), 1.0))
+    last = math.acos(min(max(lower / amplitude, -1.0), 1.0))
     return 0.5 * (first + last), 0.5 * (last - first) + _ANGLE_PAD, True
 
 
@@ -73,14 +73,14 @@ def third_side(squares, far, error, amplitude):
     """
     near_side = max(0.0, far - error)
     far_side = far + error
-    low = 0.5 * (squares - far_side * far_side)
-    high = 0.5 * (squares - near_side * near_side)
-    return arc(low - PAD, high + PAD, amplitude)
+    lower = 0.5 * (squares - far_side * far_side)
+    upper = 0.5 * (squares - near_side * near_side)
+    return arc(lower - PAD, upper + PAD, amplitude)
 
 
 @inlined
 def chord(angle, radius):
-    """How far a rotation by at most ``angle`` moves a point at ``radius`` from its axis."""
+    """Return how far a rotation up to ``angle`` moves a point at ``radius`` from its axis, m."""
     return 2.0 * radius * math.sin(0.5 * min(angle, math.pi))
 
 
@@ -100,48 +100,49 @@ def azimuth_spread(error, polar):
 
 @inlined
 def polar_angle(h, v):
-    """Angle between two vectors."""
+    """Return the angle between two vectors."""
     return math.atan2(so3.norm(so3.cross(h, v)), so3.dot(h, v))
 
 
 @inlined
 def off_axis(k, v):
-    """Distance of v from the line along the unit vector k through the origin."""
+    """Return the distance of v from the line along the unit vector k through the origin."""
     return so3.norm(so3.cross(k, v))
 
 
 @inlined
 def centre_error(tolerance, lever):
-    """How far the wrist's centre may be off, at ``lever`` metres from the frame."""
+    """Return the tolerance of the wrist's centre at ``lever`` metres from the frame, m."""
     return tolerance[0, 0] + chord(tolerance[0, 1], lever) + PAD
 
 
 @inlined
-def heights(h, k, p, low, high):
-    """Return centre, half, radius and existence of θ with h · R(k, θ) p in [low, high]."""
+def heights(h, k, p, lower, upper):
+    """Return centre, half, radius and existence of θ with h · R(k, θ) p in [lower, upper]."""
     constant, amplitude, middle = height_terms(h, k, p)
-    half, radius, some = arc(low - constant, high - constant, amplitude)
+    half, radius, some = arc(lower - constant, upper - constant, amplitude)
     return middle, half, radius, some
 
 
 @inlined
 def tilts(h, k, p, polar, error):
-    """``heights`` at which R(k, θ) p is off h by ``polar`` ± ``error``."""
-    low = math.cos(min(math.pi, polar + error))
-    high = math.cos(max(0.0, polar - error))
-    return heights(h, k, p, low - PAD, high + PAD)
+    """Return the ``heights`` at which the angle of R(k, θ) p and h is ``polar`` ± ``error``."""
+    lower = math.cos(min(math.pi, polar + error))
+    upper = math.cos(max(0.0, polar - error))
+    return heights(h, k, p, lower - PAD, upper + PAD)
 
 
 @inlined
-def elbows(u, f, e, far, error):
-    """Elbow angles about u that bring the end far ± error from the first axis: as ``heights``.
+def elbows(u, f, e, distance, error):
+    """Return the elbow angles about u that bring the end to distance ± error from the first axis.
 
-    f and e lead from the elbow to the first axis and to the end, at q = 0.
+    Returns what ``heights`` returns. f and e lead from the elbow to the first axis and to the end,
+    at q = 0.
     """
     lf = off_axis(u, f)
     le = off_axis(u, e)
     _, amplitude, middle = height_terms(f, u, e)
-    half, radius, some = third_side(lf * lf + le * le, far, error, amplitude)
+    half, radius, some = third_side(lf * lf + le * le, distance, error, amplitude)
     return middle, half, radius, some
 
 
@@ -199,7 +200,7 @@ def wrist_may_fit(form, target, c, s, error):
     h5 = so3.read_vector(axes, 4, 0)
     h6 = so3.read_vector(axes, 5, 0)
     wanted = before_arm(axes, c, s, relative_rotation(target, extra, h6))  # Q h6
-    held = relative_back(target, extra, after_arm(axes, c, s, h4))  # Q^T h4
+    base_axis = relative_back(target, extra, after_arm(axes, c, s, h4))  # Q^T h4
     polar = polar_angle(h4, wanted)
     middle, half, radius, some = tilts(h4, h5, h6, polar, error)
     if not some:
@@ -215,7 +216,7 @@ def wrist_may_fit(form, target, c, s, error):
         if not may_fit(q4, wide, lower[3], upper[3]):
             continue
         b = so3.rotate(h5, c5, -s5, h4)  # R5^T h4
-        q6, _ = angle_between(h6, b, held)
+        q6, _ = angle_between(h6, b, base_axis)
         wide = azimuth_spread(error, polar) + azimuth_spread(radius, polar_angle(h6, b))
         if may_fit(-q6, wide, lower[5], upper[5]):
             return True
@@ -224,7 +225,10 @@ def wrist_may_fit(form, target, c, s, error):
 
 @outlined
 def wrist_is_out_of_reach(form, target, tolerance, lever):
-    """Of six axes with a spherical wrist; ``lever`` (m) from the frame to its centre."""
+    """Return whether a pose is out of reach of six axes with a spherical wrist.
+
+    ``lever`` is the distance from the frame to the centre of the wrist, m.
+    """
     axes = form.axes
     extra = form.extra
     lower = form.lower
@@ -250,14 +254,14 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
         c1 = math.cos(q1)
         s1 = math.sin(q1)
         g = so3.subtract(so3.add(so3.rotate(h, c1, -s1, d), p1), p2)
-        off = error + chord(radius, off_axis(h, d))
-        middle3, half3, radius3, some = elbows(u, f, e, off_axis(u, g), off)
+        g_error = error + chord(radius, off_axis(h, d))
+        middle3, half3, radius3, some = elbows(u, f, e, off_axis(u, g), g_error)
         if not some:
             continue
         for a3 in (middle3 + half3, middle3 - half3):
             if not may_fit(along * a3, radius3, lower[2], upper[2]):
                 continue
-            q2, wide = first_link_range(u, f, e, a3, radius3, g, off)
+            q2, wide = first_link_range(u, f, e, a3, radius3, g, g_error)
             if not may_fit(q2, wide, lower[1], upper[1]):
                 continue
             tilt = tolerance[0, 1] + radius + radius3 + wide + PAD
@@ -270,7 +274,7 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
 
 @kernel
 def prove_wrist(address):
-    """The same for six axes with a spherical wrist."""
+    """Return whether a pose is out of reach of six axes with a spherical wrist."""
     run = open_run(address)
     form = run.form
     lever = so3.norm(so3.read_vector(form.extra, 1, 0))
@@ -279,7 +283,10 @@ def prove_wrist(address):
 
 @kernel
 def prove_shoulder(address):
-    """The same for a spherical shoulder: the lever is from the goal to it."""
+    """Return whether a pose is out of reach of six axes with a spherical shoulder.
+
+    The lever is the distance from the goal to the centre of the shoulder.
+    """
     run = open_run(address)
     form = run.form
     invert(form.target, form.inverse)
@@ -289,7 +296,10 @@ def prove_shoulder(address):
 
 @kernel
 def prove_parallel(address):
-    """The same for six axes of which the second to fourth are parallel and the last two meet."""
+    """Return whether a pose is out of reach of six axes with three parallel axes.
+
+    The second to fourth axes are parallel, and the last two meet.
+    """
     run = open_run(address)
     form = run.form
     tolerance = run.goals.tolerance
@@ -319,22 +329,22 @@ def prove_parallel(address):
         s1 = math.sin(q1)
         wanted = back(axes, 0, c1, s1, relative)  # Q1 h6
         g = so3.subtract(so3.add(so3.rotate(h, c1, -s1, d), p1), p2)
-        held = relative_back(target, extra, so3.rotate(h, c1, s1, u))  # Q1^T u
-        off = error + chord(radius, off_axis(h, d))
+        base_axis = relative_back(target, extra, so3.rotate(h, c1, s1, u))  # Q1^T u
+        g_error = error + chord(radius, off_axis(h, d))
         middle5, half5, radius5, some = tilts(u, h5, h6, polar_angle(u, wanted), tilt)
         if not some:
             continue
         for q5 in (middle5 + half5, middle5 - half5):
             if may_fit(q5, radius5, lower[4], upper[4]) and three_may_fit(
-                form, q5, radius5, wanted, held, g, off, tilt
+                form, q5, radius5, wanted, base_axis, g, g_error, tilt
             ):
                 return False
     return True
 
 
 @outlined
-def three_may_fit(form, q5, radius5, wanted, held, g, off, tilt):
-    """Whether joints 6 and 2 to 4 of three parallel axes may follow joints 1 and 5."""
+def three_may_fit(form, q5, radius5, wanted, base_axis, g, g_error, tilt):
+    """Return whether joints 6 and 2 to 4 of three parallel axes may follow joints 1 and 5."""
     noinline()
     axes = form.axes
     lower = form.lower
@@ -351,7 +361,7 @@ def three_may_fit(form, q5, radius5, wanted, held, g, off, tilt):
     s5 = math.sin(q5)
     polar = polar_angle(u, wanted)
     b = so3.rotate(h5, c5, -s5, u)  # R5^T u
-    q6, _ = angle_between(h6, b, held)
+    q6, _ = angle_between(h6, b, base_axis)
     radius6 = azimuth_spread(tilt, polar) + azimuth_spread(radius5, polar_angle(h6, b))
     if not may_fit(-q6, radius6, lower[5], upper[5]):
         return False
@@ -359,17 +369,17 @@ def three_may_fit(form, q5, radius5, wanted, held, g, off, tilt):
     theta, _ = angle_between(u, a, wanted)
     around = azimuth_spread(tilt, polar) + azimuth_spread(radius5, polar_angle(u, a))
     hand = so3.subtract(so3.read_vector(form.extra, 0, 0), p4)
-    off += chord(around, off_axis(u, hand))
+    g_error += chord(around, off_axis(u, hand))
     v = so3.subtract(g, so3.rotate(u, math.cos(theta), math.sin(theta), hand))
     e = so3.subtract(p4, p3)
     f = so3.subtract(p2, p3)
-    middle3, half, radius, some = elbows(u, f, e, off_axis(u, v), off)
+    middle3, half, radius, some = elbows(u, f, e, off_axis(u, v), g_error)
     if not some:
         return False
     for a3 in (middle3 + half, middle3 - half):
         if not may_fit(along3 * a3, radius, lower[2], upper[2]):
             continue
-        q2, wide = first_link_range(u, f, e, a3, radius, v, off)
+        q2, wide = first_link_range(u, f, e, a3, radius, v, g_error)
         if may_fit(q2, wide, lower[1], upper[1]) and may_fit(
             along4 * (theta - q2 - a3), around + wide + radius, lower[3], upper[3]
         ):

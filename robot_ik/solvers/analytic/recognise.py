@@ -80,20 +80,20 @@ class Limb:
     wrist_in_tool: Array
 
 
-def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
+def recognise(tree: Tree, node: int, local: Array, full_pose: bool) -> Form | None:
     """Return the closed form of a frame, or None if there is none.
 
     Args:
         tree: The kinematic tree.
         node: Node that carries the frame.
         local: (12,) pose of the frame in the node.
-        whole: The pose of the frame is wanted, not only its position.
+        full_pose: Whether the pose of the frame is the target, and not only its position.
     """
     chain = tree.ancestors(node)
     if not chain or any(int(tree.kind[k]) != HINGE for k in chain):
         return None
     axes, tool = axes_at_zero(tree, chain, local)
-    if whole:
+    if full_pose:
         return _six_axes(chain, axes, tool, _size(axes, tool)) if len(chain) == 6 else None
     if len(chain) == 2 and _parallel(axes, 0, 1):
         return _form(Family.PLANAR_TWO_LINK, chain, axes, tool, tool.position)
@@ -108,7 +108,7 @@ def is_five_joint(axes: Array) -> bool:
     return all(abs(float(pitch @ axes[k, :3])) < _PARALLEL for k in (0, 4))
 
 
-def recognise_limb(tree: Tree, node: int, local: Array, whole: bool) -> Limb | None:
+def recognise_limb(tree: Tree, node: int, local: Array, full_pose: bool) -> Limb | None:
     """Return the limb that ends in a frame, or None; arguments as for ``recognise``.
 
     For a position the frame must be at the wrist's centre, where the wrist does not move it.
@@ -123,7 +123,7 @@ def recognise_limb(tree: Tree, node: int, local: Array, whole: bool) -> Limb | N
     if shoulder is None or len(kinds) <= arm or kinds[arm] != HINGE:
         return None
     wrist_axes = axes[arm + 1 :]
-    if whole:
+    if full_pose:
         joints, wrist = _joint_centre(kinds[arm + 1 :], wrist_axes, size)
         if wrist is None or len(wrist_axes) != joints:
             return None
@@ -145,11 +145,11 @@ def _size(axes: Array, tool: Pose) -> float:
 def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form | None:
     if (wrist := _wrist_centre(axes, scale)) is not None:
         return _form(Family.SPHERICAL_WRIST, chain, axes, tool, wrist)
-    # The same arm held by its tool: the inverse pose is e₆(-q₆) … e₁(-q₁) seen from there.
+    # The same arm reversed: seen from its tool, the inverse pose is e₆(-q₆) … e₁(-q₁).
     back = tool.inverse()
-    seen = np.hstack([-(axes[::-1, :3] @ back.rotation.T), back.apply(axes[::-1, 3:])])
-    if (shoulder := _wrist_centre(seen, scale)) is not None:
-        return _form(Family.SPHERICAL_SHOULDER, chain[::-1], seen, back, shoulder)
+    reversed_axes = np.hstack([-(axes[::-1, :3] @ back.rotation.T), back.apply(axes[::-1, 3:])])
+    if (shoulder := _wrist_centre(reversed_axes, scale)) is not None:
+        return _form(Family.SPHERICAL_SHOULDER, chain[::-1], reversed_axes, back, shoulder)
     centre = _meeting(axes[4], axes[5], scale)
     parallel = _parallel(axes, 1, 2) and _parallel(axes, 2, 3)
     if centre is not None and parallel and not _parallel(axes, 0, 1) and not _parallel(axes, 3, 4):
@@ -214,5 +214,5 @@ def _meeting(a: Array, b: Array, scale: float) -> Array | None:
 
 
 def _on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> bool:
-    """Whether a point (3,) lies on the line ``axis`` (6,), to a share of the arm's size."""
+    """Return whether a point (3,) lies on the line ``axis`` (6,), to a share of the arm's size."""
     return float(np.linalg.norm(np.cross(axis[:3], point - axis[3:]))) < slack * scale

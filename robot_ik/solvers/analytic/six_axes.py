@@ -69,7 +69,7 @@ def before_arm(axes, c, s, v):
 
 @inlined
 def after_arm(axes, c, s, v):
-    """What joints 1 to 3 make of v: the inverse of ``before_arm``."""
+    """Return v rotated by joints 1 to 3: the inverse of ``before_arm``."""
     for_three = so3.rotate(so3.read_vector(axes, 2, 0), c[2], s[2], v)
     return so3.rotate(
         so3.read_vector(axes, 0, 0),
@@ -146,10 +146,9 @@ def keep_branch(form, row, angles, free):
 
 @inlined
 def wrist_angles(form, target, flip, c, s):
-    """q4, q5, q6 of the rotation that is left after joints 1 to 3; and whether there are any.
+    """Return q4, q5, q6 for the rotation that remains after joints 1 to 3, and if they exist.
 
-    R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  What Q makes of h₆, and its inverse of h₄, is all
-    that is needed.
+    R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  Only Q h₆ and Qᵀ h₄ are needed.
     """
     axes = form.axes
     extra = form.extra
@@ -169,10 +168,10 @@ def wrist_angles(form, target, flip, c, s):
     bent = so3.rotate(h5, c5, s5, h6)  # R5 h6
     q4, weight = angle_between(h4, bent, wanted)
     if weight > ALIGNED * ALIGNED:
-        held = relative_back(target, extra, after_arm(axes, c, s, h4))  # Qᵀ h4
-        q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, h4), held)  # R5ᵀ h4
+        base_axis = relative_back(target, extra, after_arm(axes, c, s, h4))  # Qᵀ h4
+        q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, h4), base_axis)  # R5ᵀ h4
         return q4, q5, -q6, True
-    # Axes 4 and 6 in line: only q4 ± q6 counts.  The rotation of any vector across them gives it.
+    # Axes 4 and 6 in line: only q4 ± q6 counts. The rotation of any vector across them gives it.
     sign = 1.0 if so3.dot(bent, h4) > 0.0 else -1.0
     p = so3.cross(h4, h5)
     turned = so3.rotate(h5, c5, -s5, p)  # R5ᵀ p: what p was before joint 5
@@ -282,13 +281,13 @@ def three_parallel(form):
         if not possible or amplitude5 < 1e-12:
             continue
         g = so3.subtract(so3.add(so3.rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
-        held = relative_back(target, extra, so3.rotate(h1, c1, s1, u))  # Q1ᵀ u
+        base_axis = relative_back(target, extra, so3.rotate(h1, c1, s1, u))  # Q1ᵀ u
         for flip in range(2):
             q5 = middle5 + half5 if flip == 0 else middle5 - half5
             c5 = math.cos(q5)
             s5 = math.sin(q5)
             theta, weight = angle_between(u, so3.rotate(h5, c5, s5, h6), a)  # R5 h6
-            q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, u), held)  # R5ᵀ u
+            q6, _ = angle_between(h6, so3.rotate(h5, c5, -s5, u), base_axis)  # R5ᵀ u
             q6 = -q6
             # If axis 6 is parallel to the three, only θ ± q6 matters. Each elbow takes the q6
             # nearest to the start for which the elbow reaches and all angles are inside limits.

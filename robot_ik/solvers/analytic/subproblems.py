@@ -90,38 +90,38 @@ def angles_to_height(h, k, p, height):
 @inlined
 def image(angle, start, lower, upper):
     """Return the angle modulo 2π nearest to ``start`` inside the limits, and whether it exists."""
-    whole = 2.0 * math.pi
-    found = angle + whole * math.floor((start - angle) / whole + 0.5)
-    if found > upper + 1e-9:
-        found -= whole * math.ceil((found - upper - 1e-9) / whole)
-    elif found < lower - 1e-9:
-        found += whole * math.ceil((lower - 1e-9 - found) / whole)
-    inside = lower - 1e-9 <= found <= upper + 1e-9
-    return min(max(found, lower), upper), inside
+    revolution = 2.0 * math.pi
+    nearest = angle + revolution * math.floor((start - angle) / revolution + 0.5)
+    if nearest > upper + 1e-9:
+        nearest -= revolution * math.ceil((nearest - upper - 1e-9) / revolution)
+    elif nearest < lower - 1e-9:
+        nearest += revolution * math.ceil((lower - 1e-9 - nearest) / revolution)
+    inside = lower - 1e-9 <= nearest <= upper + 1e-9
+    return min(max(nearest, lower), upper), inside
 
 
 @inlined
 def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
-    """α, β with α + sign·β = total (mod 2π), as near to a and b as can be inside the limits.
+    """Return the α, β nearest to a and b inside the limits with α + sign·β = total (mod 2π).
 
-    Where no such pair is inside the limits, the nearest of all.
+    If no such pair is inside the limits, return the nearest pair.
     """
-    whole = 2.0 * math.pi
+    revolution = 2.0 * math.pi
     rest = total - a - sign * b
-    rest -= whole * math.floor(rest / whole + 0.5)
+    rest -= revolution * math.floor(rest / revolution + 0.5)
     best_a = a + 0.5 * rest
     best_b = b + 0.5 * sign * rest
     closest = math.inf
     for k in range(-2, 3):
-        difference = rest + whole * k
+        difference = rest + revolution * k
         # β = b + sign·(difference - (α - a)) inside its limits, as limits of α.
-        low = a + difference - sign * ((upper_b if sign > 0.0 else lower_b) - b)
-        high = a + difference - sign * ((lower_b if sign > 0.0 else upper_b) - b)
-        low = max(low, lower_a)
-        high = min(high, upper_a)
-        if low > high + 1e-9:
+        lower = a + difference - sign * ((upper_b if sign > 0.0 else lower_b) - b)
+        upper = a + difference - sign * ((lower_b if sign > 0.0 else upper_b) - b)
+        lower = max(lower, lower_a)
+        upper = min(upper, upper_a)
+        if lower > upper + 1e-9:
             continue
-        alpha = min(max(a + 0.5 * difference, low), high)
+        alpha = min(max(a + 0.5 * difference, lower), upper)
         beta = b + sign * (difference - (alpha - a))
         distance = (alpha - a) * (alpha - a) + (beta - b) * (beta - b)
         if distance < closest:
