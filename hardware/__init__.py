@@ -55,7 +55,7 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
 
     if servos is None:
         raise RuntimeError("a simulated bus needs servos")
-    return SimBus(servos)
+    return SimBus(servos, config.family.protocol)
 
 
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
@@ -64,7 +64,7 @@ def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     pty_port()  # now, not when it is opened
     if servos is None:
         raise RuntimeError("a simulated bus needs servos")
-    return ServedBus(servos, config.baud)
+    return ServedBus(servos, config.baud, config.family.protocol)
 
 
 def pty_port() -> type[PtyPort]:
@@ -78,9 +78,9 @@ def pty_port() -> type[PtyPort]:
 
 
 def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
-    from robot_ik.hardware.dynamixel import DynamixelBus
+    from robot_ik.hardware.serial_bus import SerialBus
 
-    return DynamixelBus(name, config.baud)
+    return SerialBus(name, config.baud, config.family.protocol)
 
 
 BUSES: Mapping[str, Bus] = MappingProxyType(
@@ -177,6 +177,12 @@ def _servos(
     if servos is not None:
         return servos
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.ports import RealClock, VirtualClock  # they bring numpy: commands ask for names only
+    from robot_ik.hardware.virtual.sts_bus import VirtualStsBus
+    from robot_ik.ports import (  # they bring numpy: commands ask for names only
+        RealClock,
+        VirtualClock,
+    )
 
+    if config.family.name == "feetech_sts":
+        return VirtualStsBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)
     return VirtualBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)

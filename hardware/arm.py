@@ -149,6 +149,11 @@ class Arm(Closing):
         self._closing_thread: int | None = None  # its ident; from the begin of close until connect
 
     @property
+    def is_real(self) -> bool:
+        """Whether its servos are made of metal."""
+        return self.virtual_bus is None and getattr(self.bus, "real", True)
+
+    @property
     def reports(self) -> MotionReport:
         """What happened to the commands since ``enable``."""
         return self._cycle.reports
@@ -176,7 +181,7 @@ class Arm(Closing):
             self._shares_bus = self.bus.is_open
             try:
                 self.bus.open()
-                feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
+                feedback = verify(self.bus, self.config, real=self.is_real)
                 self._currents.clear()
                 self._require_not_closed()
             except BaseException:
@@ -203,7 +208,7 @@ class Arm(Closing):
         """
         with self._lock:
             after = self._after("enable")
-            if self.virtual_bus is None:
+            if self.is_real:
                 require_calibrated(self.config)
             if not self.config.stale_ms:
                 log.warning(
@@ -458,10 +463,18 @@ class Arm(Closing):
             try:  # the others stay where they are; the one in fault cannot hear or will not obey
                 if self.bus.is_open:
                     goals = self._cycle.begin_hold()
+                    if self.config.family.capabilities.goal_enables_torque:
+                        goals = self._only_with_torque(goals)
                     self.bus.sync_write(shared_register(self.config, "goal_position"), goals)
             except HardwareError as second:
                 log.warning("holding the other joints: %s", second)
             raise
+
+    def _only_with_torque(self, goals: Mapping[int, int]) -> dict[int, int]:
+        """Goals of the servos that have torque and no error: a goal would switch the others on again."""
+        errors = self.bus.sync_read(list(goals), shared_register(self.config, "hardware_error_status"))
+        torque = self.bus.sync_read(list(goals), shared_register(self.config, "torque_enable"))
+        return {id: goal for id, goal in goals.items() if torque[id].data and errors[id].data == 0}
 
     def reset_fault(self) -> tuple[str, ...]:
         """Restarts the servos that have shut down and verifies everything; then ``enable`` goes on.
@@ -487,8 +500,7 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            real = self.virtual_bus is None
-            feedback = verify(self.bus, self.config, real=real, currents=self._currents)
+            feedback = verify(self.bus, self.config, real=self.is_real, currents=self._currents)
             self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
@@ -508,8 +520,7 @@ class Arm(Closing):
             after = self._after("reconnect")
             self._raise_stop()
             _check_timeout(timeout)
-            real = self.virtual_bus is None
-            feedback = find_again(self.bus, self.config, timeout, real=real, currents=self._currents)
+            feedback = find_again(self.bus, self.config, timeout, real=self.is_real, currents=self._currents)
             self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:

@@ -18,13 +18,15 @@ from robot_ik.errors import ConfigError, UnknownJointError, UnknownRobotError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
-    CONTROL_TABLES,
     IDS,
     TICKS_PER_REVOLUTION,
     ControlTable,
     OperatingMode,
+    known_tables,
 )
+from robot_ik.hardware.family import ServoFamily, family_of
 from robot_ik.hardware.joint_map import ARM, Gains, JointMap, ServoId, Sign, StopAt, Ticks, Twin
+from robot_ik.hardware.servo import Joint
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey, parse_toml, read_text
@@ -288,6 +290,16 @@ class ArmConfig:
         joints = self.joints + self.auxiliary
         return joints + tuple(other for joint in joints for other in joint.servos[1:])
 
+    @property
+    def family(self) -> ServoFamily:
+        """The family of every servo of the arm."""
+        return family_of(self.joints[0].table.family)
+
+    @cached_property
+    def all_joints(self) -> tuple[Joint, ...]:
+        """Every joint in one order: the joints of q, then the grippers."""
+        return tuple(row.joint for row in self.whole.joints)
+
     @cached_property
     def servo_ids(self) -> tuple[int, ...]:
         return tuple(servo.id for servo in self.servos)
@@ -446,15 +458,18 @@ def _check_arm(config: ArmConfig) -> None:
     """Checks an arm as a whole; raises ``ConfigError`` with file, key and what would be right."""
     at = ""
     try:
-        _check_watchdogs(config)
         names: dict[str, str] = {}
         ids: dict[int, str] = {}
         for k, joint in enumerate(config.joints + config.auxiliary):
             at = f"joints[{k}]"
-            if joint.model not in CONTROL_TABLES:
-                raise WrongKey.unknown("servo model", joint.model, CONTROL_TABLES, "model")
+            if joint.model not in known_tables():
+                raise WrongKey.unknown("servo model", joint.model, known_tables(), "model")
             _check_names(joint)
             table = joint.table
+            first = config.joints[0]
+            if table.family != first.table.family:
+                problem = f"{joint.model} and {first.model} speak different protocols"
+                raise WrongKey(problem, "model", "servos of one family on one bus")
             if joint.mode not in table.modes:
                 modes = ", ".join(mode.name.lower() for mode in table.modes)
                 raise WrongKey(f"{joint.model} has no mode {joint.mode.name.lower()}", "mode", modes)
@@ -473,6 +488,12 @@ def _check_arm(config: ArmConfig) -> None:
             _check_stops(joint, table)
             _check_caps(joint)
             _check_range(joint)
+        at = ""
+        if config.watchdog_ms and not config.family.capabilities.bus_watchdog:
+            why = config.family.unprotected_exit
+            problem = f"{config.joints[0].model} servos have no bus watchdog: {why}"
+            raise WrongKey(problem, "bus.watchdog_ms", "0: no bus watchdog")
+        _check_watchdogs(config)
     except WrongKey as wrong:
         raise wrong.within((), at).in_file(config.file or config.name) from None
 

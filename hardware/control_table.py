@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
 from types import MappingProxyType
@@ -91,6 +91,7 @@ class Register:
         initial: Factory value; ``None`` where it depends on the state of the servo.
         minimum, maximum: Smallest and largest value a write may have; limits that depend on other registers
             are the servo's affair.
+        sign_bit: Sign-magnitude coding: this bit is the sign and the bits below are the absolute value.
     """
 
     name: str
@@ -103,6 +104,7 @@ class Register:
     initial: int | None = None
     minimum: int = 0
     maximum: int = 0
+    sign_bit: int | None = None
 
     @property
     def end(self) -> int:
@@ -117,7 +119,16 @@ class Register:
         """
         if len(data) != self.size:
             raise ValueError(f"{self.name} has {self.size} bytes, not {len(data)}")
-        return int.from_bytes(data, "little", signed=self.signed)
+        return self.decode_raw(int.from_bytes(data, "little"))
+
+    def decode_raw(self, raw: int) -> int:
+        """Return the value of the unsigned integer that the bytes form."""
+        if self.sign_bit is not None:
+            magnitude = raw & ((1 << self.sign_bit) - 1)
+            return -magnitude if raw >> self.sign_bit & 1 else magnitude
+        if self.signed and raw >> (8 * self.size - 1):
+            return raw - (1 << 8 * self.size)
+        return raw
 
     def take_apart(self, value: int, registers: Iterable[Register]) -> dict[str, int]:
         """Name -> value of registers that lie within this block, from its value."""
@@ -131,6 +142,12 @@ class Register:
             ValueError: The value does not fit into the register's bytes.
         """
         try:
+            if self.sign_bit is not None:
+                magnitude = abs(int(value))
+                if magnitude >> self.sign_bit:
+                    raise OverflowError
+                sign = (1 << self.sign_bit) if value < 0 else 0
+                return (magnitude | sign).to_bytes(self.size, "little")
             return int(value).to_bytes(self.size, "little", signed=self.signed)
         except OverflowError:
             kind = "signed" if self.signed else "unsigned"
@@ -158,6 +175,8 @@ class ControlTable:
     supply: float
     motor: Motor
     abilities: frozenset[str]
+    family: str = "dynamixel_x"
+    baud_codes: Mapping[int, int] = field(default_factory=lambda: BAUD_RATES)
 
     def __getitem__(self, name: str) -> Register:
         try:
@@ -180,7 +199,7 @@ class ControlTable:
     @property
     def baud_rates(self) -> tuple[int, ...]:
         """Bits per second the model can be set to."""
-        return tuple(rate for code, rate in BAUD_RATES.items() if code <= self["baud_rate"].maximum)
+        return tuple(rate for code, rate in self.baud_codes.items() if code <= self["baud_rate"].maximum)
 
     @cached_property
     def current_unit(self) -> float:
@@ -252,8 +271,6 @@ CONTROL_TABLES: Mapping[str, ControlTable] = MappingProxyType(
 X_SERIES = CONTROL_TABLES["XM430-W350"]
 """For what lies at the same address in all of them: torque, errors, what is measured."""
 
-_BY_NUMBER = {table.number: table for table in CONTROL_TABLES.values()}
-
 
 def require_id(id: int, key: str) -> None:
     """Raises ``ConfigError`` for an id that no servo can have; ``key``: the option that names it."""
@@ -263,13 +280,21 @@ def require_id(id: int, key: str) -> None:
 
 def model_by_number(number: int) -> ControlTable | None:
     """The table of the model whose Model Number register reads ``number``; ``None`` if unknown here."""
-    return _BY_NUMBER.get(number)
+    return next((table for table in known_tables().values() if table.number == number), None)
 
 
 def model_name(number: int) -> str:
     """Of the model whose Model Number register reads ``number``, or what is known of it."""
     table = model_by_number(number)
     return table.model if table else f"model number {number}"
+
+
+@lru_cache(maxsize=1)
+def known_tables() -> Mapping[str, ControlTable]:
+    """Return model name -> control table, for the models of every servo family."""
+    from robot_ik.hardware.families.feetech_sts_table import STS3215  # it imports this file
+
+    return MappingProxyType({**CONTROL_TABLES, STS3215.model: STS3215})
 
 
 @lru_cache(maxsize=64)
@@ -279,10 +304,11 @@ def control_table(model: str, firmware: int | None = None) -> ControlTable:
     Raises:
         ConfigError: No such model here, or no such firmware.
     """
-    if model not in CONTROL_TABLES:
-        raise WrongKey.unknown("servo model", model, CONTROL_TABLES).in_file("control_table")
-    if firmware is None:
-        return CONTROL_TABLES[model]
+    tables = known_tables()
+    if model not in tables:
+        raise WrongKey.unknown("servo model", model, tables).in_file("control_table")
+    if firmware is None or model not in MODELS:
+        return tables[model]
     if not 1 <= firmware <= 255:
         raise ConfigError(f"no firmware has the number {firmware}", file="control_table", allowed="1..255")
     return _build(model, MODELS[model], firmware)

@@ -23,8 +23,8 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     TICKS_PER_REVOLUTION,
     OperatingMode,
-    hardware_error_names,
 )
+from robot_ik.hardware.family import family_of
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.following import Following
 from robot_ik.hardware.joint_map import TWIST, JointMap
@@ -180,7 +180,7 @@ def shutdown_fault(bus: ServoBus, servo: JointMap) -> MotorFaultError:
         value = 0
     return MotorFaultError(
         servo.name,
-        hardware_error_names(value) or ("hardware_error",),
+        family_of(servo.table.family).error_names(value) or ("hardware_error",),
         hint="the others hold; remove the cause, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
@@ -206,11 +206,13 @@ def has_torque(bus: ServoBus, servo: JointMap) -> bool:
         MotorFaultError: It has none.
         BusDisconnectedError: The port went away.
     """
+    family = family_of(servo.table.family)
+    names = [part.name for part in family.plain_block(servo.table).parts[:2]]
     try:
-        torque = bus.read(servo.id, servo.table["torque_enable"]).data
+        values = {name: bus.read(servo.id, servo.table[name]).data or 0 for name in names}
     except (BusTimeoutError, BusCorruptError):
         return False
-    if not torque:
+    if not family.is_in_control(values):
         hint = "the servo has probably restarted: check its supply; the other joints hold"
         raise MotorFaultError(servo.name, ("torque_lost",), hint=hint)
     return True

@@ -61,6 +61,7 @@ class Feedback:
     """
 
     def __init__(self, config: ArmConfig) -> None:
+        self._family = config.family
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
@@ -102,7 +103,8 @@ class Feedback:
 
     def read_plainly(self, id: int) -> None:
         """This servo without its indirect addresses from here on: more bytes, and the same is seen."""
-        self._blocks[id] = _plain_block(self._tables[id])
+        register, parts = self._family.plain_block(self._tables[id])
+        self._blocks[id] = register, list(parts)
         self.registers[id] = self._blocks[id][0]
 
     def asked(self) -> Mapping[int, Register]:
@@ -123,7 +125,7 @@ class Feedback:
             return Measurement(value >> 8 if torque else None, torque)
         block, parts = self._blocks[id]
         values = block.take_apart(value, parts)
-        if not values["torque_enable"]:
+        if not self._family.is_in_control(values):
             return Measurement(None, False)
         if id in self._thresholds:
             self._beyond = self._beyond or self._thresholds[id].take(values, now)

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.problem import Budget, Problem
     from robot_ik.robot import Robot, load_robot
+    from robot_ik.robot_arm import RobotArm, open_robot
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Miss, Solution, Status
     from robot_ik.solvers import SOLVERS, make_solver
@@ -49,6 +50,7 @@ _HOME = {
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.problem": ("Budget", "Problem"),
     "robot_ik.robot": ("Robot", "load_robot"),
+    "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
     "robot_ik.inverse_kinematics": ("solve", "warm_up"),
@@ -57,11 +59,12 @@ _HOME = {
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
 __all__ = [
-    "SOLVERS", "AimGoal", "Budget", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "Miss",
-    "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal", "PositionGoal", "PostureGoal",
-    "Problem", "RealClock", "Robot", "RobotIkError", "Solution", "Status", "Tolerance", "Trajectory",
-    "VirtualClock", "__version__", "catalogue", "execute", "follow", "joint_move", "line_move", "load_robot",
-    "make_chain", "make_solver", "solve", "solve_all", "solve_batch", "warm_up",
+    "AimGoal", "Budget", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "Miss",
+    "NotConvergedError", "OrientationGoal", "PlaneGoal", "Pose", "PoseGoal", "PositionGoal",
+    "PostureGoal", "Problem", "RealClock", "Robot", "RobotArm", "RobotIkError", "SOLVERS",
+    "Solution", "Status", "Tolerance", "Trajectory", "VirtualClock", "__version__", "catalogue",
+    "execute", "follow", "joint_move", "line_move", "load_robot", "make_chain", "make_solver",
+    "open_robot", "solve", "solve_all", "solve_batch", "warm_up",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:

@@ -376,7 +376,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
     again = ArmConfig.load(path)
     assert [j.zero_ticks for j in again.whole.joints] == [j.zero_ticks for j in made.whole.joints]
     # The same servos, from the side that does not know that they are simulated.
-    wire = SimBus(servos)
+    wire = SimBus(servos, real=True)
     with Arm(again, wire) as arm:
         arm.enable()
         arm.move_to(dict.fromkeys(arm.joints[:1], 0.3))
@@ -385,7 +385,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
 
 def test_an_arm_of_placeholders_gets_no_torque_on_real_servos() -> None:
     config, servos = arm_file("koch_v11"), servos_of("koch_v11")
-    with Arm(config, SimBus(servos)) as arm:  # nobody says that these servos are simulated
+    with Arm(config, SimBus(servos, real=True)) as arm:  # nobody says that these servos are simulated
         assert arm.read().q.shape == (5,)  # looking is allowed
         with pytest.raises(ConfigError, match=r"placeholders.*\n.*servo calibrate") as caught:
             arm.enable()
@@ -490,7 +490,7 @@ def test_leaving_an_arm_never_touches_another_on_the_same_wire(
 ) -> None:
     """Two arms share an open bus; whoever leaves writes to the ids of its own file only."""
     servos, first, second = one_wire
-    with closing(SimBus(servos)) as wire:
+    with closing(SimBus(servos, real=True)) as wire:
         wire.open()
         with Arm(second, wire, virtual_bus=servos) as stays:
             stays.enable()
@@ -515,7 +515,7 @@ def test_a_fault_of_one_arm_on_a_shared_wire_is_none_of_the_other(
     one_wire: tuple[VirtualBus, ArmConfig, ArmConfig],
 ) -> None:
     servos, first, second = one_wire
-    with closing(SimBus(servos)) as wire:
+    with closing(SimBus(servos, real=True)) as wire:
         wire.open()
         with (
             Arm(first, wire, virtual_bus=servos) as ours,

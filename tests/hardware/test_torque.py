@@ -276,7 +276,7 @@ def test_bus_watchdogs_are_disarmed_with_the_torque_so_that_the_next_goals_are_t
         stream(arm, [start] * 3)
     assert [servo.memory.values["bus_watchdog"] for servo in servos.servos] == [0] * 6
     servos.clock.sleep_until(servos.clock.now() + 5.0)
-    bus = SimBus(servos)
+    bus = SimBus(servos, real=True)
     bus.open()
     table = arm_config.joints[0].table
     bus.write(1, table["torque_enable"], 1)

@@ -1,0 +1,166 @@
+"""What the arm needs from a servo family.  A family is one file in ``robot_ik.hardware.families``.
+
+The arm works with register names that mean the same in every family: ``goal_position``,
+``present_position``, ``torque_enable``, ``hardware_error_status``, ``present_input_voltage``.
+Everything else about the registers of a family is decided in its file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from robot_ik.hardware.control_table import ControlTable, OperatingMode, Register
+from robot_ik.hardware.wire_protocol import WireProtocol
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.bus import ServoBus
+    from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.joint_map import JointMap
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What the servos of a family can do.
+
+    Attributes:
+        bus_watchdog: A servo stops by itself when the bus is silent.
+        goal_enables_torque: A write of the goal position switches torque on.
+        current_goal: A servo takes a goal current.
+        reboot_clears_errors: A reboot instruction clears hardware errors.
+    """
+
+    bus_watchdog: bool
+    goal_enables_torque: bool
+    current_goal: bool
+    reboot_clears_errors: bool
+
+
+class CycleBlock(NamedTuple):
+    """What a control cycle reads from one servo.
+
+    Attributes:
+        register: Bytes that are read at once.
+        parts: Registers inside it: ``torque_enable``, ``present_position``, and more if the family
+            has more.
+    """
+
+    register: Register
+    parts: tuple[Register, ...]
+
+
+class ServoFamily(Protocol):
+    """One servo family.
+
+    Attributes:
+        name: As in ``ControlTable.family``.
+        protocol: Wire protocol of every servo of the family.
+        capabilities: What the servos can do.
+        mode_values: Operating mode -> value of the Operating Mode register.
+        unprotected_exit: What happens when the program dies without leaving the arm, for the user.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def protocol(self) -> WireProtocol: ...
+
+    @property
+    def capabilities(self) -> Capabilities: ...
+
+    @property
+    def mode_values(self) -> Mapping[OperatingMode, int]: ...
+
+    @property
+    def unprotected_exit(self) -> str: ...
+
+    def prepare(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Make every servo answer reads and writes."""
+        ...
+
+    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, servo: JointMap) -> None:
+        """Disarm the bus watchdog of a servo.  Does nothing in a family without one."""
+        ...
+
+    def arm_watchdog(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Make every servo stop when the bus is silent for ``watchdog_ms``.
+
+        A family without a bus watchdog does nothing: its arm files have ``watchdog_ms = 0``.
+        """
+        ...
+
+    def error_names(self, value: int) -> tuple[str, ...]:
+        """Return the names of the bits that are set in ``hardware_error_status``."""
+        ...
+
+    def set_up(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Set up every servo as program and arm file need it.
+
+        EEPROM is written only where it differs.
+
+        Raises:
+            ArmStateError: An EEPROM register must change and torque is on.
+            ConfigError, HardwareError: Servo and arm file disagree.
+        """
+        ...
+
+    def check_strength(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Check that the settings of every servo let it hold the arm.
+
+        Raises:
+            HardwareError: A servo cannot hold the arm.
+        """
+        ...
+
+    def check_protection(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Warn of servos that overload and heat do not switch off."""
+        ...
+
+    def limit_speed(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Write the largest speed and acceleration of every servo.
+
+        They are lost when a servo restarts.
+        """
+        ...
+
+    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> JointMap | None:
+        """Return a servo that restarted since ``limit_speed``; None if no servo did."""
+        ...
+
+    def plain_block(self, table: ControlTable) -> CycleBlock:
+        """Return the block that every servo of a model can read without preparation."""
+        ...
+
+    def is_in_control(self, values: Mapping[str, int]) -> bool:
+        """Return whether a servo has torque and has not restarted.
+
+        Args:
+            values: Register name -> value of the parts of the cycle block.
+        """
+        ...
+
+    def reset(self, bus: ServoBus, servo: JointMap) -> None:
+        """Clear the hardware errors of a servo.  Its torque is off afterwards."""
+        ...
+
+
+FAMILY_MODULES: Mapping[str, str] = {
+    "dynamixel_x": "robot_ik.hardware.families.dynamixel_x",
+    "feetech_sts": "robot_ik.hardware.families.feetech_sts",
+}
+"""Name of a family -> its module, whose ``FAMILY`` is a ``ServoFamily``.
+
+The only place of registration.
+"""
+
+
+def family_of(name: str) -> ServoFamily:
+    """Return a family by name.
+
+    Its module is imported on first use: the modules import this one.
+    """
+    family: ServoFamily = import_module(FAMILY_MODULES[name]).FAMILY
+    return family
