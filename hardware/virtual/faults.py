@@ -17,15 +17,14 @@ from weakref import WeakKeyDictionary
 from pydantic import Field
 
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
+from robot_ik.hardware.families.dynamixel_x_table import (
     BAUD_RATES,
-    CONTROL_TABLES,
     HARDWARE_ERRORS,
-    IDS,
-    TICKS_PER_REVOLUTION,
     TRIPPED,
+    X_TABLES,
 )
-from robot_ik.hardware.joint_map import JointMap, ServoId
+from robot_ik.hardware.registers import IDS, TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import Joint, ServoId
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.reading import WrongKey, parse_toml, read_text
@@ -120,16 +119,16 @@ class Fault:
 
     def require_servo(self, config: ArmConfig) -> None:
         """Raises ``WrongKey`` where the arm has no such servo."""
-        names, ids = config.whole.names, config.servo_ids
+        names, ids = config.names, config.servo_ids
         if self.joint is not None and self.joint not in names:
             raise WrongKey.unknown("joint", self.joint, names, "joint")
         if self.id is not None and self.id not in ids:
             raise WrongKey(f"no servo has the id {self.id}", "id", ", ".join(map(str, ids)))
 
 
-def joint_offset(joint: JointMap, degrees: float) -> Fault:
+def joint_offset(joint: Joint, degrees: float) -> Fault:
     """The ``zero_offset`` by which a joint is so many degrees further, in its own direction."""
-    return Fault("zero_offset", joint.id, degrees * joint.direction * joint.ratio)
+    return Fault("zero_offset", joint.servo.id, degrees * joint.servo.direction * joint.gear.ratio)
 
 
 class Injected:
@@ -262,7 +261,7 @@ def _lose_revolutions(servo: VirtualServo, value: float) -> Undo:
 
 def _add_servo(bus: VirtualBus, value: float) -> Undo:
     known = bus.servos[0] if bus.servos else None
-    model = known.table.model if known else next(iter(CONTROL_TABLES))
+    model = known.table.model if known else next(iter(X_TABLES))
     more = VirtualServo(model, int(value), bus.clock, baud=known.baud if known else 1_000_000)
     bus.add(more)
     return lambda: bus.remove(more)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.hardware.virtual.bus import start_values
 from robot_ik.hardware.virtual.protocol1 import (
     BROADCAST,
     Instruction,
@@ -57,24 +58,22 @@ class VirtualStsBus:
 
     @classmethod
     def from_config(
-        cls, config: ArmConfig, clock: Clock, start: ArrayLike | None = None
+        cls, config: ArmConfig, clock: Clock, start: ArrayLike | Mapping[str, float] | None = None
     ) -> VirtualStsBus:
         """Return the servos of an arm file, without torque.
 
         Args:
             config: Arm file.
             clock: Clock of the servos.
-            start: (n,) initial joint angles in rad; default 0 or the nearest limit.
+            start: As for ``start_values``.
         """
-        q = np.zeros(len(config.joints)) if start is None else np.asarray(start, dtype=float)
-        q = np.clip(q, config.lower, config.upper)
-        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
+        values = start_values(config, start)
         servos = []
-        for joint, angle in zip(config.servos, config.spread(q), strict=True):
-            ticks = joint.to_ticks(float(angle))
-            servos.append(VirtualSts3215(joint.id, clock, position_ticks=ticks, baud=config.baud))
+        for joint, servo in config.drives:
+            ticks = joint.nearest_ticks(values[joint.name], servo)
+            servos.append(VirtualSts3215(servo.id, clock, position_ticks=ticks, baud=config.baud))
         bus = cls(servos, clock)
-        bus._named |= {joint.name: bus.servo(joint.id) for joint in config.whole.joints}
+        bus._named |= {joint.name: bus.servo(joint.servo.id) for joint in config.joints}
         return bus
 
     def servo(self, key: int | str) -> VirtualSts3215:
@@ -110,7 +109,7 @@ class VirtualStsBus:
         """Return the (n,) true joint angles in rad."""
         with self.lock:
             return np.array(
-                [joint.to_radians(self._named[joint.id].true_ticks) for joint in config.joints]
+                [joint.value(self._named[joint.servo.id].true_ticks) for joint in config.joints]
             )
 
     def when_changed(self, wake: Callable[[], None]) -> None:
@@ -143,7 +142,7 @@ class VirtualStsBus:
                 listeners = [s for s in self.servos if not s.silent and baud in (None, s.baud)]
                 statuses = self._execute(packet, listeners)
                 delay += sum(servo.return_delay for servo, _ in statuses)
-                replies += self.wire.carry([status for _, status in statuses])
+                replies += self.wire.carry([status for _, status in statuses], self.clock.now())
             return b"".join(replies), delay + (self.latency if replies else 0.0)
 
     def _execute(

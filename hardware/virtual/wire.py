@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from robot_ik.hardware.control_table import IDS
+from robot_ik.hardware.registers import IDS
 from robot_ik.hardware.virtual.protocol import BROADCAST, Parser, build_status
 from robot_ik.ports import Clock
 
