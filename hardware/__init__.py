@@ -177,12 +177,9 @@ def _servos(
     if servos is not None:
         return servos
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.sts_bus import VirtualStsBus
     from robot_ik.ports import (  # they bring numpy: commands ask for names only
         RealClock,
         VirtualClock,
     )
 
-    if config.family.name == "feetech_sts":
-        return VirtualStsBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)
     return VirtualBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)
