@@ -73,6 +73,7 @@ class BusFile(Table):
     on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
     stale_ms: Annotated[int | None, Field(ge=0, le=60_000)] = None  # half of watchdog_ms
     on_stale: Literal["hold", "park", "torque_off"] = "hold"
+    on_orphan: Literal["hold", "torque_off"] = "hold"
 
 
 class JointFile(Table):
@@ -169,6 +170,8 @@ class ArmConfig:
         stale_ms: Time without a command after which the arm is held and watched by itself, ms; 0: never.
             The Bus Watchdog must be longer by what ``watchdogs.least_watchdog_ms`` says.
         on_stale: What follows when no command comes for longer: ``hold``, ``park`` or ``torque_off``.
+        on_orphan: What happens if the program is killed: ``hold`` (nothing, the servos keep their torque), or
+            ``torque_off`` (a second process switches torque off).
         uncalibrated: Its zeros are placeholders, so that real servos get no torque.
     """
 
@@ -184,6 +187,7 @@ class ArmConfig:
     on_stale: str = "hold"
     auxiliary: tuple[JointMap, ...] = ()
     uncalibrated: bool = False
+    on_orphan: str = "hold"
 
     def __post_init__(self) -> None:
         _check_arm(self)
