@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from robot_ik.errors import BusNotOpenError, ConfigError
 
@@ -209,10 +209,7 @@ def simulated_servos(
         start: Where the joints stand at first, see ``virtual.bus.start_values``.
     """
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.sts_bus import VirtualStsBus
 
-    if config.family.name == "feetech_sts":
-        return cast("VirtualBus", VirtualStsBus.from_config(config, clock, start))
     return VirtualBus.from_config(config, clock, start)
 
 

@@ -29,6 +29,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
+from robot_ik.hardware.guardian import Guardian, guardian_for
 from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.servo import GRIPPER
 from robot_ik.hardware.startup import (
@@ -145,6 +146,7 @@ class Arm(Closing):
         self._unraised_stop: StopRequestedError | None = None  # carried out by the heartbeat, not raised yet
         self._polled_at = 0.0
         self._close_lock = threading.RLock()
+        self._guardian: Guardian | None = None  # of [bus] on_orphan
         self._closing_thread: int | None = None  # its ident; from the begin of close until connect
 
     @property
@@ -229,6 +231,8 @@ class Arm(Closing):
 
         ``first``: no servo has torque because of this arm yet.
         """
+        if self._guardian is None:
+            self._guardian = guardian_for(self.bus, self.config)
         if not isinstance(self.clock, VirtualClock):
             self._stop_file.open(self.bus.port)
             self._heartbeat.start()
@@ -263,6 +267,7 @@ class Arm(Closing):
         if first and confirmed:
             self._energised = False
             self._heartbeat.dismiss()
+            self._release_guardian()
             self._stop_file.close()
             self._guard.remove()
 
@@ -521,8 +526,16 @@ class Arm(Closing):
             after = self._after("reconnect")
             self._raise_stop()
             _check_timeout(timeout)
+            self._release_guardian()  # it has the file descriptor of the port that went away
             feedback = find_again(self.bus, self.config, timeout, real=self.bus.real, currents=self._currents)
+            if self._energised:
+                self._guardian = guardian_for(self.bus, self.config)
             self._begin_anew(feedback, after)
+
+    def _release_guardian(self) -> None:
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None:
+            guardian.release()
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
         """From a verified bus to ``CONNECTED``; torque stays as it is, and so do the goals."""
@@ -665,7 +678,12 @@ class Arm(Closing):
                 self._leave_for_good(alone=locked)
             finally:
                 # Each whatever becomes of the others; the handlers last, for then signals are no longer kept.
-                for step in (self._heartbeat.stop, self._close_bus, self._stop_file.close):
+                for step in (
+                    self._heartbeat.stop,
+                    self._release_guardian,
+                    self._close_bus,
+                    self._stop_file.close,
+                ):
                     try:
                         step()
                     except Exception as error:

@@ -85,6 +85,7 @@ class BusTable(Table):
     on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
     stale_ms: Annotated[int | None, Field(ge=0, le=60_000)] = None  # half of watchdog_ms
     on_stale: Literal["hold", "park", "torque_off"] = "hold"
+    on_orphan: Literal["hold", "torque_off"] = "hold"
 
 
 class TwinTable(Table):

@@ -114,6 +114,10 @@ class ServoBus(Protocol):
         """Whether the port is open."""
         ...
 
+    def fileno(self) -> int | None:
+        """Return the file descriptor of the open port; None if there is none."""
+        ...
+
     def open(self) -> None:
         """Opens the port for this process alone."""
         ...

@@ -53,6 +53,8 @@ class ArmConfig:
             Watchdog must be longer, see ``watchdogs.least_watchdog_ms``.
         on_stale: What follows without a command for longer: ``hold``, ``park`` or ``torque_off``.
         uncalibrated: The zeros are placeholders, so real servos get no torque.
+        on_orphan: What happens if the program is killed: ``hold`` (nothing, the servos keep their
+            torque) or ``torque_off`` (a second process switches torque off).
     """
 
     name: str
@@ -66,6 +68,7 @@ class ArmConfig:
     stale_ms: int = STALE_MS
     on_stale: str = "hold"
     uncalibrated: bool = False
+    on_orphan: str = "hold"
 
     def __post_init__(self) -> None:
         check_arm(self)

@@ -211,6 +211,11 @@ class SerialBus:
     def is_open(self) -> bool:
         return self._handler is not None
 
+    def fileno(self) -> int | None:
+        """Return the file descriptor of the open port; None if there is none."""
+        handler = self._handler
+        return None if handler is None else handler.fileno()
+
     def _make_handler(self) -> SleepingPortHandler:
         return SleepingPortHandler(self.port, self.baud, self.counters)
 

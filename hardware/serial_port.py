@@ -90,6 +90,10 @@ class SleepingPortHandler(PortHandler):
         self._file = self.ser.fileno() if self._posix else -1
         return True
 
+    def fileno(self) -> int | None:
+        """Return the file descriptor of the open port; None if there is none."""
+        return self._file if self._file >= 0 and self.is_open else None
+
     def closePort(self) -> None:
         port, self.ser, self.is_open = self.ser, None, False
         if port is not None:

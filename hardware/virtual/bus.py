@@ -3,37 +3,36 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import RobotIkError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.families.dynamixel_x_table import RETURN_ALL, RETURN_READ
 from robot_ik.hardware.servo import GRIPPER
-from robot_ik.hardware.virtual import servo as instructions
+from robot_ik.hardware.virtual.families import VIRTUAL_FAMILIES
 from robot_ik.hardware.virtual.faults import Fault, Injected
-from robot_ik.hardware.virtual.protocol import (
-    BROADCAST,
-    ErrorCode,
-    Instruction,
-    Packet,
-    Parser,
-    build_status,
-)
-from robot_ik.hardware.virtual.servo import Request, VirtualServo, fast_status_packets, responding
-from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule, collide
+from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule
 from robot_ik.ports import Array, Clock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.world import World
     from robot_ik.robot import Robot
 
+DEFAULT_FAMILY = "dynamixel_x"
+"""Family of a bus without servos."""
+
+DEFAULT_MODEL = "XM430-W350"
+"""Model of a servo that is added to a bus without servos."""
+
+DEFAULT_BAUD = 1_000_000
+"""bit/s of a servo that is added to a bus without servos."""
+
 
 class VirtualBus:
-    """Servos on one wire.  Safe to call from any thread.
+    """Servos of one family on one wire.  Safe to call from any thread.
 
     Args:
         servos: Ids may repeat, as they may by mistake on a real bus: replies then collide.
@@ -41,6 +40,8 @@ class VirtualBus:
         seed: Of the random faults.
 
     Attributes:
+        family: Name of the servo family.
+        side: The servos' side of the wire protocol.
         world: Moves the shafts by a model of the arm; ``None``: their profiles do.
         wire: Transmits the replies to the host.
         echo: The adapter returns what was sent.
@@ -48,19 +49,20 @@ class VirtualBus:
         latency: Seconds by which replies come later than they should, as from a USB adapter.
     """
 
-    def __init__(self, servos: Iterable[VirtualServo], clock: Clock, seed: int = 0) -> None:
+    def __init__(self, servos: Iterable[Any], clock: Clock, seed: int = 0) -> None:
         self.servos = tuple(servos)
+        self.family: str = self.servos[0].table.family if self.servos else DEFAULT_FAMILY
+        self.side = VIRTUAL_FAMILIES[self.family].side
         self.clock = clock
         self.lock = threading.RLock()
         self.world: World | None = None
         self.echo = self.unplugged = False
         self.latency = 0.0
         self.schedule = WireSchedule(clock)
-        self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
-        self.wire = VirtualWire((servo.id for servo in self.servos), seed)
+        self._built: dict[int | str, Any] = {servo.id: servo for servo in self.servos}
+        self.wire = VirtualWire((servo.id for servo in self.servos), seed, self.side)
         self._injected: list[Injected] = []
-        self._parser = Parser()
-        self._delay = 0.0
+        self._parser = self.side.parser()
         self._wakers: list[Callable[[], None]] = []
 
     @classmethod
@@ -76,24 +78,16 @@ class VirtualBus:
             ConfigError: ``start`` has another shape or is not finite.
         """
         values = start_values(config, start)
+        make = VIRTUAL_FAMILIES[config.family.name].from_drive
         servos = [
-            VirtualServo(
-                servo.model,
-                servo.id,
-                clock,
-                position_ticks=joint.nearest_ticks(values[joint.name], servo),
-                mode=servo.mode,
-                baud=config.baud,
-                reverse=bool(servo.reverse),
-                shadow_of=servo.primary_id,
-            )
-            for joint, servo in config.drives
+            make(drive, clock, drive.joint.nearest_ticks(values[drive.name], drive.servo), config.baud)
+            for drive in config.drives
         ]
         bus = cls(servos, clock, seed)
         bus._built |= {joint.name: bus.servo(joint.servo.id) for joint in config.joints}
         return bus
 
-    def servo(self, who: int | str) -> VirtualServo:
+    def servo(self, who: int | str) -> Any:
         """The servo that was put on the bus with this id, or the (first) one of this joint.
 
         Raises:
@@ -113,7 +107,10 @@ class VirtualBus:
 
         Raises:
             KeyError: There is no such servo.
+            WrongKey: Servos of this family do not have the fault.
         """
+        for fault in faults:
+            fault.require_family(self.family)
         with self.lock:
             self._injected = [fault for fault in self._injected if not fault.over]
             for fault in faults:
@@ -137,13 +134,19 @@ class VirtualBus:
         """``wake`` is called after faults came or went, so that no thread sleeps through them."""
         self._wakers.append(wake)
 
-    def add(self, servo: VirtualServo) -> None:
+    def another(self, id: int) -> Any:
+        """Return a new servo like the first one on the bus; it is not on the bus yet."""
+        model = self.servos[0].table.model if self.servos else DEFAULT_MODEL
+        baud = self.servos[0].baud if self.servos else DEFAULT_BAUD
+        return VIRTUAL_FAMILIES[self.family].another(model, id, self.clock, baud)
+
+    def add(self, servo: Any) -> None:
         """One servo more on the wire; its id may be taken."""
         with self.lock:
             self.servos = (*self.servos, servo)
             self._built.setdefault(servo.id, servo)
 
-    def remove(self, servo: VirtualServo) -> None:
+    def remove(self, servo: Any) -> None:
         with self.lock:
             self.servos = tuple(s for s in self.servos if s is not servo)
 
@@ -179,81 +182,15 @@ class VirtualBus:
         """
         with self.lock:
             self.advance()
-            self._delay = 0.0
+            delay = 0.0
             replies = [data] if self.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
                 self.schedule.count()
                 listeners = [s for s in self.servos if not s.deaf and (baud is None or s.baud == baud)]
-                for servo in listeners:
-                    servo.hear()
-                replies += self.wire.carry(self._execute_all(packet, listeners), self.clock.now())
-            return b"".join(replies), self._delay + (self.latency if replies else 0.0)
-
-    def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """Status packets that a packet causes, in the order they go over the wire."""
-        instruction = packet.instruction
-        if not packet.valid:
-            return self._execute(packet, listeners)
-        if instruction in instructions.READS:
-            requests = instructions.READS[instruction](packet.params)
-            fast = instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
-            return (self._read_fast if fast else self._read_many)(requests, listeners)
-        if instruction not in instructions.WRITES:
-            return [] if instruction == Instruction.STATUS else self._execute(packet, listeners)
-        orders = instructions.WRITES[instruction](packet.params)
-        for servo in listeners:
-            own, secondary = servo.id, servo.secondary_id
-            for id, address, data in orders:
-                if id in (own, secondary):
-                    servo.write(address, data, secondary=id == secondary)
-        return []
-
-    def _execute(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """An instruction to one servo, or to all."""
-        broadcast = packet.id == BROADCAST
-        ping, read = packet.instruction == Instruction.PING, packet.instruction == Instruction.READ
-        replies: dict[int, list[bytes]] = {}
-        for servo in sorted(listeners, key=lambda s: s.id):
-            id, level, alert = servo.id, servo.memory.values["status_return_level"], servo.status_byte(0)
-            delay = servo.return_delay
-            if not (broadcast or packet.id == id):
-                if packet.valid and packet.id == servo.secondary_id:
-                    instructions.execute(servo, packet.instruction, packet.params, packet.id)
-                continue
-            error, data = ErrorCode.CRC, b""
-            if packet.valid:
-                error, data = instructions.execute(servo, packet.instruction, packet.params, packet.id)
-            if ping or (not broadcast and level >= (RETURN_READ if read else RETURN_ALL)):
-                self._delay += delay
-                replies.setdefault(id, []).append(
-                    build_status(id, error | alert | servo.status_byte(0), data)
-                )
-        return [self._on_wire(packets) for packets in replies.values()]
-
-    def _read_many(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """A status packet from each servo asked; those that are missing leave a gap in time only."""
-        replies = []
-        by_id = responding(listeners)
-        for id, address, length in requests:
-            packets = []
-            for servo in by_id.get(id, ()):
-                self._delay += servo.return_delay
-                data, error = servo.read(address, length)
-                packets.append(build_status(id, servo.status_byte(error), data))
-            if packets:
-                replies.append(self._on_wire(packets))
-        return replies
-
-    def _read_fast(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """One status packet to which each servo adds; it ends before the first that is missing."""
-        able = responding([s for s in listeners if "fast_read" in s.table.abilities])
-        first = able.get(requests[0][0]) if requests else None
-        self._delay += first[0].return_delay if first else 0.0
-        packets = fast_status_packets(requests, able)
-        return [self._on_wire(packets)] if packets else []
-
-    def _on_wire(self, packets: list[bytes]) -> bytes:
-        return packets[0] if len(packets) == 1 else collide(packets, self.wire.rng)
+                answer = self.side.execute(packet, listeners, self.wire.rng)
+                delay += answer.delay
+                replies += self.wire.carry(answer.packets, self.clock.now())
+            return b"".join(replies), delay + (self.latency if replies else 0.0)
 
 
 def start_values(config: ArmConfig, start: ArrayLike | Mapping[str, float] | None) -> dict[str, float]:

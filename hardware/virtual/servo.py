@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from robot_ik.hardware.families.dynamixel_x_table import (
     BAUD_RATES,
@@ -201,6 +202,41 @@ class VirtualServo:
     def _set_out(self) -> None:
         if self.torque and not self.tripped:
             self.shaft.go()
+
+    def register(self, name: str) -> int:
+        """Return the value of a register without a request of the host."""
+        return self.memory.values[name]
+
+    def set_register(self, name: str, value: int) -> None:
+        """Set a register without a request of the host."""
+        self.memory.set(name, value)
+
+    def set_baud(self, baud: float) -> None:
+        """Set the nearest baud rate of the table, bit/s."""
+        self.memory.set("baud_rate", min(BAUD_RATES, key=lambda code: abs(BAUD_RATES[code] - baud)))
+
+    @property
+    def volts(self) -> float:
+        """Supply, V."""
+        return self.shaft.volts
+
+    @property
+    def push(self) -> float:
+        """A steady torque on the shaft, N m."""
+        return self.shaft.load.push
+
+    @push.setter
+    def push(self, torque: float) -> None:
+        self.shaft.load = replace(self.shaft.load, push=torque)
+
+    def heat_to(self, temperature: float) -> None:
+        """Set the temperature of the motor, C."""
+        self.electrics.temperature = temperature
+        self.memory.set("present_temperature", round(temperature))
+
+    def lose_revolutions(self, revolutions: int) -> None:
+        """Count wrong by this number of revolutions from here on."""
+        self.shaft.lose_revolutions(revolutions)
 
     def rotate_by_hand(self, ticks: float) -> None:
         """Turns the shaft of a servo without torque by so many ticks; with torque it does not give."""

@@ -125,7 +125,7 @@ def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
     name = str(port.link or port.path)
     ids = ", ".join(f"{servo.id} {joint.name} ({servo.model})" for joint, servo in config.drives)
     print(name, flush=True)
-    console.say(f"{config.name}: Protocol 2.0 at {config.baud} baud, torque off")
+    console.say(f"{config.name}: {port.bus.side.name} at {config.baud} baud, torque off")
     console.say(f"servos: {ids}")
     console.say(f"try: {_client(arm, config)} --bus {shlex.quote(name)}", "cyan")
     console.say("end with Ctrl-C", "dim")

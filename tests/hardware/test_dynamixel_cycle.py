@@ -235,4 +235,4 @@ def test_a_single_question_after_a_miss_waits_for_what_may_still_come(served, ar
     port.bus.servo(3).silent = True
     bus.exchange(GOAL, {}, dict.fromkeys(arm_config.servo_ids, PRESENT))
     port.bus.servo(3).silent = False
-    assert bus.read(3, XM["model_number"]).data == arm_config.joints[2].table.number
+    assert bus.read(3, XM["model_number"]).data == arm_config.joints[2].servo.table.number
