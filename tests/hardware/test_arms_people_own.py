@@ -414,7 +414,7 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     limits = dict.fromkeys(config.names, (0.0, 0.0))
     found = load_lerobot(path, config, limits)
     assert isinstance(found, Calibration)
-    assert [joint.servo.zero_ticks for joint in found.joints] == [2047] * 6
+    assert [joint.zero_ticks for joint in found.joints] == [2047] * 6
     in_one_turn = dataclasses.replace(
         config,
         joints=tuple(
