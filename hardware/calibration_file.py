@@ -213,7 +213,9 @@ def load_lerobot(
         row = rows.get(joint.name) or by_id.get(joint.servo.id)
         if row is None:
             allowed = ", ".join(f"{name} (id {row.id})" for name, row in rows.items())
-            raise ConfigError(f"no joint {joint.name!r} (id {joint.servo.id}) in it", file=path, allowed=allowed)
+            raise ConfigError(
+                f"no joint {joint.name!r} (id {joint.servo.id}) in it", file=path, allowed=allowed
+            )
         _require_usable(joint, row, path)
         lower, upper = (q / joint.per_unit for q in limits[joint.name])
         joints.append(
@@ -254,6 +256,7 @@ def _require_usable(joint: Joint, row: _LeRobotRow, path: Path) -> None:
 # ------------------------------------------------------------------------------------------
 # New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
 
+
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
 
@@ -268,9 +271,7 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     moved = []
     for joint in config.joints:
         offset = offsets.get(joint.name, 0.0)
-        servos = tuple(
-            replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos
-        )
+        servos = tuple(replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos)
         moved.append(replace(joint, servos=servos))
     return replace(config, joints=tuple(moved))
 
