@@ -201,7 +201,8 @@ def _inner_packet(buffer: bytes, start: int, end: int) -> bool | None:
     Returns:
         None if more bytes are needed.
     """
-    first = buffer.find(HEADER, start + SHORTEST_STATUS - 1, end)
+    # The header may begin with the last byte of the outer packet, its checksum.
+    first = buffer.find(HEADER, start + SHORTEST_STATUS - 1, end + 1)
     while first >= 0:
         if len(buffer) < first + 4:
             return None
@@ -213,5 +214,5 @@ def _inner_packet(buffer: bytes, start: int, end: int) -> bool | None:
             inner = buffer[first:inner_end]
             if checksum(inner[2:-1]) == inner[-1]:
                 return True
-        first = buffer.find(HEADER, first + 1, end)
+        first = buffer.find(HEADER, first + 1, end + 1)
     return False

@@ -1,4 +1,4 @@
-"""What a killed program leaves behind: torque, goals and motion of its arm, for both servo families."""
+"""What a killed program leaves behind: torque, goals and motion of its arm, in both families."""
 
 from __future__ import annotations
 
