@@ -17,8 +17,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import Self, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError, StopRequestedError, UnsafeCommandError
@@ -30,6 +31,7 @@ from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
 from robot_ik.hardware.guardian import Guardian, guardian_for
 from robot_ik.hardware.limiter import finite
+from robot_ik.hardware.servo import GRIPPER
 from robot_ik.hardware.startup import (
     check_currents,
     check_revolutions_kept,
@@ -42,9 +44,6 @@ from robot_ik.hardware.stop_file import StopFile
 from robot_ik.hardware.torque import ExitReport, checked_policy, leave, read_standing, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
 from robot_ik.ports import Array, Closing, JointReading, VirtualClock
-
-if TYPE_CHECKING:
-    from robot_ik.hardware.virtual.bus import VirtualBus
 
 __all__ = ["Arm", "ArmState"]
 
@@ -102,7 +101,6 @@ class Arm(Closing):
         config: The arm file.
         bus: Opened by ``connect``, closed by ``close``; one that is open before stays open,
             so that several arms can be on one wire.  Its clock is the arm's.
-        virtual_bus: The simulated servos behind ``bus``, for tests and demonstrations; None on metal.
         on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off); the arm file's by default.
         park_at: (n,) rad; by default where the arm was enabled: there it had stood without torque.
 
@@ -117,14 +115,15 @@ class Arm(Closing):
         config: ArmConfig,
         bus: ServoBus,
         *,
-        virtual_bus: VirtualBus | None = None,
         on_exit: str | None = None,
-        park_at: ArrayLike | None = None,
+        park_at: ArrayLike | Mapping[str, float] | None = None,
     ) -> None:
         said = on_exit or config.on_exit
         self.on_exit = checked_policy(said, config.file or config.name, "bus.on_exit")
-        self.config, self.bus, self.clock, self.virtual_bus = config, bus, bus.clock, virtual_bus
-        bus.names |= {servo.id: servo.name for servo in config.servos}
+        self.config = config
+        self.bus = bus
+        self.clock = bus.clock
+        bus.names |= {drive.id: drive.name for drive in config.drives}
         self.joints: tuple[str, ...] = config.names
         self.lower, self.upper, self.resolution = config.lower, config.upper, config.resolution
         self.state = ArmState.DISCONNECTED
@@ -133,7 +132,7 @@ class Arm(Closing):
         self._shares_bus = False  # it was open when we came
         self._cycle = Cycle(config, bus)
         self._park_at = park_at
-        self._rest: tuple[float, ...] = ()
+        self._rest: dict[str, float] = {}  # joint -> where it was enabled; a gripper keeps what it has
         self._currents: dict[str, float] = {}  # joint -> mA asked for since connect
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
@@ -151,11 +150,6 @@ class Arm(Closing):
         self._closing_thread: int | None = None  # its ident; from the begin of close until connect
 
     @property
-    def is_real(self) -> bool:
-        """Whether its servos are made of metal."""
-        return self.virtual_bus is None and getattr(self.bus, "real", True)
-
-    @property
     def reports(self) -> MotionReport:
         """What happened to the commands since ``enable``."""
         return self._cycle.reports
@@ -163,7 +157,7 @@ class Arm(Closing):
     @property
     def ages(self) -> Array:
         """(n,) s since each joint's last good sample; infinite before the first."""
-        return self.clock.now() - self._cycle.samples.times[: len(self.joints)]
+        return self.clock.now() - self._cycle.samples.times
 
     # ------------------------------------------------------------------------------ from off to on
 
@@ -183,7 +177,7 @@ class Arm(Closing):
             self._shares_bus = self.bus.is_open
             try:
                 self.bus.open()
-                feedback = verify(self.bus, self.config, real=self.is_real)
+                feedback = verify(self.bus, self.config, real=self.bus.real)
                 self._currents.clear()
                 self._require_not_closed()
             except BaseException:
@@ -210,7 +204,7 @@ class Arm(Closing):
         """
         with self._lock:
             after = self._after("enable")
-            if self.is_real:
+            if self.bus.real:
                 require_calibrated(self.config)
             if not self.config.stale_ms:
                 log.warning(
@@ -253,7 +247,9 @@ class Arm(Closing):
         finally:
             self._energised = True  # also where another thread has left the arm meanwhile
         if first:  # After a later enable the arm stands where it never stood without torque.
-            self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
+            standing = dict(zip(self.joints, self._cycle.limits.q, strict=True))
+            grippers = {joint.name for joint in self.config.group(GRIPPER)}
+            self._rest = {name: q for name, q in standing.items() if name not in grippers}
         self._commanded, self._streaming = self.clock.now(), False
 
     def _undo_enable(self, first: bool) -> None:
@@ -282,12 +278,15 @@ class Arm(Closing):
 
     # --------------------------------------------------------------------------------- in motion
 
-    def send(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
+    def send(self, q: ArrayLike | Mapping[str, float], now: float) -> Array:
         """One bus cycle: goals within limits and caps to all servos, positions of all back.
 
         Args:
             q: (n,) rad, or joint name -> rad (the others stay).
             now: Time for which ``q`` is meant, s.  The arm never moves faster than its own clock allows.
+
+        Returns:
+            (n,) rad that were sent: ``q`` within limits and caps.
 
         Raises:
             UnsafeCommandError: NaN, wrong length, unknown joint; nothing was sent.
@@ -303,6 +302,7 @@ class Arm(Closing):
             self._latching(lambda: self._cycle.drive(q, now))
             self._commanded, self._streaming = came, True  # one that is refused is none: the arm goes stale
             self.state = after
+            return np.array(self._cycle.limits.q)
 
     def read(self) -> JointReading:
         """Measured joint angles; those of this cycle's ``send`` cost nothing, otherwise the servos are asked.
@@ -324,7 +324,7 @@ class Arm(Closing):
                 samples.begin(ticks, self.clock.now())
             elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
                 self._latching(self._cycle.measure)
-            return JointReading(samples.q[: len(self.joints)].copy(), float(samples.times.min()))
+            return JointReading(samples.q.copy(), float(samples.times.min()))
 
     def positions(self) -> dict[str, float]:
         """Joint -> last measured rad (m of a slide), those of a gripper too; NaN before the first sample."""
@@ -362,8 +362,9 @@ class Arm(Closing):
             if off.any():
                 self._latching(self._cycle.hold)  # it presses no longer on what is in its way
         if off.any():
-            worst = self.config.whole.joints[int((off / self.config.whole.resolution).argmax())]
-            way = worst.text(float(off[self.config.whole.names.index(worst.name)]))
+            k = int((off / self.config.resolution).argmax())
+            worst = self.config.joints[k]
+            way = worst.text(float(off[k]))
             problem = f"{worst.name!r} is still {way} from where it was sent"
             raise HardwareError(problem, hint="is something in its way?")
 
@@ -505,7 +506,7 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            feedback = verify(self.bus, self.config, real=self.is_real, currents=self._currents)
+            feedback = verify(self.bus, self.config, real=self.bus.real, currents=self._currents)
             self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
@@ -526,7 +527,7 @@ class Arm(Closing):
             self._raise_stop()
             _check_timeout(timeout)
             self._release_guardian()  # it has the file descriptor of the port that went away
-            feedback = find_again(self.bus, self.config, timeout, real=self.is_real, currents=self._currents)
+            feedback = find_again(self.bus, self.config, timeout, real=self.bus.real, currents=self._currents)
             if self._energised:
                 self._guardian = guardian_for(self.bus, self.config)
             self._begin_anew(feedback, after)

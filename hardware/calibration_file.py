@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import tomlkit
 from pydantic import BeforeValidator, ConfigDict, Field, RootModel, model_validator
 
 from robot_ik.errors import ConfigError
 from robot_ik.files import timestamp, write_atomically
-from robot_ik.hardware.config import ArmConfig, toml_rows
-from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign, Twin
-from robot_ik.hardware.x_series import REVERSE
+from robot_ik.hardware.arm_file import with_zeros
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.families.dynamixel_x_table import HOMING_FIXES, POSITION_MODE_HOMING, REVERSE
+from robot_ik.hardware.registers import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import Joint, Servo, ServoId, Sign, SwingArm
 from robot_ik.reading import WrongKey, read_json
 from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of, read_table
 
@@ -84,11 +85,9 @@ class Calibration:
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
         head = {"schema": SCHEMA, "arm": self.arm, "robot": self.robot, "created": self.created}
-        lines = toml_rows(head)
-        for table, rows in (("joints", self.joints), ("twins", self.twins)):
-            for row in rows:
-                lines += ["", f"[[{table}]]", *toml_rows(asdict(row))]
-        write_atomically(path, "\n".join(lines) + "\n")
+        tables = {"joints": self.joints, "twins": self.twins}
+        content = {name: [asdict(row) for row in rows] for name, rows in tables.items() if rows}
+        write_atomically(path, tomlkit.dumps(head | content))
 
     @classmethod
     def load(cls, path: Path) -> Calibration:
@@ -201,7 +200,7 @@ def load_lerobot(
     Raises:
         ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
     """
-    _require_no_twins([joint.name for joint in config.joints if joint.twin is not None], path)
+    _require_no_twins([joint.name for joint in config.joints if len(joint.servos) > 1], path)
     content = read_json(path, "LeRobot's calibration")
     if not isinstance(content, dict) or not content:
         raise ConfigError(
@@ -211,17 +210,17 @@ def load_lerobot(
     by_id = {row.id: row for row in rows.values()}
     joints = []
     for joint in config.joints:
-        row = rows.get(joint.name) or by_id.get(joint.id)
+        row = rows.get(joint.name) or by_id.get(joint.servo.id)
         if row is None:
             allowed = ", ".join(f"{name} (id {row.id})" for name, row in rows.items())
-            raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
+            raise ConfigError(f"no joint {joint.name!r} (id {joint.servo.id}) in it", file=path, allowed=allowed)
         _require_usable(joint, row, path)
         lower, upper = (q / joint.per_unit for q in limits[joint.name])
         joints.append(
             JointCalibration(
                 name=joint.name,
-                model=joint.model,
-                direction=joint.direction,
+                model=joint.servo.model,
+                direction=joint.servo.direction,
                 zero_ticks=(row.range_min + row.range_max) // 2,
                 urdf_lower=lower,
                 urdf_upper=upper,
@@ -231,9 +230,9 @@ def load_lerobot(
     return Calibration(config.name, config.robot, timestamp(), tuple(joints), file=path)
 
 
-def _require_usable(joint: JointMap, row: _LeRobotRow, path: Path) -> None:
+def _require_usable(joint: Joint, row: _LeRobotRow, path: Path) -> None:
     """Offset and direction of counting that the servo of the arm file has as well."""
-    if joint.mode == OperatingMode.POSITION and abs(row.homing_offset) > POSITION_MODE_HOMING:
+    if joint.servo.is_single_turn and abs(row.homing_offset) > POSITION_MODE_HOMING:
         raise ConfigError(
             f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
             f"{row.homing_offset} ticks",
@@ -241,25 +240,19 @@ def _require_usable(joint: JointMap, row: _LeRobotRow, path: Path) -> None:
             key=f"{joint.name}.homing_offset",
             allowed=HOMING_FIXES,
         )
-    if bool(row.drive_mode & REVERSE) != bool(joint.reverse):
-        said = "not reversed" if joint.reverse else "reversed"
+    if bool(row.drive_mode & REVERSE) != bool(joint.servo.reverse):
+        said = "not reversed" if joint.servo.reverse else "reversed"
         raise ConfigError(
             f"the servo of {joint.name!r} is {said} in it (drive_mode {row.drive_mode}), and the arm file "
-            f"says reverse = {str(bool(joint.reverse)).lower()}",
+            f"says reverse = {str(bool(joint.servo.reverse)).lower()}",
             file=path,
             key=f"{joint.name}.drive_mode",
-            allowed=f"reverse = {str(not joint.reverse).lower()} in the arm file",
+            allowed=f"reverse = {str(not joint.servo.reverse).lower()} in the arm file",
         )
 
 
 # ------------------------------------------------------------------------------------------
 # New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
-
-_TABLES = re.compile(r"^(?=[ \t]*\[)", re.MULTILINE)
-_JOINT = re.compile(r"\s*\[\[\s*joints\s*\]\]")
-_TWIN = re.compile(r"\s*\[\s*joints\s*\.\s*twin\s*\]")
-_ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)", re.MULTILINE)
-
 
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
@@ -275,17 +268,18 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     moved = []
     for joint in config.joints:
         offset = offsets.get(joint.name, 0.0)
-        made = replace(joint, zero_ticks=_ticks(joint, offset))
-        if joint.twin is not None and not joint.twin.shadow:
-            made = replace(made, twin=replace(joint.twin, zero_ticks=_ticks(joint.servos[1], offset)))
-        moved.append(made)
+        servos = tuple(
+            replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos
+        )
+        moved.append(replace(joint, servos=servos))
     return replace(config, joints=tuple(moved))
 
 
-def _ticks(servo: JointMap, offset: float) -> int:
-    """Its zero by which it is where it really is; of a bent gear in the middle of its range."""
-    middle = sum(servo.limits) / 2.0 if servo.swing else 0.0
-    return round(servo.zero_ticks + servo.position(middle - offset) - servo.position(middle))
+def _moved_zero(joint: Joint, servo: Servo, offset: float) -> int:
+    """Return the zero by which the joint value is correct; of a bent gear in the middle of its range."""
+    middle = sum(joint.limits) / 2.0 if isinstance(joint.gear, SwingArm) else 0.0
+    moved = joint.position(middle - offset, servo) - joint.position(middle, servo)
+    return round(servo.zero_ticks + moved)
 
 
 def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tuple[Path, ...]:
@@ -298,7 +292,7 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
         Where the old files are kept, beside the new ones.
 
     Raises:
-        ConfigError: The file has changed since, or it is written in a way that cannot be edited.
+        ConfigError: The file has changed since.
         OutputError: It cannot be written; everything is as it was.
     """
     old = ArmConfig.load(file)
@@ -310,14 +304,14 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
             )  # fmt: skip
     new = zeros_moved(old, offsets)
     text = file.read_bytes().decode("utf-8")  # line ends as they are
-    edited = _edited(text, new, file)
+    edited = with_zeros(text, {servo.id: servo.zero_ticks for servo in new.servos})
     calibration = calibration_beside(file)
     kept = [_backup(file, text)]
     if calibration.exists():
         found = Calibration.load(calibration)
         kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
         # Else arm and calibration would contradict each other.
-        zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.shadow_of is None}
+        zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.primary_id is None}
         joints, twins = (
             tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
             for rows in (found.joints, found.twins)
@@ -325,38 +319,6 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
         replace(found, joints=joints, twins=twins).save(calibration)
     write_atomically(file, edited)
     return tuple(kept)
-
-
-def _edited(text: str, new: ArmConfig, file: Path) -> str:
-    """The text with the zeros of ``new``; checked by reading it again."""
-    following = iter((*new.joints, *new.auxiliary))
-    joint: JointMap | None = None
-    parts = _TABLES.split(text)
-    for k, part in enumerate(parts):
-        servo: JointMap | Twin | None = None
-        if _JOINT.match(part):
-            servo = joint = next(following, None)
-        elif _TWIN.match(part) and joint is not None:
-            servo = joint.twin
-        if servo is not None:
-            parts[k] = _with_zero(part, servo.zero_ticks)
-    edited = "".join(parts)
-    if ArmConfig.parse(edited, file) != replace(new, file=file):
-        zeros = ", ".join(f"{one.name} {one.zero_ticks}" for one in new.servos)
-        raise ConfigError(
-            "the arm file is written in a way that cannot be edited; nothing is written",
-            file=file, key="joints.zero_ticks", allowed=f"by hand: {zeros}",
-        )  # fmt: skip
-    return edited
-
-
-def _with_zero(table: str, zero: int) -> str:
-    """The text of a table with this zero; one without (its zero was the default) gets it as first key."""
-    edited, found = _ZERO.subn(lambda m: m[0] if int(m[2]) == zero else f"{m[1]}{zero}", table, count=1)
-    if found or zero == TICKS_PER_REVOLUTION // 2:
-        return edited
-    head, _, rest = table.partition("\n")
-    return f"{head}\nzero_ticks = {zero}\n{rest}"
 
 
 def _backup(file: Path, text: str) -> Path:

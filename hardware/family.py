@@ -7,18 +7,19 @@ Everything else about the registers of a family is decided in its file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from robot_ik.hardware.control_table import ControlTable, OperatingMode, Register
+from robot_ik.hardware.registers import ControlTable, OperatingMode, Register
 from robot_ik.hardware.wire_protocol import WireProtocol
 
 if TYPE_CHECKING:
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.joint_map import JointMap
+    from robot_ik.hardware.servo import Drive
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,11 @@ class ServoFamily(Protocol):
 
     Attributes:
         name: As in ``ControlTable.family``.
+        title: Name for people.
+        baud_rates: Rates that some model of the family knows, bit/s.
+        common_table: Control table for registers that every model has at the same address.
+        changing_registers: Two registers that hardly ever read the same twice.
+        velocity_unit: rad/s of one count of the velocity registers.
         protocol: Wire protocol of every servo of the family.
         capabilities: What the servos can do.
         mode_values: Operating mode -> value of the Operating Mode register.
@@ -64,6 +70,21 @@ class ServoFamily(Protocol):
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def baud_rates(self) -> Collection[int]: ...
+
+    @property
+    def common_table(self) -> ControlTable: ...
+
+    @property
+    def changing_registers(self) -> tuple[str, str]: ...
+
+    @property
+    def velocity_unit(self) -> float: ...
 
     @property
     def protocol(self) -> WireProtocol: ...
@@ -81,7 +102,7 @@ class ServoFamily(Protocol):
         """Make every servo answer reads and writes."""
         ...
 
-    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, servo: JointMap) -> None:
+    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Disarm the bus watchdog of a servo.  Does nothing in a family without one."""
         ...
 
@@ -126,12 +147,34 @@ class ServoFamily(Protocol):
         """
         ...
 
-    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> JointMap | None:
+    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> Drive | None:
         """Return a servo that restarted since ``limit_speed``; None if no servo did."""
         ...
 
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """Return the block that every servo of a model can read without preparation."""
+        ...
+
+    def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:
+        """Return the blocks that hold torque, errors and measurements of a servo."""
+        ...
+
+    def write_address(
+        self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
+    ) -> None:
+        """Write id and baud rate of the only servo on a bus.  It talks at the new rate afterwards.
+
+        Args:
+            bus: Open bus at the present rate.
+            found: Control table of the servo.
+            at: Present id.
+            id: New id.
+            baud: New rate, bit/s.
+        """
+        ...
+
+    def eeprom_unlocked(self, bus: ServoBus, ids: Collection[int]) -> AbstractContextManager[None]:
+        """Return a context in which EEPROM registers of these servos keep what is written."""
         ...
 
     def is_in_control(self, values: Mapping[str, int]) -> bool:
@@ -142,7 +185,17 @@ class ServoFamily(Protocol):
         """
         ...
 
-    def reset(self, bus: ServoBus, servo: JointMap) -> None:
+    def load_lag(self, position_p_gain: int) -> float:
+        """Return the ticks by which a load can keep a shaft behind its goal.
+
+        A shaft that is further behind does not follow although the servo gives all it has.
+
+        Args:
+            position_p_gain: Value of the Position P Gain register.
+        """
+        ...
+
+    def reset(self, bus: ServoBus, drive: Drive) -> None:
         """Clear the hardware errors of a servo.  Its torque is off afterwards."""
         ...
 
@@ -164,3 +217,8 @@ def family_of(name: str) -> ServoFamily:
     """
     family: ServoFamily = import_module(FAMILY_MODULES[name]).FAMILY
     return family
+
+
+def families() -> Iterator[ServoFamily]:
+    """Yield every servo family."""
+    return (family_of(name) for name in FAMILY_MODULES)

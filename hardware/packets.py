@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from robot_ik.hardware.bus import ALERT_BIT, BROADCAST_ID
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.wire_protocol import StatusPacket
 
 HEADER = b"\xff\xff\xfd\x00"

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.wire_protocol import BROADCAST_ID, GroupRead, StatusPacket
 
 HEADER = b"\xff\xff"

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 
 from robot_ik.hardware import packets
 from robot_ik.hardware.bus import ERROR_REASONS, GARBLED
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.wire_protocol import GroupRead, StatusParser
 
 PING = 0x01

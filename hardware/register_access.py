@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from robot_ik.errors import ArmStateError, HardwareError
 from robot_ik.hardware.bus import ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.servo import Drive
 
 log = logging.getLogger(__name__)
 
@@ -16,35 +16,28 @@ ATTEMPTS = 3
 """How often a sync write, which has no reply, is repeated if its values do not read back."""
 
 
-def write_register(bus: ServoBus, servo: JointMap, name: str, value: int) -> None:
+def write_register(bus: ServoBus, drive: Drive, name: str, value: int) -> None:
     """Write one register of one servo and read it back.
 
     Raises:
         HardwareError: The register has another value.
     """
-    register = servo.table[name]
-    bus.write(servo.id, register, value)
-    if bus.read(servo.id, register).data != value:
+    register = drive.servo.table[name]
+    bus.write(drive.id, register, value)
+    if bus.read(drive.id, register).data != value:
         raise HardwareError(
-            f"{name} of joint {servo.name!r} (servo id {servo.id}) was written and reads back "
-            f"otherwise; "
-            "no torque was changed"
+            f"{name} of {drive.label} was written and reads back otherwise; no torque was changed"
         )
 
 
-def sync_set(
-    bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]
-) -> list[JointMap]:
-    """Write one register of every servo (id -> value).
-
-    Return the servos that have another value.
-    """
+def sync_set(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> list[Drive]:
+    """Write one register of every servo (id -> value) and return those that have another value."""
     register = shared_register(config, name)
-    failed = list(config.servos)
+    failed = list(config.drives)
     for _ in range(ATTEMPTS):
-        bus.sync_write(register, {servo.id: values[servo.id] for servo in failed})
+        bus.sync_write(register, {drive.id: values[drive.id] for drive in failed})
         present = read_all(bus, config, name)
-        failed = [servo for servo in config.servos if present[servo.id] != values[servo.id]]
+        failed = [drive for drive in config.drives if present[drive.id] != values[drive.id]]
         if not failed:
             break
     return failed
@@ -70,40 +63,42 @@ def set_eeprom(
         ArmStateError: A register must change and torque is on.
     """
     present = read_all(bus, config, name, absent=0)
-    different = [servo for servo in config.servos if present[servo.id] != wanted[servo.id]]
-    for servo in different:
-        if torque[servo.id]:
+    different = [drive for drive in config.drives if present[drive.id] != wanted[drive.id]]
+    for drive in different:
+        if torque[drive.id]:
             raise ArmStateError(
-                f"{name} of joint {servo.name!r} must change, but its torque is on (left on by a "
+                f"{name} of joint {drive.name!r} must change, but its torque is on (left on by a "
                 f"program)",
                 hint="support the arm, switch its torque off, and connect again",
             )
-    for servo in different:
-        log.info("%s of %s: %d -> %d", name, servo.name, present[servo.id], wanted[servo.id])
-        write_register(bus, servo, name, wanted[servo.id])
+    for drive in different:
+        log.info("%s of %s: %d -> %d", name, drive.name, present[drive.id], wanted[drive.id])
+        write_register(bus, drive, name, wanted[drive.id])
 
 
-def check_position_limits(bus: ServoBus, config: ArmConfig, servos: Sequence[JointMap]) -> None:
+def check_position_limits(bus: ServoBus, config: ArmConfig, drives: Sequence[Drive]) -> None:
     """Check that the servos' own position limits contain the arm file's range.
 
     Args:
         bus: Open bus.
         config: Arm file.
-        servos: Servos to check.
+        drives: Servos to check.
 
     Raises:
         ConfigError: The limits of a servo are narrower.
     """
-    lowest, highest = (read_all(bus, config, f"{end}_position_limit") for end in ("min", "max"))
-    for servo in servos:
-        first, last = servo.ticks_range
-        low = lowest[servo.id]
-        high = highest[servo.id]
+    lowest = read_all(bus, config, "min_position_limit")
+    highest = read_all(bus, config, "max_position_limit")
+    for drive in drives:
+        joint = drive.joint
+        first, last = drive.ticks_range
+        low = lowest[drive.id]
+        high = highest[drive.id]
         if not low <= first <= last <= high:
-            ends = sorted(servo.to_radians(ticks) / servo.per_unit for ticks in (low, high))
-            raise config.wrong(
+            ends = sorted(drive.value(ticks) / joint.per_unit for ticks in (low, high))
+            raise config.wrong_joint(
+                joint,
                 f"the servo's own limits (ticks {low} to {high}) are narrower than "
-                f"lower_{servo.unit} .. upper_{servo.unit}",
-                f"joints[{config.whole.names.index(servo.name)}]",
-                f"{ends[0]:.1f} to {ends[1]:.1f} {servo.unit}, or other limits in the servo",
+                f"lower_{joint.unit} .. upper_{joint.unit}",
+                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
             )

@@ -27,7 +27,8 @@ from robot_ik.errors import (
     ServoRefusedError,
 )
 from robot_ik.hardware.bus import KEEPS_TORQUE, BusStatus, Counters
-from robot_ik.hardware.control_table import BAUD_RATES, IDS, Register
+from robot_ik.hardware.models import BAUD_RATES
+from robot_ik.hardware.registers import IDS, Register
 from robot_ik.hardware.serial_port import (
     OPEN_ERRORS,
     PORT_ERRORS,
@@ -229,7 +230,7 @@ class SerialBus:
                 return
             handler = self._make_handler()
             if handler.getCFlagBaud(self.baud) <= 0:
-                rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
+                rates = ", ".join(str(rate) for rate in BAUD_RATES)
                 raise BusNotOpenError(
                     f"cannot open {self.port} at {self.baud} baud; possible: {rates}"
                 )
@@ -474,8 +475,8 @@ class SerialBus:
                         break
             except BaseException:
                 self.counters.timeouts += len(registers) - len(statuses)
-                keys = [(id, register.size) for id, register in requested.items()]
-                self._unanswered.add(keys, self._now())
+                cut_off = [(id, register.size) for id, register in requested.items()]
+                self._unanswered.add(cut_off, self._now())
                 raise
             if missing:
                 self._require_silence()

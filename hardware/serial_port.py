@@ -20,7 +20,7 @@ from serial.tools import list_ports
 from robot_ik.environment import users_of
 from robot_ik.errors import BusNotOpenError, did_you_mean
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.control_table import BAUD_RATES
+from robot_ik.hardware.models import BAUD_RATES
 from robot_ik.hardware.ports import NO_PORTS
 
 LONGEST_DRAIN = 0.1
@@ -101,7 +101,7 @@ class SleepingPortHandler(PortHandler):
 
     def getCFlagBaud(self, baudrate: int) -> int:
         """Every rate a servo can be set to; the SDK's own list stops before 4.5 M."""
-        return baudrate if baudrate in BAUD_RATES.values() else -1
+        return baudrate if baudrate in BAUD_RATES else -1
 
     def getCurrentTime(self) -> float:
         """Milliseconds on a clock that never jumps."""

@@ -97,12 +97,12 @@ class ServedBus(SerialBus):
     def __init__(self, servos: VirtualBus, baud: int, protocol: WireProtocol = PROTOCOL_2) -> None:
         super().__init__("pty", baud, protocol)
         self.clock = servos.clock  # of the arm; what is on the wire takes real time
-        self._servos = servos
+        self.virtual_bus = servos
         self._pty: PtyPort | None = None
 
     def open(self) -> None:
         if self._pty is None:
-            self._pty = pty_port()(self._servos)
+            self._pty = pty_port()(self.virtual_bus)
         self.port = self._pty.path  # another one after it was unplugged
         super().open()
 

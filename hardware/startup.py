@@ -25,15 +25,12 @@ from robot_ik.errors import (
 from robot_ik.hardware.bus import ServoBus, read_all, require_models
 from robot_ik.hardware.calibration import check_calibration, own_calibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    TICKS_PER_REVOLUTION,
-    TRIPPED,
-    OperatingMode,
-)
+from robot_ik.hardware.families.dynamixel_x_table import TRIPPED
 from robot_ik.hardware.feedback import Feedback
-from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.register_access import write_register
+from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import Drive
 from robot_ik.ports import Clock
 
 log = logging.getLogger(__name__)
@@ -63,20 +60,20 @@ def verify(
         MotorFaultError: A latched hardware error, or a supply outside the servo's limits.
         CalibrationMismatchError: With a table of what differs.  Otherwise as ``set_up_servos``.
     """
-    wanted = {servo.id: (servo.name, servo.table.number) for servo in config.servos}
+    wanted = {drive.id: (drive.name, drive.servo.table.number) for drive in config.drives}
     require_models(bus, wanted, "the arm file")
     family = config.family
     family.prepare(bus, config)
     errors = read_all(bus, config, "hardware_error_status")
-    faulty = [(joint.name, family.error_names(errors[joint.id])) for joint in config.servos]
+    faulty = [(drive.name, family.error_names(errors[drive.id])) for drive in config.drives]
     faulty = [row for row in faulty if row[1]]
     if faulty:
         others = ", ".join(f"{name} ({', '.join(names)})" for name, names in faulty[1:])
         hint = "remove the cause, support the arm, then: robot-ik servo reset-fault"
         raise MotorFaultError(*faulty[0], hint=(f"likewise {others}; " if others else "") + hint)
     _check_voltage(bus, config)
-    for joint in config.servos:
-        family.clear_watchdog(bus, config, joint)
+    for drive in config.drives:
+        family.clear_watchdog(bus, config, drive)
     if real and (found := own_calibration(config)) is not None:
         check_calibration(bus, config, found)
     set_up_servos(bus, config, currents or {})
@@ -90,13 +87,14 @@ def verify(
 def _check_voltage(bus: ServoBus, config: ArmConfig) -> None:
     low, high = (read_all(bus, config, f"{end}_voltage_limit") for end in ("min", "max"))
     volts = read_all(bus, config, "present_input_voltage")
-    for joint in config.servos:
-        if not low[joint.id] <= (value := volts[joint.id]) <= high[joint.id]:
+    for drive in config.drives:
+        value = volts[drive.id]
+        if not low[drive.id] <= value <= high[drive.id]:
             raise MotorFaultError(
-                joint.name,
+                drive.name,
                 ("input_voltage",),
-                hint=f"its supply is {value / 10:.1f} V, allowed are {low[joint.id] / 10:.1f} to "
-                f"{high[joint.id] / 10:.1f} V",
+                hint=f"its supply is {value / 10:.1f} V, allowed are {low[drive.id] / 10:.1f} to "
+                f"{high[drive.id] / 10:.1f} V",
             )
 
 
@@ -112,9 +110,9 @@ def set_up_servos(bus: ServoBus, config: ArmConfig, currents: Mapping[str, float
     """
     config.family.set_up(bus, config)
     if config.family.capabilities.current_goal:
-        for servo in config.servos:
-            if servo.mode == OperatingMode.CURRENT_BASED_POSITION:
-                _set_current(bus, servo, currents.get(servo.name))
+        for drive in config.drives:
+            if drive.servo.presses:
+                _set_current(bus, drive, currents.get(drive.name))
 
 
 def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) -> None:
@@ -125,9 +123,9 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
         HardwareError: A servo reads back otherwise.  Errors of the bus.
     """
     check_currents(config, wanted)
-    for servo in config.servos:
-        if servo.name in wanted:
-            _set_current(bus, servo, wanted[servo.name])
+    for drive in config.drives:
+        if drive.name in wanted:
+            _set_current(bus, drive, wanted[drive.name])
 
 
 def check_currents(config: ArmConfig, wanted: Mapping[str, float]) -> None:
@@ -138,23 +136,25 @@ def check_currents(config: ArmConfig, wanted: Mapping[str, float]) -> None:
     """
     for name, current in wanted.items():
         joint = config.joint(name)
-        if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
+        servo = joint.servo
+        if not servo.presses:
             raise UnsafeCommandError(
-                f"a current for {name!r} in mode {joint.mode.name.lower()}", "current_based_position"
+                f"a current for {name!r} in mode {servo.mode.name.lower()}", "current_based_position"
             )
         number = finite(current)
-        if number is None or number < joint.table.current_unit:
+        if number is None or number < servo.table.current_unit:
             raise UnsafeCommandError(
-                f"{reprlib.repr(current)} mA for {name!r}", f"{joint.table.current_unit:g} mA and more"
+                f"{reprlib.repr(current)} mA for {name!r}", f"{servo.table.current_unit:g} mA and more"
             )
 
 
-def _set_current(bus: ServoBus, servo: JointMap, wanted: float | None) -> None:
+def _set_current(bus: ServoBus, drive: Drive, wanted: float | None) -> None:
     """Goal Current of one servo, which lies in RAM; ``wanted``: mA, None: as much as the arm file allows."""
+    joint, servo = drive
     limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
-    given = [mA for mA in (servo.current, wanted) if mA is not None]
+    given = [mA for mA in (joint.current, wanted) if mA is not None]
     counts = min([limit, *(int(mA / servo.table.current_unit) for mA in given)])
-    write_register(bus, servo, "goal_current", counts)
+    write_register(bus, drive, "goal_current", counts)
 
 
 # ------------------------------------------------------------------------------------------
@@ -201,19 +201,19 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
         BusDisconnectedError, BusNotOpenError, ServoRefusedError: By joint name.
     """
     rows = []
-    for servo in config.servos:
-        ticks, found, silence = _look(bus, config, servo)
-        rows.append((servo, ticks, ServoReset(servo.name, servo.id, found or (), found, silence=silence)))
-    for servo, _, row in rows:
+    for drive in config.drives:
+        ticks, found, silence = _look(bus, config, drive)
+        rows.append((drive, ticks, ServoReset(drive.name, drive.id, found or (), found, silence=silence)))
+    for drive, _, row in rows:
         if row.restarted:
-            log.info("resetting servo %d (%s)", servo.id, servo.name)
-            config.family.reset(bus, servo)
+            log.info("resetting servo %d (%s)", drive.id, drive.name)
+            config.family.reset(bus, drive)
         elif row.before:
-            bus.write(servo.id, servo.table["bus_watchdog"], 0)
+            bus.write(drive.id, drive.servo.table["bus_watchdog"], 0)
     reset = []
-    for servo, ticks, row in rows:
+    for drive, ticks, row in rows:
         if row.before:
-            here, after, silence = _look(bus, config, servo, restarted=row.restarted)
+            here, after, silence = _look(bus, config, drive, restarted=row.restarted)
             turned = 0 if after is None else here - ticks
             row = replace(row, after=after, turned=turned, silence=silence)
         reset.append(row)
@@ -221,9 +221,10 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
 
 
 def _look(
-    bus: ServoBus, config: ArmConfig, servo: JointMap, *, restarted: bool = False
+    bus: ServoBus, config: ArmConfig, drive: Drive, *, restarted: bool = False
 ) -> tuple[int, tuple[str, ...] | None, BusTimeoutError | BusCorruptError | None]:
     """Where it stands, ticks, and its troubles; None and the error where it does not answer."""
+    servo = drive.servo
     try:
         if restarted:
             bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
@@ -280,10 +281,10 @@ def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Mapping[int
     for id, ticks in read_all(bus, config, "present_position").items():
         last = before.get(id)
         if last is not None and abs(ticks - last) > TICKS_PER_REVOLUTION / 2:
-            servo = next(s for s in config.servos if s.id == id)
-            there, here = (servo.text(servo.to_radians(t)) for t in (last, ticks))
+            drive = next(drive for drive in config.drives if drive.id == id)
+            there, here = (drive.joint.text(drive.value(t)) for t in (last, ticks))
             raise HardwareError(
-                f"joint {servo.name!r} was at {there} and reads {here} after the fault",
+                f"joint {drive.name!r} was at {there} and reads {here} after the fault",
                 hint="its servo has lost count of its revolutions: turn the joint by hand until it reads "
                 "right, or close the arm and correct zero_ticks",
             )

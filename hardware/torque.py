@@ -11,9 +11,9 @@ from pathlib import Path
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION
-from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.register_access import sync_set
+from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import TWIST, Drive
 from robot_ik.reading import WrongKey
 
 log = logging.getLogger(__name__)
@@ -24,13 +24,6 @@ ON_EXIT = ("torque_off", "hold", "park")
 PATIENCE = 1.0
 """s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
 
-SPEED_HEADROOM = 1.5
-"""Profile Velocity over the joint's cap: the servo catches up after a lost cycle, yet stays bounded."""
-
-RAMP_SHARE = 0.25
-"""Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
-
-_LARGEST_PROFILE = 32767  # of both profile registers
 _PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
 _ATTEMPTS = 3  # a sync write has no reply: it is read back, and repeated if it was lost
 _REBASE_TICKS = TICKS_PER_REVOLUTION // 8
@@ -79,11 +72,11 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
         names = config.family.error_names(errors[missing[0].id])
         raise MotorFaultError(missing[0].name, names or ("torque_refused",))
     present = read_all(bus, config, "present_position")
-    for joint in config.servos:
-        after = present[joint.id]
-        if abs(after - goals[joint.id]) > _REBASE_TICKS:
+    for drive in config.drives:
+        after = present[drive.id]
+        if abs(after - goals[drive.id]) > _REBASE_TICKS:
             raise HardwareError(
-                f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
+                f"joint {drive.name!r} read {goals[drive.id]} ticks before torque came on and {after} after",
                 hint="a servo may count its revolutions anew when torque comes on: check zero_ticks",
             )
     # A servo that restarted between the last look and its torque is on now, at any speed.
@@ -101,8 +94,8 @@ def set_profiles(bus: ServoBus, config: ArmConfig) -> None:
     config.family.limit_speed(bus, config)
 
 
-def _names(servos: list[JointMap]) -> str:
-    return ", ".join(dict.fromkeys(servo.name for servo in servos))
+def _names(drives: list[Drive]) -> str:
+    return ", ".join(dict.fromkeys(drive.name for drive in drives))
 
 
 def _check_set_up(bus: ServoBus, config: ArmConfig, then: str) -> None:
@@ -110,10 +103,10 @@ def _check_set_up(bus: ServoBus, config: ArmConfig, then: str) -> None:
 
     ``then``: what becomes of the torque, for the error.
     """
-    servo = config.family.forgot_speed(bus, config)
-    if servo is not None:
+    drive = config.family.forgot_speed(bus, config)
+    if drive is not None:
         raise HardwareError(
-            f"joint {servo.name!r} (servo id {servo.id}) has restarted since it was set up: no limit of "
+            f"{drive.label} has restarted since it was set up: no limit of "
             f"speed or current is left in it; {then}",
             hint="check its supply; then connect again, in a program reconnect(), then enable()",
         )
@@ -121,13 +114,13 @@ def _check_set_up(bus: ServoBus, config: ArmConfig, then: str) -> None:
 
 def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:
     """A servo that lost power counts its revolutions anew: then its angle is wrong by whole revolutions."""
-    for joint in config.servos:
-        here = present[joint.id]
-        if revolutions := joint.lost_revolutions(here):
+    for joint, servo in config.drives:
+        here = present[servo.id]
+        if revolutions := joint.lost_revolutions(here, servo):
             lower, upper = joint.limits
-            zero = joint.zero_ticks - TICKS_PER_REVOLUTION * revolutions
+            zero = servo.zero_ticks - TICKS_PER_REVOLUTION * revolutions
             raise HardwareError(
-                f"joint {joint.name!r} reads {joint.text(joint.to_radians(here))}, outside "
+                f"joint {joint.name!r} reads {joint.text(joint.value(here, servo))}, outside "
                 f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its revolutions; "
                 "nothing was switched on",
                 hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
@@ -137,8 +130,8 @@ def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:
 
 def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
     """Two servos of one joint that do not agree where it is would fight each other."""
-    for joint in config.whole.joints:
-        angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
+    for joint in config.joints:
+        angles = [joint.value(present[servo.id], servo) for servo in joint.servos]
         if abs(angles[-1] - angles[0]) > TWIST * joint.lever_at(angles[0]):
             raise HardwareError(
                 f"the two servos of joint {joint.name!r} read {joint.text(angles[0])} and "
@@ -229,7 +222,7 @@ def leave(
         servos: Servo id -> name of those that are left; the arm's.
         everyone: Torque goes off of all servos on the wire at once first, which needs no reply.
     """
-    leaving = _Leaving(bus, config, servos or {servo.id: servo.name for servo in config.servos})
+    leaving = _Leaving(bus, config, servos or {drive.id: drive.name for drive in config.drives})
     left, names = leaving.left, dict.fromkeys(leaving.left.values())
     done = "hold" if policy == "hold" and set(left) <= set(goals) else "torque_off"
     if done == "hold":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import NamedTuple, Protocol
 
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.registers import Register
 
 BROADCAST_ID = 254
 """Every servo obeys a write to this id and none answers it (Protocol 1 and 2)."""

@@ -42,8 +42,11 @@ class JointReading:
 class JointSink(Protocol):
     """Takes joint angles: a viewer, a recorder, a servo arm."""
 
-    def send(self, q: Array, now: float) -> None:
-        """Takes the commanded ``q`` (nq,) for the time ``now`` in seconds.  Must not keep or change ``q``."""
+    def send(self, q: Array, now: float) -> object:
+        """Takes the commanded ``q`` (nq,) for the time ``now`` in seconds.  Must not keep or change ``q``.
+
+        What it returns is not used.
+        """
         ...
 
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import FaultFile
-    from robot_ik.ports import Array
 
 
 @pytest.fixture
@@ -30,8 +29,8 @@ def virtual_arm_config() -> ArmConfig:
 
 
 @pytest.fixture
-def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
-    """(n,) rad where the arm stands at first: the robot's home, or zeros where its model is not at hand."""
+def virtual_arm_start(virtual_arm_config: ArmConfig) -> dict[str, float] | None:
+    """Joint -> rad or m at first: the home of the robot, or zeros if its model is not at hand."""
     from robot_ik.hardware.virtual.bus import home_of
 
     return home_of(virtual_arm_config)
@@ -39,18 +38,18 @@ def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
 
 @pytest.fixture
 def virtual_bus(
-    request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_arm_start: Array | None
+    request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_arm_start: dict[str, float] | None
 ) -> VirtualBus:
     """The simulated servos: registers, shafts, faults.
 
     On virtual time, which passes only when somebody sleeps on ``virtual_bus.clock``; on real time in a test
     that uses ``virtual_port``.
     """
-    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware import simulated_servos
     from robot_ik.ports import RealClock, VirtualClock
 
     clock = RealClock() if "virtual_port" in request.fixturenames else VirtualClock()
-    return VirtualBus.from_config(virtual_arm_config, clock, virtual_arm_start)
+    return simulated_servos(virtual_arm_config, clock, virtual_arm_start)
 
 
 @pytest.fixture

@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 
 from robot_ik.errors import HardwareError
-from robot_ik.hardware.control_table import CONTROL_TABLES, Register
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.serial_port import LONGEST_DRAIN, SleepingPortHandler
 from robot_ik.hardware.simulated import InProcessPort
@@ -37,7 +38,7 @@ LATENESS_MS = ((40, 40), (60, 60), (80, 80), (120, 120), (150, 150), (34, 150))
 """Shortest and longest lateness of a row of the table."""
 
 MODEL = "XM430-W350"
-TABLE = CONTROL_TABLES[MODEL]
+TABLE = X_TABLES[MODEL]
 GOAL = TABLE["goal_position"]
 NAMES = ("goal_position", "profile_velocity", "profile_acceleration", "goal_current", "led")
 """Registers of one, two and four bytes: questions of one length are most easily mistaken."""

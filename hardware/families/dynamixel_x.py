@@ -5,21 +5,24 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager
 
 from robot_ik.errors import BusTimeoutError, HardwareError, ServoRefusedError
 from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
+from robot_ik.hardware.families.dynamixel_x_table import (
     ACCELERATION_UNIT,
+    BAUD_RATES,
+    HOMING_FIXES,
+    POSITION_MODE_HOMING,
     RETURN_ALL,
+    REVERSE,
     VELOCITY_UNIT,
-    ControlTable,
-    OperatingMode,
+    X_SERIES,
     hardware_error_names,
 )
 from robot_ik.hardware.family import Capabilities, CycleBlock
-from robot_ik.hardware.joint_map import GRIPPER, HOMING_FIXES, POSITION_MODE_HOMING, JointMap
 from robot_ik.hardware.protocol2 import PROTOCOL_2
 from robot_ik.hardware.register_access import (
     check_position_limits,
@@ -27,8 +30,9 @@ from robot_ik.hardware.register_access import (
     sync_set,
     write_register,
 )
+from robot_ik.hardware.registers import ControlTable, OperatingMode, Register
+from robot_ik.hardware.servo import GRIPPER, Drive, Joint
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.hardware.x_series import REVERSE
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +51,12 @@ SMALLEST_STRENGTH = 0.25
 SMALLEST_GRIP = 0.02
 """The same for a gripper, which may press softly and carries no arm."""
 
+FULL_EFFORT = 128 * 885
+"""Ticks behind times Position P Gain at which a servo gives all its PWM.
+
+ROBOTIS-GIT/emanual _includes/en/dxl/x/position_pid_gain.md: the gain is the register over 128.
+"""
+
 LARGEST_PROFILE = 32767
 """Largest value of both profile registers."""
 
@@ -55,6 +65,11 @@ class DynamixelX:
     """Dynamixel X series; implements ``ServoFamily``."""
 
     name = "dynamixel_x"
+    title = "Dynamixel X"
+    baud_rates = tuple(BAUD_RATES.values())
+    common_table = X_SERIES
+    changing_registers = ("present_position", "realtime_tick")
+    velocity_unit = VELOCITY_UNIT
     protocol = PROTOCOL_2
     capabilities = Capabilities(
         bus_watchdog=True, goal_enables_torque=False, current_goal=True, reboot_clears_errors=True
@@ -63,11 +78,12 @@ class DynamixelX:
     unprotected_exit = "the servos stop by themselves after watchdog_ms and hold their position"
 
     def prepare(self, bus: ServoBus, config: ArmConfig) -> None:
-        for servo in config.servos:
-            self._answer_everything(bus, servo)
+        for drive in config.drives:
+            self._answer_everything(bus, drive)
 
-    def _answer_everything(self, bus: ServoBus, servo: JointMap) -> None:
+    def _answer_everything(self, bus: ServoBus, drive: Drive) -> None:
         """Set Status Return Level 2.  A servo with level 0 or 1 seems to be absent."""
+        servo = drive.servo
         register = servo.table["status_return_level"]
         with contextlib.suppress(BusTimeoutError):  # level 0: the servo answers no read
             if bus.read(servo.id, register).data == RETURN_ALL:
@@ -76,14 +92,15 @@ class DynamixelX:
             bus.write(servo.id, register, RETURN_ALL)
         if bus.read(servo.id, register).data != RETURN_ALL:
             raise HardwareError(
-                f"servo id {servo.id} (joint {servo.name!r}) keeps its status return level"
+                f"servo id {servo.id} (joint {drive.name!r}) keeps its status return level"
             )
 
-    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, servo: JointMap) -> None:
+    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Clear a bus watchdog that is armed or has tripped.
 
         A tripped one makes the servo refuse goals.
         """
+        servo = drive.servo
         watchdog = servo.table["bus_watchdog"]
         try:
             if bus.read(servo.id, watchdog).data != 0:
@@ -91,7 +108,7 @@ class DynamixelX:
         except ServoRefusedError:
             if config.watchdog_ms:
                 raise HardwareError(
-                    f"servo id {servo.id} (joint {servo.name!r}) has no bus watchdog; nothing was "
+                    f"servo id {servo.id} (joint {drive.name!r}) has no bus watchdog; nothing was "
                     f"switched on",
                     hint="firmware before 38 has none: update it, or set watchdog_ms = 0 and stay "
                     "beside the arm",
@@ -106,7 +123,7 @@ class DynamixelX:
         value = config.watchdog_ms // WATCHDOG_UNIT_MS
         failed = sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.servo_ids, value))
         if failed:
-            names = ", ".join(dict.fromkeys(servo.name for servo in failed))
+            names = ", ".join(dict.fromkeys(drive.name for drive in failed))
             raise HardwareError(
                 f"{names} did not take the bus watchdog",
                 hint="power-cycle the servos and try again",
@@ -118,8 +135,8 @@ class DynamixelX:
     def set_up(self, bus: ServoBus, config: ArmConfig) -> None:
         torque = read_all(bus, config, "torque_enable")
         drive_mode = read_all(bus, config, "drive_mode", absent=0)
-        for servo in config.servos:
-            self._check_reverse(servo, bool(drive_mode[servo.id] & REVERSE))
+        for drive in config.drives:
+            self._check_reverse(drive, bool(drive_mode[drive.id] & REVERSE))
         self._check_homing(bus, config)
         wanted = {
             "return_delay_time": dict.fromkeys(config.servo_ids, 0),
@@ -133,9 +150,9 @@ class DynamixelX:
         self._check_shadows(bus, config)
         self._check_position_limits(bus, config)
         self._set_current_limits(bus, config, torque)
-        for servo in config.servos:
-            for name, value in servo.gains.registers.items():
-                write_register(bus, servo, name, value)
+        for drive in config.drives:
+            for name, value in drive.servo.gains.registers.items():
+                write_register(bus, drive, name, value)
         self.limit_speed(bus, config)
 
     def check_strength(self, bus: ServoBus, config: ArmConfig) -> None:
@@ -147,8 +164,9 @@ class DynamixelX:
         """
         names = ("position_p_gain", "goal_pwm", "pwm_limit")
         gains, goals, limits = (read_all(bus, config, name) for name in names)
-        for servo in config.servos:
-            where = f"joint {servo.name!r} (servo id {servo.id})"
+        for drive in config.drives:
+            servo = drive.servo
+            where = drive.label
             if not gains[servo.id]:
                 raise HardwareError(
                     f"{where} has Position P Gain 0 and would not follow its goals; nothing was "
@@ -163,7 +181,7 @@ class DynamixelX:
                 f"{where} may use {100 * share:.0f} % of its voltage "
                 f"(Goal PWM {goal}, PWM Limit {limit})"
             )
-            if share < (SMALLEST_GRIP if servo.group == GRIPPER else SMALLEST_STRENGTH):
+            if share < (SMALLEST_GRIP if drive.joint.group == GRIPPER else SMALLEST_STRENGTH):
                 raise HardwareError(
                     f"{text} and could not hold the arm; nothing was switched on",
                     hint="a power cycle resets its Goal PWM; PWM Limit is an EEPROM setting: "
@@ -175,7 +193,7 @@ class DynamixelX:
     def check_protection(self, bus: ServoBus, config: ArmConfig) -> None:
         """Warn of servos whose Shutdown is 0: overload and heat do not switch their torque off."""
         masks = read_all(bus, config, "shutdown")
-        names = [servo.name for servo in config.servos if not masks[servo.id]]
+        names = [drive.name for drive in config.drives if not masks[drive.id]]
         if names:
             log.warning(
                 "%s: Shutdown is 0, so no overload and no heat switches torque off",
@@ -187,20 +205,19 @@ class DynamixelX:
 
         A sync write has no reply that reports the refusal.
         """
-        servos = [servo for servo in config.servos if servo.mode == OperatingMode.POSITION]
-        check_position_limits(bus, config, servos)
+        drives = [drive for drive in config.drives if drive.servo.is_single_turn]
+        check_position_limits(bus, config, drives)
 
-    def _check_reverse(self, servo: JointMap, is_reversed: bool) -> None:
+    def _check_reverse(self, drive: Drive, is_reversed: bool) -> None:
         """Drive Mode bit 0 reverses position, goal and limits.
 
         The driver accepts it and never changes it.
         """
+        servo = drive.servo
         if servo.reverse is None or servo.reverse == is_reversed:
             return
-        where = f"joint {servo.name!r} (servo id {servo.id})"
-        table = (
-            "[[joints]]" if servo.twin is not None or servo.shadow_of is None else "[joints.twin]"
-        )
+        where = drive.label
+        table = "[joints.twin]" if drive.is_shadow else "[[joints]]"
         if is_reversed:
             raise HardwareError(
                 f"{where} is set to turn in reverse (Drive Mode bit 0), and the arm file says "
@@ -223,22 +240,21 @@ class DynamixelX:
         offsets.
         """
         offsets = read_all(bus, config, "homing_offset")
-        for servo in config.servos:
-            offset = offsets[servo.id]
-            if servo.mode == OperatingMode.POSITION and abs(offset) > POSITION_MODE_HOMING:
+        for drive in config.drives:
+            offset = offsets[drive.id]
+            if drive.servo.is_single_turn and abs(offset) > POSITION_MODE_HOMING:
                 problem = (
-                    f"{servo.name!r} (servo id {servo.id}) has a Homing Offset of {offset} ticks, "
+                    f"{drive.name!r} (servo id {drive.id}) has a Homing Offset of {offset} ticks, "
                     "which servos in position mode ignore"
                 )
-                key = f"joints[{config.whole.names.index(servo.name)}].mode"
-                raise config.wrong(problem, key, HOMING_FIXES)
+                raise config.wrong_joint(drive.joint, problem, "mode", HOMING_FIXES)
 
     def _check_shadows(self, bus: ServoBus, config: ArmConfig) -> None:
         """A shadow must obey its servo's goals, and no other servo may."""
         secondary_ids = read_all(bus, config, "secondary_id", absent=NO_SECONDARY_ID)
-        for servo in config.servos:
-            value = secondary_ids[servo.id]
-            wanted = servo.shadow_of
+        for drive in config.drives:
+            value = secondary_ids[drive.id]
+            wanted = drive.servo.primary_id
             if value != wanted and (wanted is not None or value in config.servo_ids):
                 expected = (
                     "which is no shadow's"
@@ -246,7 +262,7 @@ class DynamixelX:
                     else f"the arm file says a shadow of id {wanted}"
                 )
                 raise HardwareError(
-                    f"servo id {servo.id} (joint {servo.name!r}) has secondary id {value}, "
+                    f"servo id {drive.id} (joint {drive.name!r}) has secondary id {value}, "
                     f"{expected}",
                     hint=f"set its Secondary ID to {255 if wanted is None else wanted}, or correct "
                     f"the arm file",
@@ -255,43 +271,44 @@ class DynamixelX:
     def _set_current_limits(
         self, bus: ServoBus, config: ArmConfig, torque: Mapping[int, int]
     ) -> None:
-        named = [joint.name for joint in config.whole.joints if joint.current_limit is not None]
-        if not named:
+        limited = [joint.name for joint in config.joints if joint.servo.current_limit is not None]
+        if not limited:
             return
-        limited = config.only(named)
+        arm = config.only(limited)
         counts = {
-            s.id: int((s.current_limit or 0.0) / s.table.current_unit) for s in limited.servos
+            servo.id: int((servo.current_limit or 0.0) / servo.table.current_unit)
+            for servo in arm.servos
         }
-        set_eeprom(bus, limited, "current_limit", counts, torque)
+        set_eeprom(bus, arm, "current_limit", counts, torque)
 
     def limit_speed(self, bus: ServoBus, config: ArmConfig) -> None:
-        profiles = {servo.id: self._profile(servo, config.rate_hz) for servo in config.servos}
+        profiles = {drive.id: self._profile(drive.joint, config.rate_hz) for drive in config.drives}
         for name in ("profile_acceleration", "profile_velocity"):
             values = {id: profile[name] for id, profile in profiles.items()}
             failed = sync_set(bus, config, name, values)
             if failed:
-                names = ", ".join(dict.fromkeys(servo.name for servo in failed))
+                names = ", ".join(dict.fromkeys(drive.name for drive in failed))
                 raise HardwareError(
                     f"{name} of {names} was written and reads back otherwise; no torque was changed"
                 )
 
-    def _profile(self, servo: JointMap, rate_hz: float) -> dict[str, int]:
+    def _profile(self, joint: Joint, rate_hz: float) -> dict[str, int]:
         """Return the profile registers of a servo for the joint's limits."""
         # Swing arm: the position where the finger is slowest decides.
-        gear = servo.ratio / servo.levers[0]
-        speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)
+        gear = 1.0 / joint.levers[0]
+        speed = gear * (joint.profile_velocity or SPEED_HEADROOM * joint.velocity)
         ramp = speed * rate_hz / RAMP_SHARE
-        if servo.profile_acceleration is not None:
-            ramp = gear * servo.profile_acceleration
+        if joint.profile_acceleration is not None:
+            ramp = gear * joint.profile_acceleration
         counts = {
             "profile_acceleration": math.ceil(ramp / ACCELERATION_UNIT),
             "profile_velocity": math.ceil(speed / VELOCITY_UNIT),
         }
         return {name: min(max(count, 1), LARGEST_PROFILE) for name, count in counts.items()}
 
-    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> JointMap | None:
+    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> Drive | None:
         velocity = read_all(bus, config, "profile_velocity")
-        return next((servo for servo in config.servos if not velocity[servo.id]), None)
+        return next((drive for drive in config.drives if not velocity[drive.id]), None)
 
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """From torque to temperature: the same 83 bytes in every model."""
@@ -306,11 +323,39 @@ class DynamixelX:
         block = table.block("torque_enable", "present_temperature")
         return CycleBlock(block, tuple(table[name] for name in names))
 
+    def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:
+        effort = "present_current" if "present_current" in table else "present_load"
+        return (
+            table.block(effort, "present_temperature"),
+            table.block("torque_enable", "hardware_error_status"),
+        )
+
+    def write_address(
+        self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
+    ) -> None:
+        """Write the id before the rate: if the line breaks between, the rate is still the old one."""
+        if bus.read(at, found["return_delay_time"]).data:
+            bus.write(at, found["return_delay_time"], 0)
+        if at != id:
+            bus.write(at, found["id"], id)
+            bus.ping(id)
+        if bus.read(id, found["baud_rate"]).data != found.baud_code(baud):
+            bus.write(id, found["baud_rate"], found.baud_code(baud))
+
+    def eeprom_unlocked(
+        self, _bus: ServoBus, _ids: Collection[int]
+    ) -> AbstractContextManager[None]:
+        """Return an empty context: the EEPROM is open while torque is off."""
+        return contextlib.nullcontext()
+
     def is_in_control(self, values: Mapping[str, int]) -> bool:
         return bool(values["torque_enable"])
 
-    def reset(self, bus: ServoBus, servo: JointMap) -> None:
-        bus.reboot(servo.id)
+    def load_lag(self, position_p_gain: int) -> float:
+        return FULL_EFFORT / position_p_gain if position_p_gain else 0.0
+
+    def reset(self, bus: ServoBus, drive: Drive) -> None:
+        bus.reboot(drive.id)
 
 
 FAMILY = DynamixelX()

@@ -13,18 +13,17 @@ Facts and sources: ``docs/reference/feetech-sts.md``; registers: ``feetech_sts_t
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 
-from robot_ik.errors import HardwareError
+from robot_ik.errors import BusTimeoutError, HardwareError
 from robot_ik.hardware.bus import ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import ControlTable, OperatingMode
-from robot_ik.hardware.families.feetech_sts_table import STS3215
+from robot_ik.hardware.families.feetech_sts_table import BAUD_RATES, STS3215
 from robot_ik.hardware.family import Capabilities, CycleBlock
-from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.hardware.protocol1 import Protocol1
 from robot_ik.hardware.register_access import (
     check_position_limits,
@@ -32,6 +31,8 @@ from robot_ik.hardware.register_access import (
     sync_set,
     write_register,
 )
+from robot_ik.hardware.registers import RADIANS_PER_TICK, ControlTable, OperatingMode, Register
+from robot_ik.hardware.servo import GRIPPER, Drive
 
 log = logging.getLogger(__name__)
 
@@ -69,6 +70,9 @@ SMALLEST_STRENGTH = 0.25
 SMALLEST_GRIP = 0.02
 """The same for a gripper, which may press softly and carries no arm."""
 
+LOAD_LAG = 320.0
+"""Ticks (28 degrees) by which a load may keep a shaft behind.  A cautious guess: no manual says."""
+
 LARGEST_VELOCITY = 3400
 """tick/s.  Largest Goal Velocity [MT]."""
 
@@ -83,6 +87,11 @@ class FeetechSts:
     """Feetech STS servos; implements ``ServoFamily``."""
 
     name = "feetech_sts"
+    title = "Feetech STS"
+    baud_rates = tuple(BAUD_RATES.values())
+    common_table = STS3215
+    changing_registers = ("present_position", "present_current")
+    velocity_unit = RADIANS_PER_TICK
     protocol = Protocol1(model_number=STS3215["model_number"])
     capabilities = Capabilities(
         bus_watchdog=False, goal_enables_torque=True, current_goal=False, reboot_clears_errors=False
@@ -96,17 +105,18 @@ class FeetechSts:
 
     def prepare(self, bus: ServoBus, config: ArmConfig) -> None:
         """Set Response Status Level 1.  With level 0 a servo answers no write."""
-        for servo in config.servos:
+        for drive in config.drives:
+            servo = drive.servo
             register = servo.table["status_return_level"]
             if bus.read(servo.id, register).data != 1:
                 shared = shared_register(config, "status_return_level")
                 bus.sync_write(shared, {servo.id: 1})
             if bus.read(servo.id, register).data != 1:
                 raise HardwareError(
-                    f"servo id {servo.id} (joint {servo.name!r}) keeps its response level"
+                    f"servo id {servo.id} (joint {drive.name!r}) keeps its response level"
                 )
 
-    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, servo: JointMap) -> None:
+    def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Do nothing: STS servos have no bus watchdog."""
 
     def arm_watchdog(self, bus: ServoBus, config: ArmConfig) -> None:
@@ -123,20 +133,21 @@ class FeetechSts:
             "operating_mode": {servo.id: self.mode_values[servo.mode] for servo in config.servos},
             "phase": {id: value & ~MULTI_TURN_FEEDBACK for id, value in phase.items()},
         }
-        with self._eeprom_unlocked(bus, config):
+        with self.eeprom_unlocked(bus, config.servo_ids):
             for name, values in wanted.items():
                 set_eeprom(bus, config, name, values, torque)
             self._set_gains(bus, config)
         # A servo stops at its own limits without an error.
-        check_position_limits(bus, config, config.servos)
+        check_position_limits(bus, config, config.drives)
         self.limit_speed(bus, config)
 
     def check_strength(self, bus: ServoBus, config: ArmConfig) -> None:
         """Check that every servo can hold the arm."""
         gains = read_all(bus, config, "position_p_gain")
         limits = read_all(bus, config, "torque_limit")
-        for servo in config.servos:
-            where = f"joint {servo.name!r} (servo id {servo.id})"
+        for drive in config.drives:
+            servo = drive.servo
+            where = drive.label
             if not gains[servo.id]:
                 raise HardwareError(
                     f"{where} has Position P Gain 0 and would not follow its goals; nothing was "
@@ -144,7 +155,7 @@ class FeetechSts:
                     hint="set position_p in its [joints.gains] table",
                 )
             share = limits[servo.id] / servo.table["torque_limit"].maximum
-            if share < (SMALLEST_GRIP if servo.group == GRIPPER else SMALLEST_STRENGTH):
+            if share < (SMALLEST_GRIP if drive.joint.group == GRIPPER else SMALLEST_STRENGTH):
                 raise HardwareError(
                     f"{where} may use {100 * share:.0f} % of its torque (Torque Limit "
                     f"{limits[servo.id]}) and could not hold the arm; nothing was switched on",
@@ -154,28 +165,20 @@ class FeetechSts:
     def check_protection(self, bus: ServoBus, config: ArmConfig) -> None:
         """Warn of servos whose Unloading Condition is 0: overload does not switch torque off."""
         masks = read_all(bus, config, "unloading_condition")
-        names = [servo.name for servo in config.servos if not masks[servo.id]]
+        names = [drive.name for drive in config.drives if not masks[drive.id]]
         if names:
             log.warning(
                 "%s: Unloading Condition is 0, so no overload and no heat switches torque off",
                 ", ".join(names),
             )
 
-    @contextmanager
-    def _eeprom_unlocked(self, bus: ServoBus, config: ArmConfig) -> Iterator[None]:
-        """Unlock the EEPROM of every servo and lock it again."""
-        sync_set(bus, config, "lock", dict.fromkeys(config.servo_ids, UNLOCKED))
-        try:
-            yield
-        finally:
-            sync_set(bus, config, "lock", dict.fromkeys(config.servo_ids, LOCKED))
-
     def _set_gains(self, bus: ServoBus, config: ArmConfig) -> None:
         """Write the gains of the arm file.  On STS servos gains are EEPROM registers."""
-        for servo in config.servos:
+        for drive in config.drives:
+            servo = drive.servo
             for name, value in servo.gains.registers.items():
                 if bus.read(servo.id, servo.table[name]).data != value:
-                    write_register(bus, servo, name, value)
+                    write_register(bus, drive, name, value)
 
     def limit_speed(self, bus: ServoBus, config: ArmConfig) -> None:
         """Write Goal Velocity and Acceleration.
@@ -184,9 +187,8 @@ class FeetechSts:
         """
         velocity = {}
         acceleration = {}
-        for servo in config.servos:
-            ticks_per_unit = servo.ticks_per_unit
-            speed = SPEED_HEADROOM * servo.velocity * ticks_per_unit
+        for joint, servo in config.drives:
+            speed = SPEED_HEADROOM * joint.velocity * joint.ticks_per_unit
             ramp = speed * config.rate_hz / RAMP_SHARE
             velocity[servo.id] = min(math.ceil(speed), LARGEST_VELOCITY)
             acceleration[servo.id] = min(
@@ -195,14 +197,14 @@ class FeetechSts:
         for name, values in (("goal_velocity", velocity), ("acceleration", acceleration)):
             failed = sync_set(bus, config, name, values)
             if failed:
-                names = ", ".join(dict.fromkeys(servo.name for servo in failed))
+                names = ", ".join(dict.fromkeys(drive.name for drive in failed))
                 raise HardwareError(
                     f"{name} of {names} was written and reads back otherwise; no torque was changed"
                 )
 
-    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> JointMap | None:
+    def forgot_speed(self, bus: ServoBus, config: ArmConfig) -> Drive | None:
         velocity = read_all(bus, config, "goal_velocity")
-        return next((servo for servo in config.servos if not velocity[servo.id]), None)
+        return next((drive for drive in config.drives if not velocity[drive.id]), None)
 
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """From torque to current: 31 bytes.
@@ -221,6 +223,37 @@ class FeetechSts:
         block = table.block("torque_enable", "present_current")
         return CycleBlock(block, tuple(table[name] for name in names))
 
+    def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:
+        return (table.block("torque_enable", "present_current"),)
+
+    def write_address(
+        self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
+    ) -> None:
+        """Write the id before the rate: if the line breaks between, the rate is still the old one.
+
+        Lock is a RAM register.  The caller reopens the bus at the new rate and must lock the EEPROM
+        again with ``eeprom_unlocked``.
+        """
+        bus.write(at, found["lock"], UNLOCKED)
+        if bus.read(at, found["return_delay_time"]).data:
+            bus.write(at, found["return_delay_time"], 0)
+        if at != id:
+            bus.write(at, found["id"], id)
+            bus.ping(id)
+            bus.write(id, found["lock"], UNLOCKED)
+        if bus.read(id, found["baud_rate"]).data != found.baud_code(baud):
+            with contextlib.suppress(BusTimeoutError):  # the reply may come at the new rate
+                bus.write(id, found["baud_rate"], found.baud_code(baud))
+
+    @contextmanager
+    def eeprom_unlocked(self, bus: ServoBus, ids: Collection[int]) -> Iterator[None]:
+        lock = STS3215["lock"]
+        bus.sync_write(lock, dict.fromkeys(ids, UNLOCKED))
+        try:
+            yield
+        finally:
+            bus.sync_write(lock, dict.fromkeys(ids, LOCKED))
+
     def is_in_control(self, values: Mapping[str, int]) -> bool:
         """Return False for a servo without torque and for a servo that restarted.
 
@@ -229,9 +262,12 @@ class FeetechSts:
         """
         return bool(values["torque_enable"]) and values["goal_velocity"] != 0
 
-    def reset(self, bus: ServoBus, servo: JointMap) -> None:
+    def load_lag(self, position_p_gain: int) -> float:  # noqa: ARG002 - no manual says how it acts
+        return LOAD_LAG
+
+    def reset(self, bus: ServoBus, drive: Drive) -> None:
         """Switch torque off.  An overload ends with the next goal position [DS 7-11]."""
-        bus.write(servo.id, servo.table["torque_enable"], 0)
+        bus.write(drive.id, drive.servo.table["torque_enable"], 0)
 
 
 FAMILY = FeetechSts()

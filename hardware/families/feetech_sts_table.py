@@ -17,8 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from robot_ik.hardware.control_table import ControlTable, OperatingMode, Register
-from robot_ik.hardware.x_series import Motor
+from robot_ik.hardware.registers import ControlTable, Motor, OperatingMode, Register
 
 BAUD_RATES: Mapping[int, int] = MappingProxyType(
     {

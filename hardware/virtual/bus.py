@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import RobotIkError
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.servo import GRIPPER
 from robot_ik.hardware.virtual.families import VIRTUAL_FAMILIES
 from robot_ik.hardware.virtual.faults import Fault, Injected
 from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule
@@ -66,29 +67,24 @@ class VirtualBus:
 
     @classmethod
     def from_config(
-        cls, config: ArmConfig, clock: Clock, start: ArrayLike | None = None, *, seed: int = 0
+        cls, config: ArmConfig, clock: Clock, start: ArrayLike | Mapping[str, float] | None = None, *, seed: int = 0
     ) -> VirtualBus:
         """The servos an arm file names, set up as it says (id, model, mode, baud rate), without torque.
 
-        ``start``: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
+        ``start``: (n,) joint angles at first, rad; default 0, or the limit next to it, and for grippers
         the middle of their ranges.
 
         Raises:
             ConfigError: ``start`` has another shape or is not finite.
         """
-        n = len(config.joints)
-        q = np.zeros(n) if start is None else np.asarray(start, dtype=float)
-        if q.shape != (n,) or not np.isfinite(q).all():
-            raise config.wrong(f"start {q.tolist()} is no pose", "", f"{n} angles, rad")
-        q = np.clip(q, config.lower, config.upper)
-        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
-        make = VIRTUAL_FAMILIES[config.family.name].from_joint
+        values = start_values(config, start)
+        make = VIRTUAL_FAMILIES[config.family.name].from_drive
         servos = [
-            make(joint, clock, joint.to_ticks(float(angle)), config.baud)
-            for joint, angle in zip(config.servos, config.spread(q), strict=True)
+            make(drive, clock, drive.joint.nearest_ticks(values[drive.name], drive.servo), config.baud)
+            for drive in config.drives
         ]
         bus = cls(servos, clock, seed)
-        bus._built |= {joint.name: bus.servo(joint.id) for joint in config.whole.joints}
+        bus._built |= {joint.name: bus.servo(joint.servo.id) for joint in config.joints}
         return bus
 
     def servo(self, who: int | str) -> Any:
@@ -154,13 +150,16 @@ class VirtualBus:
         with self.lock:
             self.servos = tuple(s for s in self.servos if s is not servo)
 
-    def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
+    def true_angles(self, config: ArmConfig) -> Array:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
         with self.lock:
             self.advance()
-            ways = [-1 if joint.reverse else 1 for joint in config.joints]
-            ticks = [way * self._built[j.id].true_ticks for way, j in zip(ways, config.joints, strict=True)]
-            return np.array([j.to_radians(t) for j, t in zip(config.joints, ticks, strict=True)])
+            return np.array(
+                [
+                    joint.value((-1 if joint.servo.reverse else 1) * self._built[joint.servo.id].true_ticks)
+                    for joint in config.joints
+                ]
+            )
 
     def advance(self) -> None:
         """Brings the world and what was booked up to now, also where no packet comes."""
@@ -194,17 +193,47 @@ class VirtualBus:
             return b"".join(replies), delay + (self.latency if replies else 0.0)
 
 
+def start_values(config: ArmConfig, start: ArrayLike | Mapping[str, float] | None) -> dict[str, float]:
+    """Return where simulated joints stand at first: joint -> rad or m.
+
+    Args:
+        config: Arm.
+        start: (n,) values of all joints, or of the joints that carry the tool; or joint -> value.  By default 0 or the limit next to it, and the middle
+            of the range for joints of a gripper.
+
+    Raises:
+        ConfigError: ``start`` has another shape or is not finite.
+    """
+    values = {
+        joint.name: sum(joint.limits) / 2.0 if joint.group == GRIPPER else 0.0 for joint in config.joints
+    }
+    if isinstance(start, Mapping):
+        values |= start
+    elif start is not None:
+        q = np.asarray(start, dtype=float)
+        names = {config.names, config.chain.names}
+        given = next((joints for joints in names if q.shape == (len(joints),)), None)
+        if given is None or not np.isfinite(q).all():
+            counts = " or ".join(str(count) for count in sorted({len(joints) for joints in names}))
+            raise config.wrong(f"start {q.tolist()} is no pose", "", f"{counts} angles, rad")
+        values |= dict(zip(given, q.tolist(), strict=True))
+    return {
+        joint.name: min(max(values[joint.name], joint.limits[0]), joint.limits[1])
+        for joint in config.joints
+    }
+
+
 def robot_of(config: ArmConfig) -> Robot | None:
     """The robot that an arm file names, with its joints alone; None where its model is not at hand."""
     from robot_ik.robot import load_robot
 
     try:
-        return load_robot(config.robot, joints=config.names)
+        return load_robot(config.robot, joints=config.chain.names)
     except RobotIkError:
         return None
 
 
-def home_of(config: ArmConfig) -> Array | None:
-    """(n,) rad, the home of that robot; None where its model is not at hand, or has not these joints."""
+def home_of(config: ArmConfig) -> dict[str, float] | None:
+    """Joint -> rad or m of the home of that robot; None where its model is not at hand."""
     robot = robot_of(config)
-    return robot.home if robot is not None and robot.joints == config.names else None
+    return None if robot is None else dict(zip(robot.joints, robot.home.tolist(), strict=True))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.servo import Drive
 from robot_ik.hardware.virtual.protocol1_side import Protocol1Side
 from robot_ik.hardware.virtual.protocol2_side import Protocol2Side
 from robot_ik.hardware.virtual.servo import VirtualServo
@@ -22,31 +22,32 @@ class VirtualFamily:
 
     Attributes:
         side: Their side of the wire protocol.
-        from_joint: (servo of an arm file, clock, position in ticks, baud rate) -> servo.
+        from_drive: (servo of an arm file, clock, position in ticks, baud rate) -> servo.
         another: (model, id, clock, baud rate) -> servo.
     """
 
     side: ServoSide
-    from_joint: Callable[[JointMap, Clock, float, int], Any]
+    from_drive: Callable[[Drive, Clock, float, int], Any]
     another: Callable[[str, int, Clock, int], Any]
 
 
-def _dynamixel_x(joint: JointMap, clock: Clock, position_ticks: float, baud: int) -> VirtualServo:
+def _dynamixel_x(drive: Drive, clock: Clock, position_ticks: float, baud: int) -> VirtualServo:
+    servo = drive.servo
     return VirtualServo(
-        joint.model,
-        joint.id,
+        servo.model,
+        servo.id,
         clock,
         position_ticks=position_ticks,
-        mode=joint.mode,
+        mode=servo.mode,
         baud=baud,
-        reverse=bool(joint.reverse),
-        shadow_of=joint.shadow_of,
+        reverse=bool(servo.reverse),
+        shadow_of=servo.primary_id,
     )
 
 
-def _feetech_sts(joint: JointMap, clock: Clock, position_ticks: float, baud: int) -> VirtualSts3215:
+def _feetech_sts(drive: Drive, clock: Clock, position_ticks: float, baud: int) -> VirtualSts3215:
     return VirtualSts3215(
-        joint.id, clock, model=joint.model, position_ticks=position_ticks, baud=baud
+        drive.id, clock, model=drive.servo.model, position_ticks=position_ticks, baud=baud
     )
 
 

@@ -17,9 +17,10 @@ from weakref import WeakKeyDictionary
 from pydantic import Field
 
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import IDS, TICKS_PER_REVOLUTION, TRIPPED
+from robot_ik.hardware.families.dynamixel_x_table import TRIPPED
 from robot_ik.hardware.family import FAMILY_MODULES, family_of
-from robot_ik.hardware.joint_map import JointMap, ServoId
+from robot_ik.hardware.registers import IDS, TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import Joint, ServoId
 from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.reading import WrongKey, parse_toml, read_text
 from robot_ik.tables import SchemaVersion, Table, check_table, keys_of
@@ -123,16 +124,16 @@ class Fault:
     def require_servo(self, config: ArmConfig) -> None:
         """Raises ``WrongKey`` where the arm has no such servo."""
         self.require_family(config.family.name)
-        names, ids = config.whole.names, config.servo_ids
+        names, ids = config.names, config.servo_ids
         if self.joint is not None and self.joint not in names:
             raise WrongKey.unknown("joint", self.joint, names, "joint")
         if self.id is not None and self.id not in ids:
             raise WrongKey(f"no servo has the id {self.id}", "id", ", ".join(map(str, ids)))
 
 
-def joint_offset(joint: JointMap, degrees: float) -> Fault:
+def joint_offset(joint: Joint, degrees: float) -> Fault:
     """The ``zero_offset`` by which a joint is so many degrees further, in its own direction."""
-    return Fault("zero_offset", joint.id, degrees * joint.direction * joint.ratio)
+    return Fault("zero_offset", joint.servo.id, degrees * joint.servo.direction * joint.gear.ratio)
 
 
 class Injected:

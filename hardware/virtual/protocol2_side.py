@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 
-from robot_ik.hardware.control_table import RETURN_ALL, RETURN_READ
+from robot_ik.hardware.families.dynamixel_x_table import RETURN_ALL, RETURN_READ
 from robot_ik.hardware.virtual import servo as instructions
 from robot_ik.hardware.virtual.protocol import (
     BROADCAST,

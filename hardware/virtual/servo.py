@@ -12,18 +12,22 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from robot_ik.hardware.control_table import (
-    BAUD_CODES,
+from robot_ik.hardware.families.dynamixel_x_table import (
     BAUD_RATES,
     HARDWARE_ERRORS,
+    RETURN_READ,
+    REVERSE,
+    SLAVE,
+    TORQUE_BY_GOAL,
+    TRIPPED,
+)
+from robot_ik.hardware.models import control_table
+from robot_ik.hardware.registers import (
     IDS,
     RADIANS_PER_TICK,
-    RETURN_READ,
     TICKS_PER_REVOLUTION,
-    TRIPPED,
     OperatingMode,
     Register,
-    control_table,
 )
 from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, Memory
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
@@ -37,7 +41,6 @@ from robot_ik.hardware.virtual.protocol import (
 )
 from robot_ik.hardware.virtual.shaft import Shaft
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
@@ -113,7 +116,7 @@ class VirtualServo:
         self._backup: dict[str, int] = {}
         self.memory.set("id", id)
         self.memory.set("operating_mode", mode)
-        self.memory.set("baud_rate", BAUD_CODES[baud])
+        self.memory.set("baud_rate", self.table.baud_code(baud))
         self.memory.set("present_input_voltage", round(10.0 * self.table.supply))
         self._plans: dict[tuple[int, int], list[tuple[str, Callable[[], int]]]] = {}
         self._live = [(self.table[name], value) for name, value in self._readings().items()]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from robot_ik.hardware.control_table import IDS
+from robot_ik.hardware.registers import IDS
 from robot_ik.hardware.virtual.servo_side import ServoSide
 from robot_ik.hardware.wire_protocol import BROADCAST_ID
 from robot_ik.ports import Clock

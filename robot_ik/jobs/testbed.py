@@ -43,9 +43,8 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
         HardwareError: As ``Arm.connect``.
     """
     opened = open_robot(name, arm_file, bus, on_exit=on_exit or None)
-    arm = opened.arm
     robot = load_robot(name)
-    link = ArmLink(arm, robot, bus)
+    link = ArmLink(opened, robot, bus)
     link.open()
     return link
 

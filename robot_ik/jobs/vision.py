@@ -28,7 +28,13 @@ from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
+from robot_ik.errors import (
+    CalibrationError,
+    CameraError,
+    ConfigError,
+    FrameTimeoutError,
+    MarkerNotFoundError,
+)
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.scene import Scene, scene_for
@@ -292,8 +298,7 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
             pictured = pictured.with_marker(scene.marker_id, condition="blank")
         synthetic = SyntheticSource(pictured, setup.true_q, seed=request.seed, clock=setup.clock)
         source = stack.enter_context(synthetic)
-        real_servos = setup.arm is not None and setup.arm.virtual_bus is None
-        why = "the synthetic camera cannot see real servos" if real_servos else ""
+        why = "the synthetic camera cannot see real servos" if setup.has_real_servos else ""
     park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return Vision(
         scene, source, setup, why_blind=why, synthetic=synthetic, lead=request.lead,
@@ -329,7 +334,7 @@ def _real_camera(
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
-    elif setup.arm is None or setup.arm.virtual_bus is not None:
+    elif not setup.has_real_servos:
         why = "the arm is simulated, so a real camera cannot see it"
     elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"

@@ -91,8 +91,8 @@ def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
 @pytest.mark.parametrize("name", ["puma560", "tabletop_puma", "omx_f", "wx250s", "vx300s", "koch_v11"])
 def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path: Path) -> None:
     arm = ArmConfig.load(name)
-    config = arm.whole
-    ticks = 3.0 * np.array([abs(joint.to_radians(1) - joint.to_radians(0)) for joint in config.joints])
+    config = arm
+    ticks = 3.0 * np.array([abs(joint.value(1) - joint.value(0)) for joint in config.joints])
     middle = 0.5 * (config.lower + config.upper)
     for start in (config.lower - ticks, config.upper + ticks):  # as servos measure it where an arm rests
         file = tmp_path / "motion.csv"

@@ -66,9 +66,9 @@ def twins(tmp_path: Path) -> Path:
 def test_a_moved_zero_makes_the_same_ticks_mean_the_corrected_angle(degrees: float, ticks: int) -> None:
     config = ArmConfig.parse(TWINS)
     offset = math.radians(degrees)
-    for before, after in zip(config.servos, zeros_moved(config, {"joint2": offset}).servos, strict=True):
-        wanted = before.to_radians(ticks) + (offset if before.name == "joint2" else 0.0)
-        assert after.to_radians(ticks) == pytest.approx(wanted, abs=0.5001 * before.resolution)
+    for before, after in zip(config.drives, zeros_moved(config, {"joint2": offset}).drives, strict=True):
+        wanted = before.value(ticks) + (offset if before.name == "joint2" else 0.0)
+        assert after.value(ticks) == pytest.approx(wanted, abs=0.5001 * before.joint.resolution)
 
 
 def test_only_the_zeros_change_and_the_old_file_is_kept(twins: Path) -> None:
@@ -95,7 +95,7 @@ def test_only_the_zeros_change_and_the_old_file_is_kept(twins: Path) -> None:
     # Again: another backup, the first one stays.
     (again,) = write_zeros(twins, now, {"joint1": math.radians(-2.0)})
     assert again != kept and kept.read_text() == TWINS
-    assert ArmConfig.load(twins).joints[0].zero_ticks == 2048
+    assert ArmConfig.load(twins).joints[0].servo.zero_ticks == 2048
 
 
 def test_a_shipped_arm_file_keeps_comments_line_ends_and_other_joints(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_shipped_arm_file_keeps_comments_line_ends_and_other_joints(tmp_path: 
     text = SHIPPED.read_text().replace("\n", "\r\n")
     path.write_bytes(text.encode())
     used = ArmConfig.load(path)
-    some = replace(used, joints=used.joints[:3], auxiliary=())  # a program that used three of the joints
+    some = replace(used, joints=used.joints[:3])  # a program that used three of the joints
     write_zeros(path, some, {"joint2": math.radians(1.5)})
     new = path.read_bytes().decode()
     assert new.count("\r\n") == text.count("\r\n") == new.count("\n")

@@ -17,15 +17,15 @@ from serial.tools import list_ports
 
 from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusNotOpenError, BusTimeoutError
 from robot_ik.hardware import serial_bus
-from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.serial_port import describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import Parser, build_status
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 
-XM = CONTROL_TABLES["XM430-W350"]
+XM = X_TABLES["XM430-W350"]
 POSITION = XM["present_position"]
 pytestmark = pytest.mark.usefixtures("real_time")
 
@@ -228,21 +228,21 @@ def test_waiting_for_a_silent_servo_sleeps(bus):
 
 def test_one_dead_servo_slows_the_cycle_only_until_it_is_known(arm_config, served, bus):
     served.bus.servo(1).silent = True
-    first = bus.sync_read(arm_config.ids, POSITION)
+    first = bus.sync_read(arm_config.servo_ids, POSITION)
     assert [id for id, s in first.items() if s.data is None] == [1]
     retries = bus.counters.retries
     assert 1 <= retries <= 2  # bounded by number and by the time of a cycle
-    bus.sync_read(arm_config.ids, POSITION)
+    bus.sync_read(arm_config.servo_ids, POSITION)
     assert bus.counters.retries == retries
     served.bus.servo(1).silent = False
-    assert bus.sync_read(arm_config.ids, POSITION)[1].data is not None
+    assert bus.sync_read(arm_config.servo_ids, POSITION)[1].data is not None
 
 
 def test_a_pulled_cable_is_said_at_once_and_closing_is_quiet(served, bus, arm_config):
     bus.ping(1)
     served.close()
     with pytest.raises(BusDisconnectedError, match="went away"):
-        bus.sync_read(arm_config.ids, POSITION)
+        bus.sync_read(arm_config.servo_ids, POSITION)
     assert not bus.is_open
     bus.close()
 

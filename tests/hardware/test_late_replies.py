@@ -14,14 +14,15 @@ import pytest
 
 from robot_ik.errors import BusCorruptError, BusTimeoutError
 from robot_ik.hardware.arm import Arm
-from robot_ik.hardware.control_table import CONTROL_TABLES, Register
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
 
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 NO_REGISTER = Register("undefined", 700, 4)
 
 
@@ -50,7 +51,7 @@ def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answ
     for seed in range(25):
         servos = VirtualBus.from_config(arm_config, VirtualClock())
         bus = late_replies.late_bus(servos, random.Random(seed), (34, 150), 0.08)
-        arm = Arm(arm_config, bus, virtual_bus=servos)
+        arm = Arm(arm_config, bus)
         with contextlib.suppress(BusTimeoutError, BusCorruptError), arm:
             arm.enable()
             before = servos.true_angles(arm_config)

@@ -50,12 +50,12 @@ def pair(leader: str, follower: str, starts: tuple[Array | None, Array | None]) 
 
 def guide(arm: Arm, q: Array) -> None:
     """A person turns the limp shafts of an arm to q (n,)."""
-    assert arm.virtual_bus is not None
-    here = dict(zip(arm.joints, arm.virtual_bus.true_angles(arm.config), strict=False))
-    for servo in arm.config.servos:
+    assert arm.bus.virtual_bus is not None
+    here = dict(zip(arm.joints, arm.bus.virtual_bus.true_angles(arm.config), strict=False))
+    for servo in arm.config.drives:
         if servo.name in arm.joints:
             way = servo.position(float(q[arm.joints.index(servo.name)])) - servo.position(here[servo.name])
-            arm.virtual_bus.servo(servo.id).rotate_by_hand(way)
+            arm.bus.virtual_bus.servo(servo.id).rotate_by_hand(way)
 
 
 def home(name: str) -> Array:
@@ -129,18 +129,18 @@ def test_hand_to_hand_between_different_arms() -> None:
 def test_ranges_are_laid_onto_each_other_and_names_must_agree() -> None:
     koch, puma = arm_file("koch_v11"), arm_file("tabletop_puma")
     same = JointCoupling(koch, koch)
-    angles = {joint.name: 0.3 * sum(joint.limits) for joint in koch.whole.joints}
+    angles = {joint.name: 0.3 * sum(joint.limits) for joint in koch.joints}
     assert same.follower(angles) == pytest.approx(angles) and "gripper" in same.names
-    ends = {joint.name: 9.0 for joint in koch.whole.joints}
-    assert same.follower(ends) == pytest.approx({j.name: j.limits[1] for j in koch.whole.joints})
+    ends = {joint.name: 9.0 for joint in koch.joints}
+    assert same.follower(ends) == pytest.approx({j.name: j.limits[1] for j in koch.joints})
     assert same.leader(same.follower(angles)) == pytest.approx(angles)
     with pytest.raises(ConfigError, match="--by hand"):
         JointCoupling(koch, puma)
 
 
 def silence(arm: Arm, on: bool) -> None:
-    assert arm.virtual_bus is not None
-    for servo in arm.virtual_bus.servos:
+    assert arm.bus.virtual_bus is not None
+    for servo in arm.bus.virtual_bus.servos:
         servo.silent = on
 
 

@@ -6,9 +6,14 @@ from collections.abc import Callable
 
 import pytest
 
-from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusTimeoutError, ServoRefusedError
+from robot_ik.errors import (
+    BusCorruptError,
+    BusDisconnectedError,
+    BusTimeoutError,
+    ServoRefusedError,
+)
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import FAULTS, Fault
@@ -16,7 +21,7 @@ from robot_ik.hardware.virtual.protocol import Instruction, Packet, build
 from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import VirtualClock
 
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 PRESENT = TABLE["present_position"]
 IDS = (1, 2, 3)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.joint_map import ServoId
+from robot_ik.hardware.servo import ServoId
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep

@@ -14,7 +14,7 @@ from robot_ik.errors import apart
 from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.hardware.joint_map import GRIPPER, JointMap
+from robot_ik.hardware.servo import GRIPPER, Joint
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import (
     Action,
@@ -78,7 +78,7 @@ class Move(Tolerant, Action):
         """Judges by MuJoCo where the goal's frame is."""
 
         def judge() -> list[Finding]:
-            metres, radians = goal.off(now.robot.measure(now.arm.read().q, goal.frame), goal.target)
+            metres, radians = goal.off(now.robot.measure(now.setup.q, goal.frame), goal.target)
             what = goal.frame or now.robot.tool
             found = [near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")]
             if goal.has_angle:
@@ -97,7 +97,7 @@ class Move(Tolerant, Action):
         """Straight in joint space; judged by the joint that is farthest off."""
 
         def judge() -> list[Finding]:
-            return [self.farthest(now.robot, now.arm.read().q, q)]
+            return [self.farthest(now.robot, now.setup.q, q)]
 
         return joint_move(now.robot, start, q, **self.caps(now)), judge
 
@@ -288,7 +288,7 @@ class GripStep(GripperWidth, Move):
         if self.held is not None and self.held != result.numbers["held"]:
             raise StepFailed(result.found)
 
-    def _move(self, now: RunState, joint: JointMap, of: int, result: StepResult) -> None:
+    def _move(self, now: RunState, joint: Joint, of: int, result: StepResult) -> None:
         """One of so many joints."""
         fingers = fingers_on(now.robot, joint)
         lower, upper = joint.limits
@@ -378,7 +378,7 @@ class FollowStep(Framed, Action):
         if not self.needs_camera:
             return
         setup.repeat(_ARRIVE)
-        off = 1e3 * float(np.linalg.norm(now.robot.measure(now.arm.read().q).position - _marked_place(now)))
+        off = 1e3 * float(np.linalg.norm(now.robot.measure(now.setup.q).position - _marked_place(now)))
         result.numbers["off_mm"] = round(off, 4)
         result.found += f"; {off:.2f} mm from where it truly lies"
         if off > self.tolerance_mm:

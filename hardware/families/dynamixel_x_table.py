@@ -1,52 +1,87 @@
-"""The X series: its registers, what differs by model, and its motors; rows only.
+"""Control tables of Dynamixel X servos, as data: a new model is one row of ``MODELS``.
 
-Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), control table pages docs/en/dxl/x/*.md and the texts they
-include, _includes/en/dxl/control_table_*.md.  Below them: models, motors.
+One table is shared by the series.  Each model and firmware adds a few differences.  Names are those
+of the manual in snake_case.
+
+Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), control table pages docs/en/dxl/x/*.md and the texts
+they include, _includes/en/dxl/control_table_*.md.  Motors: _data/dxl_x_info.yml (stall torque,
+stall current and no load speed at the recommended voltage), read on 2026-11-22.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
-# ------------------------------------------------------------------------------------------
-# What the motors of the X series can do: the manual's specification tables, as data.
-#
-# Source: ROBOTIS e-manual, _data/dxl_x_info.yml (stall torque, stall current and no load speed at the
-# recommended voltage), read on 2026-11-22.
+from robot_ik.hardware.registers import (
+    TICKS_PER_REVOLUTION,
+    ControlTable,
+    Motor,
+    OperatingMode,
+    Register,
+)
+
+VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
+"""One unit of the velocity registers: 0.229 rev/min, in rad/s."""
+
+ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
+"""One unit of the acceleration registers: 214.577 rev/min^2, in rad/s^2."""
+
+BAUD_RATES: Mapping[int, int] = MappingProxyType(
+    {
+        0: 9_600,
+        1: 57_600,
+        2: 115_200,
+        3: 1_000_000,
+        4: 2_000_000,
+        5: 3_000_000,
+        6: 4_000_000,
+        7: 4_500_000,
+    }
+)
+"""Value of the Baud Rate register -> bit/s."""
+
+HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
+    {
+        0: "input_voltage",
+        2: "overheating",
+        3: "motor_encoder",
+        4: "electrical_shock",
+        5: "overload",
+    }
+)
+"""Bit of Hardware Error Status and Shutdown -> name."""
+
+EEPROM_END = 64
+"""Address of the first register that is lost without power."""
+
+TRIPPED = -1
+"""Value of Bus Watchdog after it ran out."""
+
+POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
+"""Ticks of Homing Offset beyond which servos in position mode ignore it.
+
+ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md.
+"""
+
+HOMING_FIXES = (
+    'mode = "extended_position" (the offset counts there); or Homing Offset 0 in the servo, and '
+    "the zero in zero_ticks: robot-ik servo calibrate"
+)
+"""What to do about such an offset."""
+
+RETURN_READ = 1
+"""Status Return Level of a servo that answers pings and reads."""
+
+RETURN_ALL = 2
+"""Status Return Level of a servo that answers everything."""
 
 
-@dataclass(frozen=True)
-class Motor:
-    """A motor with its gear, seen at the output shaft.
-
-    Attributes:
-        stall_torque: N m, and ``stall_current``, A, at ``volts``.
-        no_load_rpm: rev/min at ``volts``.
-        volts: At which these were measured, V.
-        sensed_at_supply: Present Current is what the supply gives, not what flows through the motor.
-    """
-
-    stall_torque: float
-    stall_current: float
-    no_load_rpm: float
-    volts: float
-    sensed_at_supply: bool = False
-
-    @property
-    def torque_per_ampere(self) -> float:
-        """N m at the shaft for an ampere through the motor; gear friction is in it."""
-        return self.stall_torque / self.stall_current
-
-    def stall_at(self, volts: float) -> float:
-        """Stall torque, N m, at another supply."""
-        return self.stall_torque * volts / self.volts
-
-    @property
-    def no_load_speed(self) -> float:
-        """rad/s at ``volts``."""
-        return self.no_load_rpm * (2.0 * math.pi / 60.0)
+def hardware_error_names(value: int) -> tuple[str, ...]:
+    """Names of the bits set in Hardware Error Status; unused bits appear as ``bit1`` and so on."""
+    return tuple(HARDWARE_ERRORS.get(bit, f"bit{bit}") for bit in range(8) if value >> bit & 1)
 
 
 # name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.
@@ -119,8 +154,17 @@ EXTERNAL_PORTS: tuple[Row, ...] = (
 )
 """The three pins of the 540 class; nothing is connected to those of a virtual servo."""
 
-REVERSE, SLAVE, TIME_BASED, TORQUE_BY_GOAL = 0b0001, 0b0010, 0b0100, 0b1000
-"""Bits of Drive Mode."""
+REVERSE = 0b0001
+"""Bit of Drive Mode: position, goal and position limits count the other way."""
+
+SLAVE = 0b0010
+"""Bit of Drive Mode: the servo follows a master by cable."""
+
+TIME_BASED = 0b0100
+"""Bit of Drive Mode: the profile registers are times."""
+
+TORQUE_BY_GOAL = 0b1000
+"""Bit of Drive Mode: a goal switches torque on."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +185,7 @@ class Indirect:
 
 
 @dataclass(frozen=True)
-class ServoFamily:
+class Size:
     """What models of one size have in common.
 
     Attributes:
@@ -169,7 +213,7 @@ _LATEST = ("torque_by_goal", "startup_configuration", "backup_ready", "backup", 
 
 # What the manual leaves open: Model Information has no value in it (0 here), External Port Data no initial
 # value and no range (0, 0..4095).  Velocity Limit began larger before firmware 42 (XM430-W350: 350 for 200).
-FAMILY_430 = ServoFamily(
+SIZE_430 = Size(
     firmware=48,
     indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
     since={
@@ -178,8 +222,8 @@ FAMILY_430 = ServoFamily(
         **dict.fromkeys(_LATEST, 45),
     },
 )
-FAMILY_540 = replace(FAMILY_430, since={**FAMILY_430.since, "slave": 38}, added=EXTERNAL_PORTS)
-FAMILY_330 = ServoFamily(
+SIZE_540 = replace(SIZE_430, since={**SIZE_430.since, "slave": 38}, added=EXTERNAL_PORTS)
+SIZE_330 = Size(
     firmware=52,
     # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
     # That there were 20 of them before firmware 52 is assumed.
@@ -198,7 +242,7 @@ FAMILY_330 = ServoFamily(
     },
     added=(("pwm_slope", 62, 1, "", "1.977 mV/ms", 140, 1, 255),),
 )
-FAMILY_330_12V = replace(FAMILY_330, added=(("pwm_slope", 62, 1, "", "3.955 mV/ms", 255, 1, 255),))
+SIZE_330_12V = replace(SIZE_330, added=(("pwm_slope", 62, 1, "", "3.955 mV/ms", 255, 1, 255),))
 
 _CURRENT = ("current_limit", "goal_current", "present_current")
 _LOAD: Row = ("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000)
@@ -210,7 +254,7 @@ class Model:
 
     Attributes:
         number: What Model Number reads.
-        family: What it shares with others of its size.
+        size: What it shares with others of its size.
         motor: What it can do.
         supply: Nominal supply, V.
         voltage: Max and Min Voltage Limit at first, and the range of both, 0.1 V.
@@ -221,7 +265,7 @@ class Model:
     """
 
     number: int
-    family: ServoFamily
+    size: Size
     motor: Motor
     supply: float
     voltage: tuple[int, int, int, int]
@@ -239,17 +283,17 @@ class Model:
     def rows(self) -> tuple[Row, ...]:
         """Its registers, before what is changed in them."""
         if self.current is not None:
-            return (*SHARED, *self.family.added)
-        return (*(row for row in SHARED if row[0] not in _CURRENT), _LOAD, *self.family.added)
+            return (*SHARED, *self.size.added)
+        return (*(row for row in SHARED if row[0] not in _CURRENT), _LOAD, *self.size.added)
 
     @property
     def changed(self) -> Changes:
         """Register name -> fields of ``Register`` that differ from the shared table."""
         longest, shortest, lowest, highest = self.voltage
-        fastest, current, unit = self.family.fastest, self.current or 0, self.family.current_unit
+        fastest, current, unit = self.size.fastest, self.current or 0, self.size.current_unit
         gains = zip(_GAINS, self.gains, strict=True)
         return {
-            **self.family.changed,
+            **self.size.changed,
             "max_voltage_limit": {"initial": longest, "minimum": lowest, "maximum": highest},
             "min_voltage_limit": {"initial": shortest, "minimum": lowest, "maximum": highest},
             "velocity_limit": {"initial": self.velocity, "maximum": fastest},
@@ -265,59 +309,142 @@ class Model:
 _GAINS = ("velocity_i", "velocity_p", "position_d", "position_i", "position_p")
 
 
-# ------------------------------------------------------------------------------------------
 # The models of the X series: what each has otherwise than the shared table.  A new model is one row here.
 #
 # Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), docs/en/dxl/x/<model>.md, one page a model (of XL430-W250,
 # XM540-W150 and XC430-W150 the newer docs/kr/dxl/x/<model>.md); all read on 2026-11-22.  Addresses and sizes
 # agree with a second source: ROBOTIS-GIT/dynamixel_hardware_interface param/dxl_model/<model>.model,
 # db2b9038.
-# Values are those of the firmware that ``ServoFamily`` names: before firmware 42 Velocity Limit was larger
+# Values are those of the firmware that ``Size`` names: before firmware 42 Velocity Limit was larger
 # (_includes/en/dxl/control_table_vellimit.md), and pages of that time have an Acceleration Limit,
 # register 40.
 
-_METAL, _SIX_VOLTS = (160, 95, 95, 160), (160, 60, 60, 160)
-_FIVE, _TWELVE = (70, 35, 31, 70), (140, 55, 55, 140)
+_METAL = (160, 95, 95, 160)
+_SIX_VOLTS = (160, 60, 60, 160)
+_FIVE = (70, 35, 31, 70)
+_TWELVE = (140, 55, 55, 140)
 
 MODELS: Mapping[str, Model] = {
     "XL430-W250": Model(
-        1060, FAMILY_430, Motor(1.4, 1.3, 57.0, 11.1), 12.0, (140, 60, 60, 140), 265, None,
+        1060, SIZE_430, Motor(1.4, 1.3, 57.0, 11.1), 12.0, (140, 60, 60, 140), 265, None,
         (1000, 100, 4000, 0, 640), {"temperature_limit": 72},
     ),
     "XC430-W150": Model(
-        1070, FAMILY_430, Motor(1.6, 1.4, 106.0, 12.0), 12.0, _SIX_VOLTS, 460, None,
+        1070, SIZE_430, Motor(1.6, 1.4, 106.0, 12.0), 12.0, _SIX_VOLTS, 460, None,
         (1920, 100, 0, 0, 460), {"moving_threshold": 20},
     ),
     "XC430-W240": Model(
-        1080, FAMILY_430, Motor(1.9, 1.4, 70.0, 12.0), 12.0, _SIX_VOLTS, 306, None, (1920, 100, 0, 0, 700)
+        1080, SIZE_430, Motor(1.9, 1.4, 70.0, 12.0), 12.0, _SIX_VOLTS, 306, None, (1920, 100, 0, 0, 700)
     ),
-    "XM430-W210": Model(1030, FAMILY_430, Motor(3.0, 2.3, 77.0, 12.0), 12.0, _METAL, 330, 1193),
-    "XM430-W350": Model(1020, FAMILY_430, Motor(4.1, 2.3, 46.0, 12.0), 12.0, _METAL, 200, 1193),
-    "XH540-W150": Model(1110, FAMILY_540, Motor(7.1, 4.9, 70.0, 12.0), 12.0, _METAL, 300, 2047),
-    "XM540-W150": Model(1130, FAMILY_540, Motor(7.3, 4.4, 53.0, 12.0), 12.0, _METAL, 230, 2047),
-    "XM540-W270": Model(1120, FAMILY_540, Motor(10.6, 4.4, 30.0, 12.0), 12.0, _METAL, 128, 2047),
+    "XM430-W210": Model(1030, SIZE_430, Motor(3.0, 2.3, 77.0, 12.0), 12.0, _METAL, 330, 1193),
+    "XM430-W350": Model(1020, SIZE_430, Motor(4.1, 2.3, 46.0, 12.0), 12.0, _METAL, 200, 1193),
+    "XH540-W150": Model(1110, SIZE_540, Motor(7.1, 4.9, 70.0, 12.0), 12.0, _METAL, 300, 2047),
+    "XM540-W150": Model(1130, SIZE_540, Motor(7.3, 4.4, 53.0, 12.0), 12.0, _METAL, 230, 2047),
+    "XM540-W270": Model(1120, SIZE_540, Motor(10.6, 4.4, 30.0, 12.0), 12.0, _METAL, 128, 2047),
     "XL330-M077": Model(  # Position I Gain 400 is what its page says, alone of all; it may be a misprint
-        1190, FAMILY_330, Motor(0.215, 1.47, 383.0, 5.0), 5.0, _FIVE, 1620, 1750,
+        1190, SIZE_330, Motor(0.215, 1.47, 383.0, 5.0), 5.0, _FIVE, 1620, 1750,
         (400, 40, 0, 400, 400), {"shutdown": 53},
     ),
     "XL330-M288": Model(
-        1200, FAMILY_330, Motor(0.52, 1.47, 103.0, 5.0), 5.0, _FIVE, 445, 1750,
+        1200, SIZE_330, Motor(0.52, 1.47, 103.0, 5.0), 5.0, _FIVE, 445, 1750,
         (1600, 180, 0, 0, 400), {"shutdown": 53},
     ),
     "XC330-M181": Model(
-        1230, FAMILY_330, Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 545, 2352,
+        1230, SIZE_330, Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 545, 2352,
         (1400, 100, 500, 0, 1200),
     ),
     "XC330-M288": Model(
-        1240, FAMILY_330, Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 350, 2352,
+        1240, SIZE_330, Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 350, 2352,
         (1600, 50, 500, 0, 1100),
     ),
     "XC330-T181": Model(
-        1210, FAMILY_330_12V, Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 510, 910,
+        1210, SIZE_330_12V, Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 510, 910,
         (1200, 40, 0, 0, 900),
     ),
     "XC330-T288": Model(
-        1220, FAMILY_330_12V, Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 320, 910,
+        1220, SIZE_330_12V, Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 320, 910,
         (1200, 40, 0, 0, 900),
     ),
 }  # fmt: skip
+
+
+def _register(row: Row) -> Register:
+    name, address, size, flags, unit, initial, minimum, maximum = row
+    return Register(
+        name,
+        address,
+        size,
+        writable="r" not in flags,
+        signed="s" in flags,
+        unit=unit,
+        eeprom=address < EEPROM_END,
+        initial=initial,
+        minimum=minimum,
+        maximum=maximum,
+    )
+
+
+def _indirect(blocks: list[Indirect]) -> Iterator[Register]:
+    """Indirect Address k initially points at Indirect Data k (itself); it may point at RAM only."""
+    last = max(block.data + block.count for block in blocks) - 1
+    pairs = [(b.addresses + 2 * k, b.data + k) for b in blocks for k in range(b.count)]
+    for number, (address, data) in enumerate(pairs, 1):
+        yield _register((f"indirect_address_{number}", address, 2, "", "address", data, 64, last))
+        yield _register((f"indirect_data_{number}", data, 1, "", "", 0, 0, 255))
+
+
+_DRIVE_BITS = {
+    "reverse": REVERSE,
+    "slave": SLAVE,
+    "time_based": TIME_BASED,
+    "torque_by_goal": TORQUE_BY_GOAL,
+}
+_ABILITIES = ("fast_read", "backup", "guarded_reset", "clear")
+
+
+def build_table(model: str, row: Model, firmware: int | None = None) -> ControlTable:
+    """Return the control table of a model.
+
+    Args:
+        model: Name.
+        row: What is particular to it.
+        firmware: Version; None: the version of ``Size.firmware``.
+    """
+    size = row.size
+    firmware = size.firmware if firmware is None else firmware
+    missing = {name for name, since in size.since.items() if firmware < since}
+    registers = {r.name: r for r in map(_register, row.rows) if r.name not in missing}
+    bits = sum(
+        bit for name, bit in _DRIVE_BITS.items() if name in size.since and name not in missing
+    )
+    own: dict[str, Mapping[str, object]] = {
+        "model_number": {"initial": row.number},
+        "firmware_version": {"initial": firmware},
+        "drive_mode": {"maximum": bits},
+    }
+    for name, change in (*row.changed.items(), *own.items()):
+        if name in registers:
+            registers[name] = replace(registers[name], **change)  # type: ignore[arg-type]
+    blocks = [b for b in size.indirect if b.since <= firmware < b.below]
+    every = sorted((*registers.values(), *_indirect(blocks)), key=lambda register: register.address)
+    return ControlTable(
+        model,
+        row.number,
+        firmware,
+        MappingProxyType({register.name: register for register in every}),
+        tuple(OperatingMode(mode) for mode in row.modes),
+        row.supply,
+        row.motor,
+        frozenset(ability for ability in _ABILITIES if ability not in missing),
+        family="dynamixel_x",
+        baud_codes=BAUD_RATES,
+    )
+
+
+X_TABLES: Mapping[str, ControlTable] = MappingProxyType(
+    {model: build_table(model, row) for model, row in MODELS.items()}
+)
+"""Model name -> its control table with the firmware this project assumes."""
+
+X_SERIES = X_TABLES["XM430-W350"]
+"""For registers that have the same address in every model: torque, errors, measurements."""
