@@ -159,6 +159,7 @@ class ControlTable:
         modes: Operating modes the model has.
         supply: Nominal supply, V; ``motor``: what it can do.
         abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``, ``clear``.
+        position_mode_homing: Largest Homing Offset that counts in position mode, ticks; None: any.
     """
 
     model: str
@@ -171,6 +172,7 @@ class ControlTable:
     abilities: frozenset[str]
     family: str
     baud_codes: Mapping[int, int]
+    position_mode_homing: int | None = None
 
     def __getitem__(self, name: str) -> Register:
         try:

@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from robot_ik.errors import HardwareError
+from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.registers import Register
-from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.serial_port import LONGEST_DRAIN, SleepingPortHandler
 from robot_ik.hardware.simulated import InProcessPort
 from robot_ik.hardware.virtual.bus import VirtualBus

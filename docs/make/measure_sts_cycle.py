@@ -20,9 +20,9 @@ from pathlib import Path
 from measure_servo_cycle import serve, spend, stay_on_core
 from rich.console import Console
 
-from robot_ik.hardware.control_table import Register
 from robot_ik.hardware.families.feetech_sts import FAMILY
 from robot_ik.hardware.families.feetech_sts_table import STS3215
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.serial_bus import LENGTHS, SerialBus
 from robot_ik.hardware.virtual.protocol1 import build_status
 

@@ -20,8 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 from robot_ik.errors import HardwareError
-from robot_ik.hardware.control_table import ControlTable, control_table
 from robot_ik.hardware.family import FAMILY_MODULES, family_of
+from robot_ik.hardware.models import control_table
+from robot_ik.hardware.registers import ControlTable
 from robot_ik.hardware.serial_bus import SerialBus
 from robot_ik.hardware.serial_port import LONGEST_DRAIN, SleepingPortHandler
 from robot_ik.hardware.simulated import InProcessPort
@@ -53,7 +54,13 @@ MODELS = {"dynamixel_x": "XM430-W350", "feetech_sts": "STS3215"}
 """Servo family -> model that is measured."""
 
 NAMES = {
-    "dynamixel_x": ("goal_position", "profile_velocity", "profile_acceleration", "goal_current", "led"),
+    "dynamixel_x": (
+        "goal_position",
+        "profile_velocity",
+        "profile_acceleration",
+        "goal_current",
+        "led",
+    ),
     "feetech_sts": ("goal_position", "goal_velocity", "goal_time", "torque_limit", "acceleration"),
 }
 """Servo family -> registers of different and equal lengths.
