@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import FaultFile
+    from robot_ik.robot_arm import RobotArm
 
 
 @pytest.fixture
@@ -53,10 +54,26 @@ def virtual_bus(
 
 
 @pytest.fixture
-def virtual_arm(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Iterator[Arm]:
-    """An arm on these servos, connected and enabled; left as its file says when the test ends."""
+def virtual_robot(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Iterator[RobotArm]:
+    """A robot and its arm on these servos, enabled; left as its file says when the test ends."""
+    from robot_ik.robot_arm import open_robot
+
+    config = virtual_arm_config
+    with open_robot(config.robot, config, "sim", virtual_bus=virtual_bus) as opened:
+        opened.enable()
+        yield opened
+
+
+@pytest.fixture
+def virtual_arm(
+    request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_bus: VirtualBus
+) -> Iterator[Arm]:
+    """The arm of ``virtual_robot``; alone, an arm on these servos that needs no model."""
     from robot_ik.hardware import open_arm
 
+    if "virtual_robot" in request.fixturenames:
+        yield request.getfixturevalue("virtual_robot").arm
+        return
     with open_arm(virtual_arm_config, "sim", virtual_bus=virtual_bus) as arm:
         arm.enable()
         yield arm

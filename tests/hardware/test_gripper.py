@@ -81,7 +81,7 @@ def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(desk: ArmConfi
         ("lower_mm = 0.0", "lower_mm = 19.0", "joints[6].lower_mm", "19 to 18 mm"),
         ("upper_mm = 18.0", "upper_mm = 18.0\nlowr = 1", "joints[6].lowr", "unknown key"),
         ("current_ma = 450.0", "current_ma = 4500.0", "joints[6].current_ma", "1750"),
-        ("id = 7", "id = 6", "joints[6].servo.id", "already joints[5]"),
+        ("id = 7", "id = 6", "joints[6].id", "already joints[5]"),
     ],
 )
 def test_what_is_wrong_of_a_slide_is_said_with_its_key(

@@ -68,6 +68,9 @@ def _arm(config: ArmConfig, start: Any) -> Arm:
     servos = VirtualBus.from_config(config, clock, start=start)
 
     class WaitingBus(DynamixelBus):
+        real = False
+        virtual_bus = servos
+
         def _make_handler(self) -> WaitingPort:
             return WaitingPort(servos, clock, self.baud, self.counters)
 

@@ -33,7 +33,7 @@ def arm_file(tmp_path: Path) -> Path:
     config.save(path)
     rows = []
     for joint in config.joints:
-        first, last = joint.ticks_range
+        first, last = joint.ticks_range()
         row = JointCalibration(
             joint.name,
             joint.servo.id,

@@ -192,7 +192,7 @@ def test_the_tool_looks_along_the_approach_and_the_fingers_open_along_y(arm: Own
 
 def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     table = {name: ends for name, _, _, ends in arm.chain if ends is not None}
-    robot, config = arm.robot, arm.config
+    robot, config = arm.robot, arm.config.chain
     assert tuple(table) == robot.joints == config.names
     spans = np.radians(list(table.values()))
     np.testing.assert_allclose(np.stack([robot.lower, robot.upper], axis=1), spans, atol=2e-6)
@@ -222,7 +222,7 @@ def test_drive_modes_of_the_readme_are_those_of_the_arm_file(name: str) -> None:
         ARMS[name].config.joints, ARMS[name].rows("| joint | id | servo |"), strict=True
     ):
         bits = [bool(int(number)) for number in re.findall(r"\d+", row[3])]
-        assert bits == [joint.servo.reverse] + ([] if joint.twin is None else [joint.twin.reverse])
+        assert bits == [servo.reverse for servo in joint.servos]
 
 
 def test_masses_are_those_of_the_readme_and_inertias_those_of_bodies(arm: OwnedArm) -> None:

@@ -169,7 +169,7 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
 
 
 def test_stop_ends_a_replay(session: Session, link: ArmLink) -> None:
-    shown = Trajectory([0.0, 5.0], 0.1 * np.ones((2, 6)), link._arm.joints)
+    shown = Trajectory([0.0, 5.0], 0.1 * np.ones((2, 6)), link._opened.robot.joints)
     link.recording = shown
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
