@@ -191,7 +191,7 @@ class WrongReplies:
 
 
 def measure(family: str, values: int, seed: int = 0) -> WrongReplies:
-    """Read single servos and groups, write, and run control cycles until enough values have come."""
+    """Read servos and groups, write, and run control cycles until enough values have come."""
     rng = random.Random(seed)
     clock = VirtualClock()
     model = MODELS[family]

@@ -192,7 +192,7 @@ class FeetechSts:
                     write_register(bus, drive, name, value)
 
     def _set_protection_currents(self, bus: ServoBus, config: ArmConfig) -> None:
-        """Write ``current_limit_ma``: a servo above it for Over-current Time switches its motor off."""
+        """Write ``current_limit_ma``: a servo that exceeds it for 2 s switches its motor off."""
         for drive in config.drives:
             limit = drive.servo.current_limit
             if limit is None:

@@ -1,4 +1,4 @@
-"""LeRobot's calibration of an SO-101, both ways; and a calibration by hand with half-turn homing."""
+"""LeRobot's calibration of an SO-101, both ways, and a calibration by hand with homing."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class Hand:
 
 
 def test_a_calibration_by_hand_homes_first_so_that_no_range_crosses_the_wrap():
-    """Every horn sits so that the middle of the range lies near the end of the servo's revolution."""
+    """The middle of every range lies near the end of its servo's revolution."""
     bus = VirtualBus.from_config(CONFIG, VirtualClock())
     reach = {}
     for joint in CONFIG.joints:
