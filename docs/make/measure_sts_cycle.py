@@ -1,7 +1,7 @@
 """What one control cycle of six Feetech STS3215 costs: goals out and measurements back.
 
     python docs/make/measure_sts_cycle.py            print the table
-    python docs/make/measure_sts_cycle.py --write    and put it into docs/reference/hardware.md
+    python docs/make/measure_sts_cycle.py --write    and put it into docs/reference/feetech_sts.md
 
 The servos are another process behind a pty. It knows the requests and has the replies ready. So the
 time is that of the driver's software and of two changes of process. The last column adds the time
@@ -26,7 +26,7 @@ from robot_ik.hardware.registers import Register
 from robot_ik.hardware.serial_bus import LENGTHS, SerialBus
 from robot_ik.hardware.virtual.protocol1 import build_status
 
-PAGE = Path(__file__).resolve().parents[1] / "reference" / "hardware.md"
+PAGE = Path(__file__).resolve().parents[1] / "reference" / "feetech_sts.md"
 BEGIN = "<!-- sts cycle -->"
 END = "<!-- end -->"
 

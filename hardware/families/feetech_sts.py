@@ -8,7 +8,7 @@ Differences from the Dynamixel X series that decide how an arm must be driven:
 * EEPROM writes last only while Lock is 0.
 * Present Position is Actual Position minus Homing Offset.  On Dynamixel it is plus.
 
-Facts and sources: ``docs/reference/feetech-sts.md``; registers: ``feetech_sts_table``.
+Facts and sources: ``docs/reference/feetech_sts.md``; registers: ``feetech_sts_table``.
 """
 
 from __future__ import annotations
