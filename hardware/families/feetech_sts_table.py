@@ -118,11 +118,13 @@ class StsModel:
         supply: Nominal supply, V. Variants for 12 V have the same number: the servo's own voltage
             limits count.
         motor: Motor with its gear.
+        voltage_limit: Max Voltage Limit from the factory, 0.1 V.
     """
 
     number: int
     supply: float
     motor: Motor
+    voltage_limit: int = 80
 
 
 STS_MODELS: Mapping[str, StsModel] = MappingProxyType(
@@ -136,6 +138,7 @@ STS_MODELS: Mapping[str, StsModel] = MappingProxyType(
 
 def build_table(model: str, row: StsModel) -> ControlTable:
     """Return the control table of a model."""
+    initial_values = {"model_number": row.number, "max_voltage_limit": row.voltage_limit}
     registers = {}
     for name, address, size, writable, sign_bit, unit, initial, minimum, maximum in _ROWS:
         registers[name] = Register(
@@ -145,7 +148,7 @@ def build_table(model: str, row: StsModel) -> ControlTable:
             writable=writable,
             unit=unit,
             eeprom=address < EEPROM_END,
-            initial=row.number if name == "model_number" else initial,
+            initial=initial_values.get(name, initial),
             minimum=minimum,
             maximum=maximum,
             sign_bit=sign_bit,
