@@ -53,7 +53,6 @@ LOCK_PATIENCE = 1.0
 """s for which leaving waits for another thread to end its motion; then the arm is left all the same."""
 
 _AT_REST = 1e-3  # rad/s (m/s): slower than this a joint stands still
-_POLL_PERIOD = 0.02  # s between two polls for a request to stop
 _GO_ON = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
 
 T = TypeVar("T")
@@ -142,9 +141,10 @@ class Arm(Closing):
         self._commanded = 0.0  # when the last one came
         self._stop_file = StopFile(config.name)
         self._stop_requests: deque[str] = deque()  # policies of requests that were not carried out yet
+        self._stop_lock = threading.Lock()
+        self._stopping = False  # a request was taken and is not acknowledged yet
         self._stop_policy: str | None = None  # of the request carried out last: close leaves the arm so
         self._unraised_stop: StopRequestedError | None = None  # carried out by the heartbeat, not raised yet
-        self._polled_at = 0.0
         self._close_lock = threading.RLock()
         self._guardian: Guardian | None = None  # of [bus] on_orphan
         self._closing_thread: int | None = None  # its ident; from the begin of close until connect
@@ -188,11 +188,15 @@ class Arm(Closing):
             self.state = after
 
     @uninterrupted
-    def enable(self) -> None:
+    def enable(self, *, handle_signals: bool = True) -> None:
         """Torque on where the arm stands; from here on signals and exceptions end in ``close``'s policy.
 
         A signal that comes meanwhile is raised at the end, and torque is off again.  A request to stop is
         carried out before torque comes on, or as soon as it is on.
+
+        Args:
+            handle_signals: False: the program keeps its own handlers of SIGINT and SIGTERM, and calls
+                ``close`` itself when they come.
 
         Raises:
             ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again where
@@ -211,7 +215,7 @@ class Arm(Closing):
                     "stale_ms = 0: in a pause of commands nothing holds the arm, a loaded joint sinks"
                 )
             self._obey_stop(poll_now=True)
-            self._guard.install()
+            self._guard.install(handle_signals=handle_signals)
             first = not self._energised
             try:
                 self._give_torque(first)
@@ -551,6 +555,7 @@ class Arm(Closing):
 
     def _beat(self) -> None:
         """One beat.  Whoever holds the lock is at work: then there is nothing to check."""
+        self._poll_stop_file()
         if not self._lock.acquire(blocking=False):
             return
         try:
@@ -615,14 +620,21 @@ class Arm(Closing):
     def _stop_pending(self, *, poll_now: bool = False) -> bool:
         """Whether a request of this process or of another one waits to be carried out.
 
-        ``poll_now``: other processes' requests are looked for however short ago that was done.
+        The heartbeat looks for requests of other processes, beside the control cycle.  ``poll_now``: look
+        for them here as well.
         """
-        now = self.clock.now()
-        if not self._stop_requests and (poll_now or now - self._polled_at >= _POLL_PERIOD):
-            self._polled_at = now
-            if (policy := self._stop_file.requested()) is not None:
-                self.request_stop(policy)
+        if poll_now:
+            self._poll_stop_file()
         return bool(self._stop_requests)
+
+    def _poll_stop_file(self) -> None:
+        """Take over a request of another process, once: not while it is being carried out."""
+        with self._stop_lock:
+            if self._stop_requests or self._stopping:
+                return
+            policy = self._stop_file.requested()
+            if policy is not None:
+                self.request_stop(policy)
 
     def _obey_stop(self, *, poll_now: bool = False) -> None:
         """Carries out a request to stop, if there is one, and raises it."""
@@ -640,7 +652,7 @@ class Arm(Closing):
         """Leaves the arm as the last request asks, and latches it as a fault."""
         policy = self._take_stop()
         report = self._leave(policy) if self._energised else self._leave_untouched()
-        self._stop_file.acknowledge(ok=report.ok, text=report.text)
+        self._acknowledge_stop(report)
         stopped = StopRequestedError(f"stopped on request: {report.text}", hint=_GO_ON)
         if self.state is not ArmState.FAULT:  # an earlier one says more
             self.state, self.fault = ArmState.FAULT, stopped
@@ -649,9 +661,17 @@ class Arm(Closing):
 
     def _take_stop(self) -> str:
         """The policy of the last request; there is one.  Requests that come meanwhile stay."""
-        while self._stop_requests:
-            self._stop_policy = self._stop_requests.popleft()
+        with self._stop_lock:
+            self._stopping = True
+            while self._stop_requests:
+                self._stop_policy = self._stop_requests.popleft()
         return self._stop_policy or "hold"
+
+    def _acknowledge_stop(self, report: ExitReport) -> None:
+        """Tell the process that asked how the arm was left."""
+        with self._stop_lock:
+            self._stop_file.acknowledge(ok=report.ok, text=report.text)
+            self._stopping = False
 
     # ------------------------------------------------------------------------------------ the end
 
@@ -716,8 +736,7 @@ class Arm(Closing):
             if alone:
                 unparked = self._park(stop=lambda: self._guard.received > 1)
         if self._stop_pending(poll_now=True):  # it came too late for a cycle
-            report = self._leave(self._take_stop(), unparked)
-            self._stop_file.acknowledge(ok=report.ok, text=report.text)
+            self._acknowledge_stop(self._leave(self._take_stop(), unparked))
         else:
             self._leave(self._stop_policy or self.on_exit, unparked)
 

@@ -1,11 +1,14 @@
 """Protocol 2 of Dynamixel servos, on the host's side, as a ``WireProtocol``.
 
-The codec itself is ``robot_ik.hardware.packets``.
+The Dynamixel SDK builds the requests to a single servo.  ``robot_ik.hardware.packets`` builds the
+requests of a control cycle and takes every reply apart.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+
+from dynamixel_sdk import Protocol2PacketHandler
 
 from robot_ik.hardware import packets
 from robot_ik.hardware.bus import ERROR_REASONS, GARBLED
@@ -13,9 +16,26 @@ from robot_ik.hardware.registers import Register
 from robot_ik.hardware.wire_protocol import GroupRead, StatusParser
 
 PING = 0x01
-READ = 0x02
-WRITE = 0x03
 REBOOT = 0x08
+
+
+class _RequestRecorder:
+    """A port of the Dynamixel SDK that keeps a request instead of sending it."""
+
+    is_using = False
+
+    def __init__(self) -> None:
+        self.request = b""
+
+    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
+        """Do nothing: nothing was received."""
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802 - the SDK's name
+        self.request = bytes(packet)
+        return len(packet)
+
+    def setPacketTimeout(self, _size: int) -> None:  # noqa: N802 - the SDK's name
+        """Do nothing: the bus knows how long to wait."""
 
 
 class Protocol2:
@@ -29,19 +49,31 @@ class Protocol2:
     damaged_request_code = GARBLED
     uniform_group_reads = False
 
+    def __init__(self) -> None:
+        self._sdk = Protocol2PacketHandler()
+
     def ping(self, id: int) -> bytes:
-        return packets.build(id, PING, b"")
+        return self._bare(id, PING)
 
     def read(self, id: int, register: Register) -> bytes:
-        return packets.build(id, READ, _address_and_size(register))
+        recorder = _RequestRecorder()
+        self._sdk.readTx(recorder, id, register.address, register.size)
+        return recorder.request
 
     def write(self, id: int, register: Register, value: int) -> bytes:
-        return packets.build(
-            id, WRITE, register.address.to_bytes(2, "little") + register.encode(value)
-        )
+        recorder = _RequestRecorder()
+        data = list(register.encode(value))
+        self._sdk.writeTxOnly(recorder, id, register.address, register.size, data)
+        return recorder.request
 
     def reboot(self, id: int) -> bytes:
-        return packets.build(id, REBOOT, b"")
+        return self._bare(id, REBOOT)
+
+    def _bare(self, id: int, instruction: int) -> bytes:
+        """Return an instruction without parameters."""
+        recorder = _RequestRecorder()
+        self._sdk.txPacket(recorder, [0, 0, 0, 0, id, 3, 0, instruction, 0, 0])
+        return recorder.request
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> bytes:
         return packets.write_request(register, values)
@@ -65,10 +97,6 @@ class Protocol2:
         self, data: bytes, read: GroupRead, sizes: tuple[tuple[int, int], ...]
     ) -> list[bytes] | None:
         return packets.whole_fast_status(data, sizes) if read.fast else None
-
-
-def _address_and_size(register: Register) -> bytes:
-    return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
 
 PROTOCOL_2 = Protocol2()

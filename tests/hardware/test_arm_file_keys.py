@@ -110,10 +110,10 @@ def test_a_file_that_names_none_of_them_writes_none_of_them(arm_config: ArmConfi
 
 # old text, new text, key, words that must be in the message
 WRONG = [
-    ("reverse = true", "reverse = 1", "joints[0].servo.reverse", "true or false"),
-    ("position_p = 900", "position_p = 16384", "joints[0].servo.gains.position_p", "0..16383"),
-    ("position_p = 900", "position_p = 9.5", "joints[0].servo.gains.position_p", "0..16383"),
-    ("position_p = 900", "postion_p = 900", "joints[0].servo.gains.postion_p", "did you mean position_p"),
+    ("reverse = true", "reverse = 1", "joints[0].reverse", "true or false"),
+    ("position_p = 900", "position_p = 16384", "joints[0].gains.position_p", "0..16383"),
+    ("position_p = 900", "position_p = 9.5", "joints[0].gains.position_p", "0..16383"),
+    ("position_p = 900", "postion_p = 900", "joints[0].gains.postion_p", "did you mean position_p"),
     ("shadow = true", "shadwo = true", "joints[0].twin.shadwo", "did you mean shadow?"),
     ("temperature_c = 70.0", "temprature_c = 70.0", "joints[0].stop_at.temprature_c", "did you mean temp"),
     ("temperature_c = 70.0", "temperature_c = 80.0", "joints[0].stop_at.temperature_c", "< 80"),

@@ -273,7 +273,7 @@ def test_an_offset_that_position_mode_ignores_is_explained(arm_config, offset, w
     with pytest.raises(ConfigError) as caught:
         arm.connect()
     text = str(caught.value)
-    assert caught.value.key == "joints[0].servo.mode" and f"Homing Offset of {offset} ticks" in text
+    assert caught.value.key == "joints[0].mode" and f"Homing Offset of {offset} ticks" in text
     assert "extended_position" in text and "zero_ticks" in text
     assert "ignore" in text
     many = changed(config, 0, mode=OperatingMode.EXTENDED_POSITION)
