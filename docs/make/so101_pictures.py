@@ -1,4 +1,6 @@
-"""Draws the pictures of the page about the SO-101: python docs/make/so101_pictures.py
+"""Draw the pictures of the page about the SO-101.
+
+    python docs/make/so101_pictures.py
 
 docs/images/so101_middle.png: every joint in the middle of its range, for the calibration.
 docs/images/so101_home.png: the arm at home.
@@ -61,6 +63,7 @@ def reach() -> Image:
 
 
 def main() -> None:
+    """Draw all pictures."""
     robot = rik.load_robot("so101")
     pictures = {
         "so101_middle.png": draw(robot, middle(robot)),
