@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import tomlkit
-from pydantic import BeforeValidator, ConfigDict, Field, RootModel, model_validator
+from pydantic import BeforeValidator, Field
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import timestamp, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.hardware.arm_file import with_zeros
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.families.dynamixel_x_table import HOMING_FIXES, POSITION_MODE_HOMING, REVERSE
-from robot_ik.hardware.registers import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION
+from robot_ik.hardware.registers import MULTI_TURN_TICKS
 from robot_ik.hardware.servo import Joint, Servo, ServoId, Sign, SwingArm
-from robot_ik.reading import WrongKey, read_json
-from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of, read_table
+from robot_ik.reading import WrongKey
+from robot_ik.tables import SchemaVersion, Several, Table, keys_of, read_table
 
 SCHEMA = 1  # raised when a key changes its meaning
 
@@ -123,134 +121,6 @@ class _CalibrationFile(Table):
     bus: Any = None  # of older files, not read
     joints: Annotated[Several[_Row], Field(min_length=1)]
     twins: Several[_Row] = ()
-
-
-# ------------------------------------------------------------------------------------------
-# LeRobot's calibration JSON.  Positions in it are Present Position, as here, with register 20 (Homing Offset)
-# in them; its zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
-# ``MotorCalibration``, and ``_normalize`` for degrees.)
-
-
-class _LeRobotRow(Table):
-    """Other keys are LeRobot's affair."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    id: ServoId
-    drive_mode: _Byte
-    homing_offset: _Ticks
-    range_min: _Ticks
-    range_max: _Ticks
-
-    @model_validator(mode="after")
-    def _some_range(self) -> _LeRobotRow:
-        if self.range_min >= self.range_max:
-            raise WrongKey("the range is empty", "range_min", f"< {self.range_max}")
-        return self
-
-
-class _LeRobotFile(RootModel[dict[str, _LeRobotRow]]):
-    """Joint -> its row."""
-
-
-def save_lerobot(path: Path, calibration: Calibration) -> None:
-    """Writes a calibration as LeRobot reads it.
-
-    Raises:
-        ConfigError: A range beyond one revolution: LeRobot writes it into registers that take 0 to 4095.
-            Or two servos turn a joint.
-        OutputError: The file cannot be written.
-    """
-    _require_no_twins([row.name for row in calibration.twins], calibration.file or path)
-    for joint in calibration.joints:
-        if not 0 <= joint.range_min < joint.range_max < TICKS_PER_REVOLUTION:
-            raise ConfigError(
-                f"ticks {joint.range_min} to {joint.range_max} of {joint.name!r} are not within a revolution",
-                file=calibration.file or calibration.arm,
-                key=joint.name,
-                allowed=f"0 to {TICKS_PER_REVOLUTION - 1} (LeRobot writes it into the position limits)",
-            )
-    keys = _LeRobotRow.model_fields
-    content = {joint.name: {key: getattr(joint, key) for key in keys} for joint in calibration.joints}
-    write_atomically(path, json.dumps(content, indent=4) + "\n")
-
-
-def _require_no_twins(names: Sequence[str], file: Path) -> None:
-    if names:
-        raise ConfigError(
-            f"two servos turn {', '.join(names)}: LeRobot's file has one for each joint",
-            file=file,
-            key=names[0],
-            hint="calibrate by hand: robot-ik servo calibrate",
-        )
-
-
-def load_lerobot(
-    path: Path,
-    config: ArmConfig,
-    limits: Mapping[str, tuple[float, float]],
-) -> Calibration:
-    """A calibration out of LeRobot's file, for the joints of an arm file.
-
-    Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
-    middle of the range.  Directions are those of the arm file.
-
-    ``limits``: joint -> limits of the model, rad (m of a slide).
-
-    Raises:
-        ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
-    """
-    _require_no_twins([joint.name for joint in config.joints if len(joint.servos) > 1], path)
-    content = read_json(path, "LeRobot's calibration")
-    if not isinstance(content, dict) or not content:
-        raise ConfigError(
-            "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
-        )
-    rows = check_table(_LeRobotFile, content, path).root
-    by_id = {row.id: row for row in rows.values()}
-    joints = []
-    for joint in config.joints:
-        row = rows.get(joint.name) or by_id.get(joint.servo.id)
-        if row is None:
-            allowed = ", ".join(f"{name} (id {row.id})" for name, row in rows.items())
-            raise ConfigError(
-                f"no joint {joint.name!r} (id {joint.servo.id}) in it", file=path, allowed=allowed
-            )
-        _require_usable(joint, row, path)
-        lower, upper = (q / joint.per_unit for q in limits[joint.name])
-        joints.append(
-            JointCalibration(
-                name=joint.name,
-                model=joint.servo.model,
-                direction=joint.servo.direction,
-                zero_ticks=(row.range_min + row.range_max) // 2,
-                urdf_lower=lower,
-                urdf_upper=upper,
-                **dict(row),
-            )
-        )
-    return Calibration(config.name, config.robot, timestamp(), tuple(joints), file=path)
-
-
-def _require_usable(joint: Joint, row: _LeRobotRow, path: Path) -> None:
-    """Offset and direction of counting that the servo of the arm file has as well."""
-    if joint.servo.is_single_turn and abs(row.homing_offset) > POSITION_MODE_HOMING:
-        raise ConfigError(
-            f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
-            f"{row.homing_offset} ticks",
-            file=path,
-            key=f"{joint.name}.homing_offset",
-            allowed=HOMING_FIXES,
-        )
-    if bool(row.drive_mode & REVERSE) != bool(joint.servo.reverse):
-        said = "not reversed" if joint.servo.reverse else "reversed"
-        raise ConfigError(
-            f"the servo of {joint.name!r} is {said} in it (drive_mode {row.drive_mode}), and the arm file "
-            f"says reverse = {str(bool(joint.servo.reverse)).lower()}",
-            file=path,
-            key=f"{joint.name}.drive_mode",
-            allowed=f"reverse = {str(not joint.servo.reverse).lower()} in the arm file",
-        )
 
 
 # ------------------------------------------------------------------------------------------

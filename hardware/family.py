@@ -31,12 +31,15 @@ class Capabilities:
         goal_enables_torque: A write of the goal position switches torque on.
         current_goal: A servo takes a goal current.
         reboot_clears_errors: A reboot instruction clears hardware errors.
+        half_turn_homing: A calibration first makes the middle of every range the middle of the
+            servo's revolution, so that no range crosses its end.
     """
 
     bus_watchdog: bool
     goal_enables_torque: bool
     current_goal: bool
     reboot_clears_errors: bool
+    half_turn_homing: bool = False
 
 
 class CycleBlock(NamedTuple):
@@ -175,6 +178,13 @@ class ServoFamily(Protocol):
 
     def eeprom_unlocked(self, bus: ServoBus, ids: Collection[int]) -> AbstractContextManager[None]:
         """Return a context in which EEPROM registers of these servos keep what is written."""
+        ...
+
+    def home_half_turn(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Make the present position of every servo the middle of its revolution.
+
+        Torque must be off.  Does nothing in a family without ``half_turn_homing``.
+        """
         ...
 
     def is_in_control(self, values: Mapping[str, int]) -> bool:

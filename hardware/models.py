@@ -9,11 +9,11 @@ from types import MappingProxyType
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.families.dynamixel_x_table import MODELS as X_MODELS
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES, build_table
-from robot_ik.hardware.families.feetech_sts_table import STS3215
+from robot_ik.hardware.families.feetech_sts_table import STS_TABLES
 from robot_ik.hardware.registers import IDS, ControlTable
 from robot_ik.reading import WrongKey
 
-CONTROL_TABLES: Mapping[str, ControlTable] = MappingProxyType({**X_TABLES, STS3215.model: STS3215})
+CONTROL_TABLES: Mapping[str, ControlTable] = MappingProxyType({**X_TABLES, **STS_TABLES})
 """Model name -> control table with the firmware that this project assumes."""
 
 BAUD_RATES: tuple[int, ...] = tuple(

@@ -167,6 +167,14 @@ class Protocol1Parser:
                 self.damaged += 1
                 start += len(HEADER)
                 continue
+            inner = _inner_packet(buffer, start, end)
+            if inner is None and not last:
+                break
+            if inner:
+                # The packet broke off and the head of the next one completed it by chance.
+                self.damaged += 1
+                start += len(HEADER)
+                continue
             packets.append(self._status(packet))
             start = end
         self._buffer = buffer[start:]
@@ -177,3 +185,34 @@ class Protocol1Parser:
         code = error & self._refusal_bits
         alert = bool(error & ~self._refusal_bits)
         return StatusPacket(packet[2], code, alert, packet[5:-1])
+
+
+def _inner_packet(buffer: bytes, start: int, end: int) -> bool | None:
+    """Return whether a packet begins inside another one and extends beyond its end.
+
+    A checksum of 8 bits cannot exclude that a packet which broke off is completed by the bytes of
+    the next one. Then the next one is a packet, too.
+
+    Args:
+        buffer: Received bytes.
+        start: Index of the outer packet.
+        end: Index after the outer packet.
+
+    Returns:
+        None if more bytes are needed.
+    """
+    # The header may begin with the last byte of the outer packet, its checksum.
+    first = buffer.find(HEADER, start + SHORTEST_STATUS - 1, end + 1)
+    while first >= 0:
+        if len(buffer) < first + 4:
+            return None
+        length = buffer[first + 3]
+        inner_end = first + 4 + length
+        if buffer[first + 2] != 0xFF and 2 <= length <= MAX_PACKET and inner_end > end:
+            if len(buffer) < inner_end:
+                return None
+            inner = buffer[first:inner_end]
+            if checksum(inner[2:-1]) == inner[-1]:
+                return True
+        first = buffer.find(HEADER, first + 1, end + 1)
+    return False

@@ -169,6 +169,7 @@ class ControlTable:
             ``clear``.
         family: Name of the servo family.
         baud_codes: Value of the Baud Rate register -> bit/s.
+        position_mode_homing: Largest Homing Offset that counts in position mode, ticks; None: any.
     """
 
     model: str
@@ -181,6 +182,7 @@ class ControlTable:
     abilities: frozenset[str]
     family: str
     baud_codes: Mapping[int, int]
+    position_mode_homing: int | None = None
 
     def __getitem__(self, name: str) -> Register:
         try:

@@ -36,14 +36,10 @@ from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
-from robot_ik.hardware.calibration_file import (
-    Calibration,
-    JointCalibration,
-    load_lerobot,
-    save_lerobot,
-)
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples

@@ -348,6 +348,9 @@ class DynamixelX:
         """Return an empty context: the EEPROM is open while torque is off."""
         return contextlib.nullcontext()
 
+    def home_half_turn(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Do nothing: extended position mode counts beyond one revolution."""
+
     def is_in_control(self, values: Mapping[str, int]) -> bool:
         return bool(values["torque_enable"])
 

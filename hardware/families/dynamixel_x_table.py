@@ -504,6 +504,7 @@ def build_table(model: str, row: Model, firmware: int | None = None) -> ControlT
         frozenset(ability for ability in _ABILITIES if ability not in missing),
         family="dynamixel_x",
         baud_codes=BAUD_RATES,
+        position_mode_homing=POSITION_MODE_HOMING,
     )
 
 

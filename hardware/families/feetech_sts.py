@@ -8,7 +8,7 @@ Differences from the Dynamixel X series that decide how an arm must be driven:
 * EEPROM writes last only while Lock is 0.
 * Present Position is Actual Position minus Homing Offset.  On Dynamixel it is plus.
 
-Facts and sources: ``docs/reference/feetech-sts.md``; registers: ``feetech_sts_table``.
+Facts and sources: ``docs/reference/feetech_sts.md``; registers: ``feetech_sts_table``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,13 @@ from robot_ik.hardware.register_access import (
     sync_set,
     write_register,
 )
-from robot_ik.hardware.registers import RADIANS_PER_TICK, ControlTable, OperatingMode, Register
+from robot_ik.hardware.registers import (
+    RADIANS_PER_TICK,
+    TICKS_PER_REVOLUTION,
+    ControlTable,
+    OperatingMode,
+    Register,
+)
 from robot_ik.hardware.servo import GRIPPER, Drive
 
 log = logging.getLogger(__name__)
@@ -94,7 +100,11 @@ class FeetechSts:
     velocity_unit = RADIANS_PER_TICK
     protocol = Protocol1(model_number=STS3215["model_number"])
     capabilities = Capabilities(
-        bus_watchdog=False, goal_enables_torque=True, current_goal=False, reboot_clears_errors=False
+        bus_watchdog=False,
+        goal_enables_torque=True,
+        current_goal=False,
+        reboot_clears_errors=False,
+        half_turn_homing=True,
     )
     mode_values: Mapping[OperatingMode, int] = {OperatingMode.POSITION: POSITION_MODE}
     unprotected_exit = (
@@ -137,6 +147,7 @@ class FeetechSts:
             for name, values in wanted.items():
                 set_eeprom(bus, config, name, values, torque)
             self._set_gains(bus, config)
+            self._set_protection_currents(bus, config)
         # A servo stops at its own limits without an error.
         check_position_limits(bus, config, config.drives)
         self.limit_speed(bus, config)
@@ -180,11 +191,56 @@ class FeetechSts:
                 if bus.read(servo.id, servo.table[name]).data != value:
                     write_register(bus, drive, name, value)
 
+    def _set_protection_currents(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Write ``current_limit_ma``: a servo that exceeds it for 2 s switches its motor off."""
+        for drive in config.drives:
+            limit = drive.servo.current_limit
+            if limit is None:
+                continue
+            table = drive.servo.table
+            register = table["protection_current"]
+            counts = min(int(limit / table.current_unit), register.maximum)
+            if bus.read(drive.id, register).data != counts:
+                write_register(bus, drive, register.name, counts)
+
+    def _limit_grip(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Write Torque Limit of grippers with ``current_limit_ma``: they press with this current.
+
+        Without it a gripper that holds an object presses with all it has until it overloads.
+        """
+        for drive in config.drives:
+            limit = drive.servo.current_limit
+            if limit is None or drive.joint.group != GRIPPER:
+                continue
+            register = drive.servo.table["torque_limit"]
+            share = 1e-3 * limit / drive.servo.table.motor.stall_current
+            write_register(bus, drive, register.name, min(round(1000 * share), register.maximum))
+
+    def home_half_turn(self, bus: ServoBus, config: ArmConfig) -> None:
+        """Write Homing Offset so that every servo reads 2048 here.  Limits become 0 and 4095."""
+        torque = read_all(bus, config, "torque_enable")
+        position = read_all(bus, config, "present_position")
+        offset = read_all(bus, config, "homing_offset")
+        largest = STS3215["homing_offset"].maximum
+        offsets = {}
+        for id in config.servo_ids:
+            actual = (position[id] + offset[id]) % TICKS_PER_REVOLUTION
+            offsets[id] = min(max(actual - TICKS_PER_REVOLUTION // 2, -largest), largest)
+        wanted = {
+            "min_position_limit": dict.fromkeys(config.servo_ids, 0),
+            "max_position_limit": dict.fromkeys(config.servo_ids, TICKS_PER_REVOLUTION - 1),
+            "homing_offset": offsets,
+        }
+        with self.eeprom_unlocked(bus, config.servo_ids):
+            for name, values in wanted.items():
+                set_eeprom(bus, config, name, values, torque)
+
     def limit_speed(self, bus: ServoBus, config: ArmConfig) -> None:
-        """Write Goal Velocity and Acceleration.
+        """Write Goal Velocity and Acceleration, and how hard a gripper may press.
 
         They bound every later move, even to a stale goal.
         """
+        self._limit_grip(bus, config)
         velocity = {}
         acceleration = {}
         for joint, servo in config.drives:

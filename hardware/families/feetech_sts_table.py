@@ -15,6 +15,7 @@ name where it differs.  Numbers of two bytes are little-endian.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from robot_ik.hardware.registers import ControlTable, Motor, OperatingMode, Register
@@ -107,11 +108,37 @@ _ROWS = (
     ("acceleration_multiplier", 86, 1, READ_ONLY, None, "", 2, 0, 255),
 )
 
-_MOTOR = Motor(stall_torque=1.91, stall_current=2.5, no_load_rpm=46.0, volts=7.4)
-"""Stall torque 19.5 kg cm at 7.4 V; 46 rev/min measured (TheRobotStudio/SO-ARM100#134)."""
+
+@dataclass(frozen=True)
+class StsModel:
+    """One servo model.
+
+    Attributes:
+        number: What Model Number reads.
+        supply: Nominal supply, V. Variants for 12 V have the same number: the servo's own voltage
+            limits count.
+        motor: Motor with its gear.
+        voltage_limit: Max Voltage Limit from the factory, 0.1 V.
+    """
+
+    number: int
+    supply: float
+    motor: Motor
+    voltage_limit: int = 80
 
 
-def _control_table() -> ControlTable:
+STS_MODELS: Mapping[str, StsModel] = MappingProxyType(
+    {
+        # Stall torque 19.5 kg cm at 7.4 V; 46 rev/min measured (TheRobotStudio/SO-ARM100#134).
+        "STS3215": StsModel(777, 7.4, Motor(1.91, 2.5, 46.0, 7.4)),
+    }
+)
+"""Model name -> model.  All of them have the registers above."""
+
+
+def build_table(model: str, row: StsModel) -> ControlTable:
+    """Return the control table of a model."""
+    initial_values = {"model_number": row.number, "max_voltage_limit": row.voltage_limit}
     registers = {}
     for name, address, size, writable, sign_bit, unit, initial, minimum, maximum in _ROWS:
         registers[name] = Register(
@@ -121,23 +148,27 @@ def _control_table() -> ControlTable:
             writable=writable,
             unit=unit,
             eeprom=address < EEPROM_END,
-            initial=initial,
+            initial=initial_values.get(name, initial),
             minimum=minimum,
             maximum=maximum,
             sign_bit=sign_bit,
         )
     return ControlTable(
-        model="STS3215",
-        number=777,
+        model=model,
+        number=row.number,
         firmware=10,
         registers=MappingProxyType(registers),
         modes=(OperatingMode.POSITION,),
-        supply=7.4,
-        motor=_MOTOR,
+        supply=row.supply,
+        motor=row.motor,
         abilities=frozenset(),
         family="feetech_sts",
         baud_codes=BAUD_RATES,
     )
 
 
-STS3215 = _control_table()
+STS_TABLES: Mapping[str, ControlTable] = MappingProxyType(
+    {model: build_table(model, row) for model, row in STS_MODELS.items()}
+)
+
+STS3215 = STS_TABLES["STS3215"]

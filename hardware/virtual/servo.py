@@ -30,7 +30,13 @@ from robot_ik.hardware.registers import (
     Register,
 )
 from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, Memory
-from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
+from robot_ik.hardware.virtual.motor import (
+    PWM_FULL,
+    TORQUE_MODES,
+    VELOCITY_TICKS,
+    Electrics,
+    torque_limit,
+)
 from robot_ik.hardware.virtual.protocol import (
     ALERT,
     BROADCAST,
@@ -214,6 +220,15 @@ class VirtualServo:
     def set_baud(self, baud: float) -> None:
         """Set the nearest baud rate of the table, bit/s."""
         self.memory.set("baud_rate", min(BAUD_RATES, key=lambda code: abs(BAUD_RATES[code] - baud)))
+
+    @property
+    def mode(self) -> int:
+        """Operating mode."""
+        return self.memory.values["operating_mode"]
+
+    def torque_limit(self, volts: float) -> float:
+        """Return the largest torque that mode, limits and supply allow, N m."""
+        return torque_limit(self.memory, volts)
 
     @property
     def volts(self) -> float:

@@ -95,11 +95,11 @@ class JointMotor:
         """Acceleration that its controller wants, rad/s^2 (m/s^2) at the joint; None where it wants none."""
         servo, shaft = self._servo, self._servo.shaft
         servo.watch(t)
-        if not shaft.powered or servo.memory.values["operating_mode"] in drive.TORQUE_MODES:
+        if not shaft.powered or servo.mode in drive.TORQUE_MODES:
             return None
         position, velocity = shaft.motion.at(t)
         error = self._angle(position) - self._joint.angle
-        if servo.memory.values["operating_mode"] == OperatingMode.VELOCITY:
+        if servo.mode == OperatingMode.VELOCITY:
             limit = 0.1 * self._drive.joint.lever  # it minds its speed, not how far it has fallen behind
             error = max(-limit, min(limit, error))
         rate = velocity / self._ticks_per - self._joint.rate
@@ -116,8 +116,8 @@ class JointMotor:
         stall = servo.table.motor.stall_at(volts)
         # The faster it turns, the less torque the voltage that is left can give.
         lost = self._stall / self._no_load * self._joint.rate * self.gear
-        limit = drive.torque_limit(servo.memory, volts)
-        mode = servo.memory.values["operating_mode"]
+        limit = servo.torque_limit(volts)
+        mode = servo.mode
         torque = demand / self.gear
         if mode in drive.TORQUE_MODES:
             torque = shaft.sign * drive.effort(servo.memory, volts)
@@ -128,7 +128,7 @@ class JointMotor:
         return self.torque * self.gear
 
     def outside(self) -> float:
-        return -self._servo.shaft.load.push * self.gear
+        return -self._servo.push * self.gear
 
     def _angle(self, ticks: float) -> float:
         return self._drive.value(self._sign * (ticks + self._servo.zero_offset_ticks - self._zero))

@@ -164,7 +164,7 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
 def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
-    from robot_ik.hardware.calibration_file import load_lerobot
+    from robot_ik.hardware.lerobot_calibration import load_lerobot
     from robot_ik.jobs.hand_guiding import calibrate_by_hand, require_limp, save_calibrated
 
     limits = model_limits(config)
@@ -185,7 +185,8 @@ def _calibrate(
 
 def _check(options: ServoCalibrateOptions) -> int:
     from robot_ik.hardware.calibration import check_calibration
-    from robot_ik.hardware.calibration_file import Calibration, calibration_beside, save_lerobot
+    from robot_ik.hardware.calibration_file import Calibration, calibration_beside
+    from robot_ik.hardware.lerobot_calibration import save_lerobot
 
     found = Calibration.load(calibration_beside(options.out))
     config = load_arm(str(options.out))

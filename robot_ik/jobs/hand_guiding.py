@@ -31,8 +31,9 @@ from robot_ik.hardware.calibration import (
     counting_directions,
     measured_calibration,
 )
-from robot_ik.hardware.calibration_file import Calibration, calibration_beside, save_lerobot
+from robot_ik.hardware.calibration_file import Calibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.lerobot_calibration import save_lerobot
 from robot_ik.hardware.servo import Joint, Sign
 from robot_ik.motion.trajectory import Trajectory, approach, playable
 from robot_ik.ports import JointSink
@@ -81,6 +82,10 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
     """
     config, bus = arm.config, arm.bus
     present = shared_register(config, "present_position")
+    if config.family.capabilities.half_turn_homing:
+        text = "0. middle: put every joint into the middle of its range and hold it"
+        person.step(text, lambda: None)
+        config.family.home_half_turn(bus, config)
     sweep = Sweep(config, read_all(bus, config, "present_position"))
 
     def sample() -> None:

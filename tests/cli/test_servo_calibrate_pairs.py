@@ -19,8 +19,9 @@ from robot_ik.hardware.calibration import (
     check_calibration,
     check_model,
 )
-from robot_ik.hardware.calibration_file import Calibration, load_lerobot, save_lerobot
+from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import Direct, Pinion
 from robot_ik.hardware.virtual.bus import VirtualBus

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError
-from robot_ik.hardware.calibration_file import Calibration, JointCalibration, load_lerobot
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.lerobot_calibration import load_lerobot
 from robot_ik.hardware.registers import OperatingMode
 from tests.hardware.joints import with_servo
 

@@ -1,7 +1,8 @@
-"""Programs that drive an arm and are killed: one process that starts another for every line it reads.
+"""Programs that drive an arm and are killed: one process starts another for every line it reads.
 
 A line is ``ROBOT PORT ON_ORPHAN ON_EXIT``. The answers are a line ``pid NUMBER``, then ``torque``
-once torque is on. An empty line waits for the program and answers ``ended``.
+once torque is on, or ``failed`` and the reason. An empty line waits for the program and answers
+``ended``.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ def main() -> None:
             continue
         child = os.fork()
         if not child:
-            drive(*words)
+            try:
+                drive(*words)
+            except BaseException as error:
+                print("failed", " ".join(str(error).split()), flush=True)
             os._exit(1)
         print(f"pid {child}", flush=True)
 

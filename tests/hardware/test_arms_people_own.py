@@ -6,6 +6,7 @@ Registers are those of the sources in models/<arm>/README.md; nothing here was t
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -29,8 +30,9 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.arm_part import ArmPart
 from robot_ik.hardware.calibration import calibrated, check_calibration
-from robot_ik.hardware.calibration_file import Calibration, load_lerobot
+from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.lerobot_calibration import load_lerobot
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -413,7 +415,7 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     path = tmp_path / "koch.json"
     path.write_text(f"{{{rows}}}")
     config = dataclasses.replace(arm_file("koch_v11"), file=None)
-    limits = dict.fromkeys(config.names, (0.0, 0.0))
+    limits = dict.fromkeys(config.names, (-math.inf, math.inf))
     found = load_lerobot(path, config, limits)
     assert isinstance(found, Calibration)
     assert [joint.zero_ticks for joint in found.joints] == [2047] * 6

@@ -55,6 +55,29 @@ def test_a_status_survives_noise_and_pieces(id, data, noise, piece):
     assert [(p.id, p.data) for p in packets] == [(id, data)]
 
 
+@pytest.mark.parametrize(
+    "stream",
+    [
+        "ff ff 03 04 00 fa" + "ff ff 04 04 00 01 00 f6",
+        "ff ff 04 03 00 f9" + "ff ff 05 03 00 01 f6",
+    ],
+)
+def test_a_broken_packet_is_not_completed_by_the_next_one(stream):
+    """With the head of the next packet as its last bytes, the first one has a right checksum."""
+    parser = Protocol1Parser(0)
+    packets = parser.feed(bytes.fromhex(stream))
+    assert [packet.data[0] for packet in packets] == [1]
+    assert parser.damaged == 1
+
+
+def test_a_checksum_of_ff_does_not_hide_the_next_packet():
+    first = build(4, 0, b"\xf8\x00")
+    assert first.endswith(b"\xff")
+    packets = Protocol1Parser(0).feed(first + build(5, 0, b"\x01\x00"))
+    assert [packet.id for packet in packets] == [4, 5]
+    assert [packet.id for packet in Protocol1Parser(0).feed(first)] == [4]
+
+
 @given(st.integers(-32767, 32767))
 def test_sign_magnitude_round_trip(value):
     register = STS3215["goal_position"]

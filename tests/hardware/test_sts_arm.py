@@ -12,6 +12,7 @@ from robot_ik.errors import ConfigError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
 CONFIG = ArmConfig.load("so101")
@@ -124,3 +125,84 @@ def test_limits_of_the_servo_that_cut_the_range_are_refused():
 def test_a_bus_watchdog_is_refused():
     with pytest.raises(ConfigError, match="no bus watchdog"):
         replace(CONFIG, watchdog_ms=400)
+
+
+def test_only_bit_4_of_phase_is_cleared():
+    bus = VirtualBus.from_config(CONFIG, VirtualClock())
+    servo = bus.servo("wrist_roll")
+    servo.set_register("phase", 12 | 1 << 4 | 1 << 7)
+    with open_arm(CONFIG, "sim", virtual_bus=bus):
+        assert servo.values["phase"] == 12 | 1 << 7
+
+
+def test_a_12_volt_servo_is_judged_by_its_own_limits():
+    bus = VirtualBus.from_config(CONFIG, VirtualClock())
+    for servo in bus.servos:
+        servo.set_supply(12.0)
+        servo.set_register("max_voltage_limit", 140)
+    with open_arm(CONFIG, "sim", virtual_bus=bus) as arm:
+        arm.enable()
+    bus.servo("gripper").set_register("max_voltage_limit", 80)
+    with (
+        pytest.raises(MotorFaultError, match="input_voltage"),
+        open_arm(CONFIG, "sim", virtual_bus=bus),
+    ):
+        pass
+
+
+def test_the_gripper_presses_with_its_current_limit(arm):
+    gripper = servo(arm, "gripper")
+    assert gripper.values["protection_current"] == int(1250 / 6.5)
+    assert gripper.values["torque_limit"] == 500
+    arm.enable()
+    gripper.jammed = True
+    arm.send(dict(gripper=math.radians(20.0)), arm.clock.now())
+    drive(arm, arm.read().q, 0.1)
+    assert servo(arm, "elbow_flex").values["torque_limit"] == 1000
+
+
+def test_a_restarted_gripper_gets_its_current_limit_back(arm):
+    arm.enable()
+    servo(arm, "gripper").power_cycle()
+    here = arm.read().q
+    with pytest.raises(MotorFaultError):
+        drive(arm, here, 0.5)
+    arm.reset_fault()
+    arm.enable()
+    assert servo(arm, "gripper").values["torque_limit"] == 500
+
+
+def test_a_latched_overload_keeps_the_arm_in_fault_until_a_power_cycle(arm):
+    arm.bus.virtual_bus.inject(Fault("latched_overload"))
+    arm.enable()
+    here = arm.read().q.copy()
+    elbow = servo(arm, "elbow_flex")
+    elbow.jammed = True
+    away = here.copy()
+    away[2] += math.radians(20.0)
+    with pytest.raises(MotorFaultError):
+        drive(arm, away, 6.0)
+    elbow.inject_error("overload")
+    elbow.jammed = False
+    with pytest.raises(MotorFaultError, match="overload"):
+        arm.reset_fault()
+    elbow.power_cycle()
+    arm.reset_fault()
+    arm.enable()
+    drive(arm, arm.read().q, 0.2)
+
+
+@pytest.mark.parametrize("enables", [True, False])
+def test_the_arm_does_not_depend_on_whether_a_goal_enables_torque(enables):
+    bus = VirtualBus.from_config(CONFIG, VirtualClock())
+    if not enables:
+        bus.inject(Fault("goal_keeps_torque"))
+    with open_arm(CONFIG, "sim", virtual_bus=bus, on_exit="torque_off") as arm:
+        arm.enable()
+        assert all(s.torque for s in bus.servos)
+        target = arm.read().q.copy()
+        target[0] += 0.3
+        arm.move_to(target)
+        assert arm.read().q == pytest.approx(target, abs=math.radians(0.3))
+    assert arm.exit_report.ok
+    assert not any(s.torque for s in bus.servos)

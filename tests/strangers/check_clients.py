@@ -128,7 +128,9 @@ def test_lerobot_calibrates_and_drives(serve: Serve) -> None:
 def hand_turns() -> str:
     """Return a file of faults: a hand turns every joint there and back for 20 s."""
     ways = (60.0, -120.0, 60.0)
-    turns = [f'[[faults]]\nkind = "turn"\nvalue = {ways[k % 3]}\nat_s = {0.1 * k:.2f}\n' for k in range(200)]
+    turns = []
+    for k in range(200):
+        turns.append(f'[[faults]]\nkind = "turn"\nvalue = {ways[k % 3]}\nat_s = {0.1 * k:.2f}\n')
     return "schema = 1\n" + "".join(turns)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.feetech_sts_table import STS3215
 from robot_ik.hardware.simulated import SimBus
@@ -12,8 +13,10 @@ from robot_ik.hardware.virtual.faults import FAULTS, Fault
 from robot_ik.hardware.virtual.protocol1 import Instruction, build_status, checksum
 from robot_ik.hardware.virtual.sts3215 import MIDDLE_TICKS, VirtualSts3215
 from robot_ik.hardware.virtual.wire import SPOILS
+from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
 from robot_ik.reading import WrongKey
+from robot_ik.robot import load_robot
 
 FAMILY = ArmConfig.load("so101").family
 STS_FAULTS = [name for name, row in FAULTS.items() if FAMILY.name in row.families]
@@ -295,3 +298,25 @@ def test_a_spoilt_reply_is_never_a_value(bus, host, clock, spoil):
             assert status.data in (None, MIDDLE_TICKS + 100 * (id - 1))
             values += status.data is not None
     assert values > 100
+
+
+# A world: gravity shows up as load, and a limp arm falls.
+
+
+def test_in_a_world_an_arm_carries_its_weight_and_falls_without_torque(clock):
+    config = ArmConfig.load("so101")
+    robot = load_robot("so101")
+    servos = VirtualBus.from_config(config, clock, [0.0, 0.0, 0.0, 0.0, 0.0])
+    World(robot.model, config, servos)
+    with open_arm(config, "sim", virtual_bus=servos, on_exit="torque_off") as arm:
+        arm.enable()
+        start = arm.read().q.copy()
+        target = start + 0.1
+        arm.move_to(target)
+        assert arm.read().q == pytest.approx(target, abs=0.03)
+        loads = [read(servo, "present_load") for servo in servos.servos]
+        assert max(map(abs, loads[1:3])) > 50
+    before = servos.true_angles(config)
+    after(clock, 1.0)
+    servos.advance()
+    assert max(abs(servos.true_angles(config) - before)) > 0.2
