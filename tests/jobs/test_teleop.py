@@ -112,7 +112,7 @@ def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows(
         q = np.array(sent)
         assert np.abs(q[0] - apart).max() < 1e-3  # engaged where it stands
         steps = np.abs(np.diff(q, axis=0)) * follower.config.rate_hz
-        assert (steps <= follower.config.velocity).all()
+        assert (steps <= follower.config.chain.velocity).all()
         assert np.abs(q[-1] - begin - 0.15).max() < 0.01
         assert np.abs(chain_q(follower) - begin - 0.15).max() < 0.02
         assert leader.state is ArmState.CONNECTED  # nobody gave it torque: no force feedback unless asked
@@ -127,7 +127,8 @@ def test_hand_to_hand_between_different_arms() -> None:
         assert report.engaged == 1
         led = one.forward(chain_q(leader)).position - one.forward(begin).position
         follower_q = np.array([follower.positions()[n] for n in two.joints])
-        start_q = np.array([dict(zip(follower.config.chain.names, other, strict=True))[n] for n in two.joints])
+        start = dict(zip(follower.config.chain.names, other, strict=True))
+        start_q = np.array([start[n] for n in two.joints])
         moved = two.forward(follower_q).position - two.forward(start_q).position
         assert np.linalg.norm(led) > 0.03
         assert np.linalg.norm(moved - 0.5 * led) < 0.005
