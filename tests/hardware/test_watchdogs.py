@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
 import time
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from robot_ik.errors import HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.watchdogs import Heartbeat
+from robot_ik.hardware.watchdogs import SIGNALS, Heartbeat
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")
@@ -123,3 +124,12 @@ def test_one_that_is_dismissed_can_be_started_at_once():
     beat.start()
     wait_for(lambda: len(looks) >= 2)
     beat.stop()
+
+
+def test_a_host_program_keeps_its_own_signal_handlers(arm_config):
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with open_arm(arm_config, "sim") as arm:
+        arm.enable(handle_signals=False)
+        assert [signal.getsignal(number) for number in SIGNALS] == before
+        arm.send(arm.read().q, arm.clock.now())
+    assert arm.exit_report.ok and arm.exit_report.done == "torque_off"
