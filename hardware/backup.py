@@ -74,7 +74,9 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
     Raises:
         ServoMismatchError: Missing servos, or other models than the arm file's.  Errors of the bus, by joint.
     """
-    require_models(bus, {drive.id: (drive.name, drive.servo.table.number) for drive in config.drives}, "the arm file")
+    require_models(
+        bus, {drive.id: (drive.name, drive.servo.table.number) for drive in config.drives}, "the arm file"
+    )
     found = []
     for name, servo in ((drive.name, drive.servo) for drive in config.drives):
         firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0

@@ -126,6 +126,7 @@ class _CalibrationFile(Table):
 # ------------------------------------------------------------------------------------------
 # New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
 
+
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
 
@@ -140,9 +141,7 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     moved = []
     for joint in config.joints:
         offset = offsets.get(joint.name, 0.0)
-        servos = tuple(
-            replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos
-        )
+        servos = tuple(replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos)
         moved.append(replace(joint, servos=servos))
     return replace(config, joints=tuple(moved))
 

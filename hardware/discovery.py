@@ -54,7 +54,8 @@ class FoundServo:
     """One id that answers at one rate.
 
     Attributes:
-        id, baud: Where; ``family``: how it talks; ``number``: Model Number, None where replies were too damaged to tell.
+        id, baud: Where; ``family``: how it talks.
+        number: Model Number, None where replies were too damaged to tell.
         firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
             each None if it could not be read.
         voltage_limits: The servo's own, V.
@@ -123,9 +124,7 @@ def scan(
     return found
 
 
-def _candidates(
-    baud: int, found: Sequence[FoundServo], family: ServoFamily | None
-) -> list[ServoFamily]:
+def _candidates(baud: int, found: Sequence[FoundServo], family: ServoFamily | None) -> list[ServoFamily]:
     """Return the families to look for at a rate: those that know it, or the one that has answered."""
     known = {servo.family.name for servo in found if servo.number is not None}
     if family is not None:
@@ -144,9 +143,7 @@ def _scan_rate(
     with closing(SerialBus(port, baud, family.protocol, retries=0)) as bus:
         bus.open()
         responses, damaged = bus.collect_pings(BROADCAST_ID, bus.listening_time)
-        servos = [
-            _details(bus, FoundServo(id, baud, family, *who)) for id, who in sorted(responses.items())
-        ]
+        servos = [_details(bus, FoundServo(id, baud, family, *who)) for id, who in sorted(responses.items())]
         if damaged:
             rest = [id for id in IDS if id not in responses]
             servos += _one_by_one(bus, family, rest, progress)

@@ -19,8 +19,11 @@ BEHIND_TICKS = 160
 """Ticks (14 degrees of the servo) up to which a shaft may be behind its goal, whatever its gain."""
 
 GROWTH_TICKS = 32
-"""Ticks by which the distance must have grown beyond that.  Where a hand or a wall keeps the joint at a
-constant distance, the servo's own overload protection decides, as for an arm that is held."""
+"""Ticks by which the distance must have grown beyond that.
+
+If a hand or a wall keeps the joint at a constant distance, the servo's own overload protection
+decides, as for an arm that is held.
+"""
 
 SUSTAINED = 0.5
 """s that the shaft must have been so far behind: a knock or a lost cycle is over by then."""
@@ -38,12 +41,13 @@ class _Behind:
 class Following:
     """The distance between goals and shafts of an arm, from command to command.
 
-    Joints that press on something by design are left out: those of a gripper, and all in current-based
-    position mode.
+    Joints that press on something by design are left out: those of a gripper, and all in
+    current-based position mode.
 
     Args:
         config: The arm file.
-        longest_tick: s for which one command moves a goal at most: so far it is ahead just after it was sent.
+        longest_tick: s for which one command moves a goal at most.  A goal is that far ahead just
+            after it was sent.
         pause: s without a command after which the next one begins anew, because the arm was held.
     """
 
@@ -90,14 +94,17 @@ def _not_following(drive: Drive, goal: int, shaft: int) -> MotorFaultError:
     return MotorFaultError(
         drive.name,
         ("not_following",),
-        hint=f"{drive.name} does not follow: {behind} behind; all hold. Is something in its way, its load "
-        "too heavy, its supply weak or its Goal PWM too low? Then: robot-ik servo reset-fault, or "
-        "Arm.reset_fault()",
+        hint=f"{drive.name} does not follow: {behind} behind; all hold. Is something in its way, "
+        "its load too heavy, its supply weak or its Goal PWM too low? Then: robot-ik servo "
+        "reset-fault, or Arm.reset_fault()",
     )
 
 
 def _allowed(drive: Drive, longest_tick: float) -> float:
-    """Ticks that a healthy servo may be behind: by its load, a step, and the lag of a slow profile."""
+    """Return the ticks that a healthy servo may be behind.
+
+    They come from its load, one step of the goal, and the lag of a slow profile.
+    """
     joint, servo = drive
     gain = servo.gains.position_p or servo.table["position_p_gain"].initial
     load = family_of(servo.table.family).load_lag(gain or 0)

@@ -131,9 +131,7 @@ class SafetyLimiter:
             zip(low.tolist(), high.tolist(), max_velocity.tolist(), max_acceleration.tolist(), strict=True)
         )
 
-    def command(
-        self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]
-    ) -> tuple[float, ...]:
+    def command(self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]) -> tuple[float, ...]:
         """Checks a command without looking at the limits.
 
         Args:

@@ -27,14 +27,14 @@ class _RequestRecorder:
     def __init__(self) -> None:
         self.request = b""
 
-    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
+    def clearPort(self) -> None:
         """Do nothing: nothing was received."""
 
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802 - the SDK's name
+    def writePort(self, packet: list[int]) -> int:
         self.request = bytes(packet)
         return len(packet)
 
-    def setPacketTimeout(self, _size: int) -> None:  # noqa: N802 - the SDK's name
+    def setPacketTimeout(self, _size: int) -> None:
         """Do nothing: the bus knows how long to wait."""
 
 

@@ -100,5 +100,6 @@ def check_position_limits(bus: ServoBus, config: ArmConfig, drives: Sequence[Dri
                 joint,
                 f"the servo's own limits (ticks {low} to {high}) are narrower than "
                 f"lower_{joint.unit} .. upper_{joint.unit}",
-                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
+                allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, "
+                "or other limits in the servo",
             )

@@ -46,7 +46,7 @@ class Motor:
         stall_torque: N m, and ``stall_current``, A, at ``volts``.
         no_load_rpm: rev/min at ``volts``.
         volts: At which these were measured, V.
-        sensed_at_supply: Present Current is what the supply gives, not what flows through the motor.
+        sensed_at_supply: Present Current is the current of the supply, not of the motor.
     """
 
     stall_torque: float
@@ -83,9 +83,11 @@ class Register:
         unit: What one count means, as text.
         eeprom: Kept without power, and locked while torque is on.
         initial: Factory value; ``None`` where it depends on the state of the servo.
-        minimum, maximum: Smallest and largest value a write may have; limits that depend on other registers
-            are the servo's affair.
-        sign_bit: Sign-magnitude coding: this bit is the sign and the bits below are the absolute value.
+        minimum: Smallest value that a write may have.  The servo checks limits that depend on other
+            registers.
+        maximum: Largest value that a write may have.
+        sign_bit: Sign-magnitude coding: this bit is the sign and the bits below are the absolute
+            value.
     """
 
     name: str
@@ -127,7 +129,10 @@ class Register:
     def take_apart(self, value: int, registers: Iterable[Register]) -> dict[str, int]:
         """Name -> value of registers that lie within this block, from its value."""
         data = value.to_bytes(self.size, "little", signed=self.signed)
-        return {r.name: r.decode(data[r.address - self.address : r.end - self.address]) for r in registers}
+        return {
+            r.name: r.decode(data[r.address - self.address : r.end - self.address])
+            for r in registers
+        }
 
     def encode(self, value: int) -> bytes:
         """``size`` little-endian bytes of a value.
@@ -145,7 +150,9 @@ class Register:
             return int(value).to_bytes(self.size, "little", signed=self.signed)
         except OverflowError:
             kind = "signed" if self.signed else "unsigned"
-            raise ValueError(f"{value} does not fit into {self.name} ({self.size} bytes, {kind})") from None
+            raise ValueError(
+                f"{value} does not fit into {self.name} ({self.size} bytes, {kind})"
+            ) from None
 
 
 @dataclass(frozen=True)
@@ -158,7 +165,10 @@ class ControlTable:
         registers: By name, in order of address.
         modes: Operating modes the model has.
         supply: Nominal supply, V; ``motor``: what it can do.
-        abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``, ``clear``.
+        abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``,
+            ``clear``.
+        family: Name of the servo family.
+        baud_codes: Value of the Baud Rate register -> bit/s.
         position_mode_homing: Largest Homing Offset that counts in position mode, ticks; None: any.
     """
 
@@ -179,7 +189,9 @@ class ControlTable:
             return self.registers[name]
         except KeyError:
             hint = did_you_mean(name, self.registers)
-            raise KeyError(f"{self.model} has no register {name!r}; {hint}".removesuffix("; ")) from None
+            raise KeyError(
+                f"{self.model} has no register {name!r}; {hint}".removesuffix("; ")
+            ) from None
 
     def __contains__(self, name: object) -> bool:
         return name in self.registers
@@ -195,7 +207,9 @@ class ControlTable:
     @property
     def baud_rates(self) -> tuple[int, ...]:
         """Bits per second the model can be set to."""
-        return tuple(rate for code, rate in self.baud_codes.items() if code <= self["baud_rate"].maximum)
+        return tuple(
+            rate for code, rate in self.baud_codes.items() if code <= self["baud_rate"].maximum
+        )
 
     def baud_code(self, rate: int) -> int:
         """Return the value of the Baud Rate register for a rate of ``baud_rates``, bit/s."""
@@ -223,4 +237,6 @@ class ControlTable:
 
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""
-        return block.take_apart(value, (r for r in self if block.address <= r.address and r.end <= block.end))
+        return block.take_apart(
+            value, (r for r in self if block.address <= r.address and r.end <= block.end)
+        )

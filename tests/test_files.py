@@ -96,7 +96,8 @@ NO_LIMITS = defaultdict(lambda: (0.0, 0.0))
 
 def _calibration() -> Calibration:
     rows = tuple(
-        JointCalibration(j.name, j.servo.id, j.servo.model, 0, 0, 100, 3000, 1, 2048, -90.0, 90.0) for j in ARM.joints
+        JointCalibration(j.name, j.servo.id, j.servo.model, 0, 0, 100, 3000, 1, 2048, -90.0, 90.0)
+        for j in ARM.joints
     )
     return Calibration(ARM.name, ARM.robot, today(), rows)
 

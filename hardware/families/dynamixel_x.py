@@ -333,7 +333,7 @@ class DynamixelX:
     def write_address(
         self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
     ) -> None:
-        """Write the id before the rate: if the line breaks between, the rate is still the old one."""
+        """Write the id before the rate: if the line breaks between, the old rate still holds."""
         if bus.read(at, found["return_delay_time"]).data:
             bus.write(at, found["return_delay_time"], 0)
         if at != id:

@@ -191,9 +191,11 @@ class Size:
     Attributes:
         firmware: Version of the virtual servos; their Firmware Version register.
         indirect: Blocks of indirect registers.
-        since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
+        since: Register or ability -> first firmware that has it.  Abilities: ``reverse``,
+            ``slave``,
             ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
-            ``guarded_reset`` (ignores a broadcast factory reset of everything), ``clear`` (the instruction).
+            ``guarded_reset`` (ignores a broadcast factory reset of everything), ``clear`` (the
+            instruction).
         fastest: Largest Velocity Limit, 0.229 rev/min; ``current_unit``: of the current registers.
         changed: Register name -> fields of ``Register`` that differ from the shared table.
         added: Registers beyond it.
@@ -211,8 +213,9 @@ class Size:
 # They came together.
 _LATEST = ("torque_by_goal", "startup_configuration", "backup_ready", "backup", "fast_read")
 
-# What the manual leaves open: Model Information has no value in it (0 here), External Port Data no initial
-# value and no range (0, 0..4095).  Velocity Limit began larger before firmware 42 (XM430-W350: 350 for 200).
+# What the manual leaves open: Model Information has no value in it (0 here), External Port Data no
+# initial value and no range (0, 0..4095).  Velocity Limit began larger before firmware 42
+# (XM430-W350: 350 for 200).
 SIZE_430 = Size(
     firmware=48,
     indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
@@ -225,7 +228,8 @@ SIZE_430 = Size(
 SIZE_540 = replace(SIZE_430, since={**SIZE_430.since, "slave": 38}, added=EXTERNAL_PORTS)
 SIZE_330 = Size(
     firmware=52,
-    # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
+    # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against
+    # x?330_*_fw52.model.
     # That there were 20 of them before firmware 52 is assumed.
     indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
     since={
@@ -290,7 +294,9 @@ class Model:
     def changed(self) -> Changes:
         """Register name -> fields of ``Register`` that differ from the shared table."""
         longest, shortest, lowest, highest = self.voltage
-        fastest, current, unit = self.size.fastest, self.current or 0, self.size.current_unit
+        fastest = self.size.fastest
+        current = self.current or 0
+        unit = self.size.current_unit
         gains = zip(_GAINS, self.gains, strict=True)
         return {
             **self.size.changed,
@@ -309,12 +315,12 @@ class Model:
 _GAINS = ("velocity_i", "velocity_p", "position_d", "position_i", "position_p")
 
 
-# The models of the X series: what each has otherwise than the shared table.  A new model is one row here.
+# The models of the X series: what differs from the shared table.  A new model is one row here.
 #
-# Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), docs/en/dxl/x/<model>.md, one page a model (of XL430-W250,
-# XM540-W150 and XC430-W150 the newer docs/kr/dxl/x/<model>.md); all read on 2026-11-22.  Addresses and sizes
-# agree with a second source: ROBOTIS-GIT/dynamixel_hardware_interface param/dxl_model/<model>.model,
-# db2b9038.
+# Source: ROBOTIS e-manual (ROBOTIS-GIT/emanual), docs/en/dxl/x/<model>.md, one page a model (of
+# XL430-W250, XM540-W150 and XC430-W150 the newer docs/kr/dxl/x/<model>.md); all read on 2026-11-22.
+# Addresses and sizes agree with a second source: ROBOTIS-GIT/dynamixel_hardware_interface
+# param/dxl_model/<model>.model, db2b9038.
 # Values are those of the firmware that ``Size`` names: before firmware 42 Velocity Limit was larger
 # (_includes/en/dxl/control_table_vellimit.md), and pages of that time have an Acceleration Limit,
 # register 40.
@@ -326,46 +332,106 @@ _TWELVE = (140, 55, 55, 140)
 
 MODELS: Mapping[str, Model] = {
     "XL430-W250": Model(
-        1060, SIZE_430, Motor(1.4, 1.3, 57.0, 11.1), 12.0, (140, 60, 60, 140), 265, None,
-        (1000, 100, 4000, 0, 640), {"temperature_limit": 72},
+        1060,
+        SIZE_430,
+        Motor(1.4, 1.3, 57.0, 11.1),
+        12.0,
+        (140, 60, 60, 140),
+        265,
+        None,
+        (1000, 100, 4000, 0, 640),
+        {"temperature_limit": 72},
     ),
     "XC430-W150": Model(
-        1070, SIZE_430, Motor(1.6, 1.4, 106.0, 12.0), 12.0, _SIX_VOLTS, 460, None,
-        (1920, 100, 0, 0, 460), {"moving_threshold": 20},
+        1070,
+        SIZE_430,
+        Motor(1.6, 1.4, 106.0, 12.0),
+        12.0,
+        _SIX_VOLTS,
+        460,
+        None,
+        (1920, 100, 0, 0, 460),
+        {"moving_threshold": 20},
     ),
     "XC430-W240": Model(
-        1080, SIZE_430, Motor(1.9, 1.4, 70.0, 12.0), 12.0, _SIX_VOLTS, 306, None, (1920, 100, 0, 0, 700)
+        1080,
+        SIZE_430,
+        Motor(1.9, 1.4, 70.0, 12.0),
+        12.0,
+        _SIX_VOLTS,
+        306,
+        None,
+        (1920, 100, 0, 0, 700),
     ),
     "XM430-W210": Model(1030, SIZE_430, Motor(3.0, 2.3, 77.0, 12.0), 12.0, _METAL, 330, 1193),
     "XM430-W350": Model(1020, SIZE_430, Motor(4.1, 2.3, 46.0, 12.0), 12.0, _METAL, 200, 1193),
     "XH540-W150": Model(1110, SIZE_540, Motor(7.1, 4.9, 70.0, 12.0), 12.0, _METAL, 300, 2047),
     "XM540-W150": Model(1130, SIZE_540, Motor(7.3, 4.4, 53.0, 12.0), 12.0, _METAL, 230, 2047),
     "XM540-W270": Model(1120, SIZE_540, Motor(10.6, 4.4, 30.0, 12.0), 12.0, _METAL, 128, 2047),
-    "XL330-M077": Model(  # Position I Gain 400 is what its page says, alone of all; it may be a misprint
-        1190, SIZE_330, Motor(0.215, 1.47, 383.0, 5.0), 5.0, _FIVE, 1620, 1750,
-        (400, 40, 0, 400, 400), {"shutdown": 53},
+    # Position I Gain 400 is on the page of the XL330-M077 alone.  It may be a misprint.
+    "XL330-M077": Model(
+        1190,
+        SIZE_330,
+        Motor(0.215, 1.47, 383.0, 5.0),
+        5.0,
+        _FIVE,
+        1620,
+        1750,
+        (400, 40, 0, 400, 400),
+        {"shutdown": 53},
     ),
     "XL330-M288": Model(
-        1200, SIZE_330, Motor(0.52, 1.47, 103.0, 5.0), 5.0, _FIVE, 445, 1750,
-        (1600, 180, 0, 0, 400), {"shutdown": 53},
+        1200,
+        SIZE_330,
+        Motor(0.52, 1.47, 103.0, 5.0),
+        5.0,
+        _FIVE,
+        445,
+        1750,
+        (1600, 180, 0, 0, 400),
+        {"shutdown": 53},
     ),
     "XC330-M181": Model(
-        1230, SIZE_330, Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 545, 2352,
+        1230,
+        SIZE_330,
+        Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True),
+        5.0,
+        _FIVE,
+        545,
+        2352,
         (1400, 100, 500, 0, 1200),
     ),
     "XC330-M288": Model(
-        1240, SIZE_330, Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 350, 2352,
+        1240,
+        SIZE_330,
+        Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True),
+        5.0,
+        _FIVE,
+        350,
+        2352,
         (1600, 50, 500, 0, 1100),
     ),
     "XC330-T181": Model(
-        1210, SIZE_330_12V, Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 510, 910,
+        1210,
+        SIZE_330_12V,
+        Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True),
+        12.0,
+        _TWELVE,
+        510,
+        910,
         (1200, 40, 0, 0, 900),
     ),
     "XC330-T288": Model(
-        1220, SIZE_330_12V, Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 320, 910,
+        1220,
+        SIZE_330_12V,
+        Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True),
+        12.0,
+        _TWELVE,
+        320,
+        910,
         (1200, 40, 0, 0, 900),
     ),
-}  # fmt: skip
+}
 
 
 def _register(row: Row) -> Register:

@@ -67,7 +67,12 @@ class VirtualBus:
 
     @classmethod
     def from_config(
-        cls, config: ArmConfig, clock: Clock, start: ArrayLike | Mapping[str, float] | None = None, *, seed: int = 0
+        cls,
+        config: ArmConfig,
+        clock: Clock,
+        start: ArrayLike | Mapping[str, float] | None = None,
+        *,
+        seed: int = 0,
     ) -> VirtualBus:
         """The servos an arm file names, set up as it says (id, model, mode, baud rate), without torque.
 
@@ -198,8 +203,8 @@ def start_values(config: ArmConfig, start: ArrayLike | Mapping[str, float] | Non
 
     Args:
         config: Arm.
-        start: (n,) values of all joints, or of the joints that carry the tool; or joint -> value.  By default 0 or the limit next to it, and the middle
-            of the range for joints of a gripper.
+        start: (n,) values of all joints, or of the joints that carry the tool; or joint -> value.
+            By default 0 or the limit next to it, and the middle of the range for joints of a gripper.
 
     Raises:
         ConfigError: ``start`` has another shape or is not finite.
@@ -218,8 +223,7 @@ def start_values(config: ArmConfig, start: ArrayLike | Mapping[str, float] | Non
             raise config.wrong(f"start {q.tolist()} is no pose", "", f"{counts} angles, rad")
         values |= dict(zip(given, q.tolist(), strict=True))
     return {
-        joint.name: min(max(values[joint.name], joint.limits[0]), joint.limits[1])
-        for joint in config.joints
+        joint.name: min(max(values[joint.name], joint.limits[0]), joint.limits[1]) for joint in config.joints
     }
 
 

@@ -80,7 +80,9 @@ class JointMotor:
 
     def read_encoder(self) -> None:
         angle = self._joint.angle
-        self._ticks_per = self._sign * self._drive.joint.ticks_per(angle, self._drive.servo)  # of a swing arm it depends on the position
+        self._ticks_per = self._sign * self._drive.joint.ticks_per(
+            angle, self._drive.servo
+        )  # of a swing arm it depends on the position
         self.gear = self._ticks_per * RADIANS_PER_TICK
         self.position = self._zero + self._sign * self._drive.position(angle) - self._servo.zero_offset_ticks
         self.velocity = self._joint.rate * self._ticks_per

@@ -70,9 +70,7 @@ class JointCoupling:
     """
 
     def __init__(self, leader: ArmConfig, follower: ArmConfig) -> None:
-        both = [
-            (joint, follower) for joint in leader.joints if joint.name in follower.names
-        ]
+        both = [(joint, follower) for joint in leader.joints if joint.name in follower.names]
         if not both:
             raise ConfigError(
                 f"no joint of {leader.name} is one of {follower.name}",

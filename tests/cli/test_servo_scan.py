@@ -232,7 +232,10 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
     ("found", "reported"),
     [
         ([FoundServo(1, 1_000_000, X), FoundServo(2, 1_000_000, X)], []),
-        ([FoundServo(1, 57_600, X), FoundServo(2, 1_000_000, X)], ["different rates (57600: id 1; 1000000: id 2)"]),
+        (
+            [FoundServo(1, 57_600, X), FoundServo(2, 1_000_000, X)],
+            ["different rates (57600: id 1; 1000000: id 2)"],
+        ),
         (
             [FoundServo(id, rate, X) for rate in (1_000_000, 57_600, 2_000_000) for id in (1, 2)],
             ["answer at every rate: the port has none"],

@@ -163,7 +163,11 @@ def test_a_servo_that_reverses_by_itself_is_refused(arm_config):
 def test_firmware_without_a_watchdog_is_taken_only_by_those_who_say_so(arm_config, stream, smooth):
     clock = VirtualClock()
     servos = VirtualBus(
-        [VirtualServo(j.servo.model, j.servo.id, clock, firmware=37, mode=j.servo.mode) for j in arm_config.joints], clock
+        [
+            VirtualServo(j.servo.model, j.servo.id, clock, firmware=37, mode=j.servo.mode)
+            for j in arm_config.joints
+        ],
+        clock,
     )
     with pytest.raises(HardwareError, match="no bus watchdog"):
         open_arm(arm_config, "sim", virtual_bus=servos).connect()

@@ -318,7 +318,9 @@ class Hand:
 
     def __init__(self, true: ArmConfig, servos: VirtualBus) -> None:
         self.true, self.servos = true, servos
-        self.q = {joint.name: joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in true.joints}
+        self.q = {
+            joint.name: joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in true.joints
+        }
 
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
         for part in np.linspace(self.q[name], q, 24):
@@ -420,8 +422,7 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     in_one_turn = dataclasses.replace(
         config,
         joints=tuple(
-            with_servo(j, mode=OperatingMode.POSITION) if j.current is None else j
-            for j in config.joints
+            with_servo(j, mode=OperatingMode.POSITION) if j.current is None else j for j in config.joints
         ),
     )
     with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):  # there it would count for nothing

@@ -176,7 +176,9 @@ def test_on_a_bad_wire_no_value_is_ever_wrong(bus, servos, arm_config, fault):
 def test_local_echo_is_not_an_answer(bus, servos, arm_config):
     servos.inject(Fault("echo"))
     assert bus.ping(4) == arm_config.joints[3].servo.table.number
-    assert all(s.data is not None for s in bus.sync_read(arm_config.servo_ids, XM["present_position"]).values())
+    assert all(
+        s.data is not None for s in bus.sync_read(arm_config.servo_ids, XM["present_position"]).values()
+    )
 
 
 def test_the_simulated_bus_takes_no_virtual_time(arm_config):

@@ -118,8 +118,17 @@ def test_the_calibration_beside_goes_along(twins: Path) -> None:
     used = ArmConfig.load(twins)
     rows = tuple(
         JointCalibration(
-            one.name, one.id, one.servo.model, 0, 0, 100, 3000, one.servo.direction, one.servo.zero_ticks,
-            -90.0, 90.0,
+            one.name,
+            one.id,
+            one.servo.model,
+            0,
+            0,
+            100,
+            3000,
+            one.servo.direction,
+            one.servo.zero_ticks,
+            -90.0,
+            90.0,
         )
         for one in used.drives
     )

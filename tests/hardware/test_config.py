@@ -30,11 +30,7 @@ def _joint(
     lower: float = -2.0,
     upper: float = 2.0,
 ) -> Joint:
-    return make_joint(
-        "j", 1, "XM430-W350", mode, direction, zero_ticks, lower, upper, gear=Direct(ratio)
-    )
-
-
+    return make_joint("j", 1, "XM430-W350", mode, direction, zero_ticks, lower, upper, gear=Direct(ratio))
 
 
 def test_a_correct_file(arm_config: ArmConfig, arm_path: Path) -> None:
@@ -173,8 +169,6 @@ def test_saved_and_loaded_again(arm_config: ArmConfig, tmp_path: Path) -> None:
     assert not (tmp_path / "missing").exists()
 
 
-
-
 @pytest.mark.parametrize(
     "joint,q,ticks",
     [
@@ -255,8 +249,6 @@ def test_joints_by_name(arm_config: ArmConfig) -> None:
     assert arm_config.joint("joint3").servo.id == 3
     with pytest.raises(UnknownJointError, match="joint3"):
         arm_config.joint("jont3")
-
-
 
 
 def test_a_robot_without_an_arm_file_has_none_to_load() -> None:

@@ -136,7 +136,9 @@ def test_row_21(lab):
             before = now
         assert arm.reports.capped["joint1"] > 0
         arm.clock.sleep_until(arm.clock.now() + 3.0)  # the program stops: held where it is
-        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(
+            lab.torque(arm)
+        )
 
 
 # ------------------------------------------------------------------------------- numbers and clocks
@@ -166,7 +168,9 @@ def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
         fault = lab.fault(arm, MotorFaultError, Fault("lost_turns", id=2, value=turns))
         assert (fault.joint, fault.status) == ("joint2", ("position_jump",))
         arm.clock.sleep_until(arm.clock.now() + 3.0)
-        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(
+            lab.torque(arm)
+        )
         with pytest.raises(HardwareError, match="joint 'joint2' was at"):
             arm.reset_fault()  # the angle is still wrong
         arm.bus.virtual_bus.servo(2).shaft.lose_revolutions(-turns)
@@ -187,7 +191,9 @@ def test_who_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
         with pytest.raises(MotorFaultError, match="position_jump"):
             arm.read()
         arm.clock.sleep_until(arm.clock.now() + 3.0)
-        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(
+            lab.torque(arm)
+        )
 
 
 def test_a_joint_that_presses_and_loses_count_is_held_too(lab, arm_toml):

@@ -54,7 +54,14 @@ def test_every_firmware_is_read_the_way_it_can_be(arm_config, stream, smooth, st
     clock = VirtualClock()
     config = arm_config
     servos = [
-        VirtualServo(j.servo.model, j.servo.id, clock, position_ticks=j.nearest_ticks(q), mode=j.servo.mode, firmware=firmware)
+        VirtualServo(
+            j.servo.model,
+            j.servo.id,
+            clock,
+            position_ticks=j.nearest_ticks(q),
+            mode=j.servo.mode,
+            firmware=firmware,
+        )
         for j, q in zip(config.joints, start, strict=True)
     ]
     with open_arm(config, "sim", virtual_bus=VirtualBus(servos, clock)) as arm:

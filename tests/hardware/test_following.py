@@ -65,7 +65,9 @@ def test_a_weaker_servo_and_one_without_shutdown_are_reported(arm_config, caplog
 
 
 @pytest.mark.parametrize("id", [2, None], ids=["one", "all"])
-def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(arm_config, start, stream, id) -> None:
+def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(
+    arm_config, start, stream, id
+) -> None:
     """The last look before torque is not the last packet: a servo may restart in between."""
     with open_arm(arm_config, "sim", start=start) as arm:
         before = arm.bus.virtual_bus.schedule.packets
@@ -102,13 +104,17 @@ def test_a_joint_without_force_falls_and_stops_the_arm(stream) -> None:
         stream(arm, [[q] for q in np.linspace(0.0, 0.5, 200)])
         servos.servo(1).memory.set("goal_pwm", 0)
         begin = arm.clock.now()
-        with pytest.raises(MotorFaultError, match=r"shoulder does not follow: \d+ deg behind") as caught:
+        with pytest.raises(
+            MotorFaultError, match=r"shoulder does not follow: \d+ deg behind"
+        ) as caught:
             stream(arm, [[0.5]] * 500)
         assert caught.value.joint == "shoulder" and caught.value.status == ("not_following",)
         assert arm.state is ArmState.FAULT and arm.clock.now() - begin < 2.0
 
 
-def test_a_joint_that_is_held_while_its_goal_goes_on_stops_the_arm(arm_config, start, stream, smooth) -> None:
+def test_a_joint_that_is_held_while_its_goal_goes_on_stops_the_arm(
+    arm_config, start, stream, smooth
+) -> None:
     with open_arm(arm_config, "sim", start=start) as arm:
         arm.enable()
         arm.bus.virtual_bus.inject(Fault("stuck", 4))
@@ -139,8 +145,12 @@ def distances(config, ticks, period=0.01) -> None:
 def test_a_hand_or_a_wall_that_keeps_a_distance_is_left_to_the_servo(arm_config) -> None:
     far = 10 * BEHIND_TICKS
     distances(arm_config, [far] * 500)
-    distances(arm_config, [*np.linspace(0, far, 30).astype(int), *np.linspace(far, 0, 30).astype(int)] * 5)
-    distances(arm_config, np.linspace(0, far, 20).astype(int), period=0.3)  # hold and command in turn
+    distances(
+        arm_config, [*np.linspace(0, far, 30).astype(int), *np.linspace(far, 0, 30).astype(int)] * 5
+    )
+    distances(
+        arm_config, np.linspace(0, far, 20).astype(int), period=0.3
+    )  # hold and command in turn
     with pytest.raises(MotorFaultError, match="joint4 does not follow"):
         distances(arm_config, np.linspace(0, far, 200).astype(int))
 

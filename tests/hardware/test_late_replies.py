@@ -1,4 +1,4 @@
-"""No late reply is a value: `docs/make/measure_late_replies.py` on virtual time, and what it cannot show."""
+"""No late reply is a value, in virtual time: `docs/make/measure_late_replies.py` and more."""
 
 from __future__ import annotations
 
@@ -38,14 +38,20 @@ def late_replies() -> Any:
     return module
 
 
-@pytest.mark.parametrize("lateness_ms", [(40, 40), (60, 60), (80, 80), (120, 120), (150, 150), (34, 150)])
-def test_no_late_reply_is_a_value_and_most_reads_have_one(late_replies, lateness_ms):
-    found = late_replies.measure(1000, lateness_ms, seed=7)
+@pytest.mark.parametrize(
+    "lateness_ms", [(40, 40), (60, 60), (80, 80), (120, 120), (150, 150), (34, 150)]
+)
+@pytest.mark.parametrize("protocol", [1, 2])
+def test_no_late_reply_is_a_value_and_most_reads_have_one(late_replies, lateness_ms, protocol):
+    case = {1: late_replies.CASES[1], 2: late_replies.CASES[0]}[protocol]
+    found = late_replies.measure(1000, lateness_ms, seed=7, case=case)
     assert found.wrong == 0
     assert found.values >= 1000 and found.refused < 0.2 * found.values
 
 
-def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answer(arm_config, late_replies):
+def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answer(
+    arm_config, late_replies
+):
     """One request of twelve is answered late: no register is taken for another, and the report is true."""
     started = 0
     for seed in range(25):
@@ -58,7 +64,9 @@ def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answ
             for _ in range(30):
                 arm.clock.sleep_until(arm.clock.now() + 0.01)
                 arm.send(arm.read().q, arm.clock.now())
-            assert np.abs(servos.true_angles(arm_config) - before).max() <= 2.0 * arm.resolution.max()
+            assert (
+                np.abs(servos.true_angles(arm_config) - before).max() <= 2.0 * arm.resolution.max()
+            )
             started += 1
         report = arm.exit_report
         assert not any(servo.torque for servo in servos.servos) or not (report and report.ok)

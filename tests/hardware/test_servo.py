@@ -45,9 +45,7 @@ def maps(draw: st.DrawFn) -> Joint:
         low, high = gear.value_range
     lower = low + draw(st.floats(0.0, 0.9)) * (high - low)
     upper = lower + draw(st.floats(0.01, 1.0)) * (high - lower)
-    joint = make_joint(
-        "j", 1, "XM430-W350", mode, direction, zero, lower, upper, scale, scale, gear=gear
-    )
+    joint = make_joint("j", 1, "XM430-W350", mode, direction, zero, lower, upper, scale, scale, gear=gear)
     low, high = joint.limits
     assume(high - low >= joint.resolution)
     return joint
@@ -86,7 +84,9 @@ def test_on_the_way_back_from_outside_goals_are_not_pulled_in(joint: Joint, beyo
 @given(maps(), st.floats(-10, 10))
 def test_there_and_back_is_half_a_tick(joint: Joint, angle: float) -> None:
     q = angle * joint.lever
-    assert joint.position(joint.value(joint.nearest_ticks(q))) == pytest.approx(joint.nearest_ticks(q), abs=1e-5)
+    assert joint.position(joint.value(joint.nearest_ticks(q))) == pytest.approx(
+        joint.nearest_ticks(q), abs=1e-5
+    )
     assert joint.ticks_between(joint.value(joint.nearest_ticks(q)), q) <= 0.5 + 1e-5
 
 
@@ -135,9 +135,7 @@ def test_a_swing_arm_goes_on_straight_beyond_its_dead_centres(
 
 
 def test_a_rack_that_fits_best_is_millimetres_off_where_the_swing_arm_is_exact() -> None:
-    rack = replace(
-        finger(zero_ticks=2048 - round(0.0199 / 0.0145 * 651.9)), gear=Pinion(0.0145)
-    )
+    rack = replace(finger(zero_ticks=2048 - round(0.0199 / 0.0145 * 651.9)), gear=Pinion(0.0145))
     off = [abs(rack.value(finger().position(d)) - d) for d in (0.015, 0.020, 0.026, 0.032, 0.037)]
     assert 1.0e-3 < max(off) < 1.4e-3
     assert max(abs(finger().value(finger().position(d)) - d) for d in (0.015, 0.026, 0.037)) < 1e-12

@@ -31,7 +31,9 @@ def test_simbus_moves_the_arm_on_virtual_time(
 ) -> None:
     goal = np.array([0.5, -0.5, 0.25, 1.0, -1.0, 0.1])
     assert sim.write(BROADCAST_ID, TORQUE, 1) == BusStatus(BROADCAST_ID, None)
-    sim.sync_write(GOAL, {j.servo.id: j.nearest_ticks(q) for j, q in zip(arm_config.joints, goal, strict=True)})
+    sim.sync_write(
+        GOAL, {j.servo.id: j.nearest_ticks(q) for j, q in zip(arm_config.joints, goal, strict=True)}
+    )
     clock.sleep_until(10.0)
     read = sim.sync_read(arm_config.servo_ids, PRESENT)
     q = [j.value(read[j.servo.id].data or 0) for j in arm_config.joints]

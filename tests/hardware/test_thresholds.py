@@ -25,7 +25,9 @@ HOT = StopAt(temperature_c=60.0)
 
 
 def watching(config: ArmConfig, stops: dict[int, StopAt]) -> ArmConfig:
-    joints = [dataclasses.replace(joint, stop_at=stops.get(joint.servo.id, StopAt())) for joint in config.joints]
+    joints = [
+        dataclasses.replace(joint, stop_at=stops.get(joint.servo.id, StopAt())) for joint in config.joints
+    ]
     return dataclasses.replace(config, joints=tuple(joints))
 
 
@@ -135,7 +137,14 @@ def test_servos_without_indirect_addresses_are_watched_as_well(arm_config, strea
     clock = VirtualClock()
     config = watching(arm_config, {1: HOT, 4: StopAt(load_percent=40.0)})
     servos = [
-        VirtualServo(j.servo.model, j.servo.id, clock, position_ticks=j.nearest_ticks(q), mode=j.servo.mode, firmware=firmware)
+        VirtualServo(
+            j.servo.model,
+            j.servo.id,
+            clock,
+            position_ticks=j.nearest_ticks(q),
+            mode=j.servo.mode,
+            firmware=firmware,
+        )
         for j, q in zip(config.joints, start, strict=True)
     ]
     with open_arm(config, "sim", virtual_bus=VirtualBus(servos, clock)) as arm:

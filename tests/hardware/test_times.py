@@ -93,7 +93,9 @@ def _seconds_to_fault(config: ArmConfig, start: Any, *, everyone: bool = False) 
     arm = _arm(config, start)
     _drive(arm, start, 20)
     last = arm.clock.now()
-    arm.bus.virtual_bus.inject(*(Fault("silent", id=id) for id in (config.servo_ids if everyone else config.servo_ids[2:3])))
+    arm.bus.virtual_bus.inject(
+        *(Fault("silent", id=id) for id in (config.servo_ids if everyone else config.servo_ids[2:3]))
+    )
     looked: list[float] = []
     read = arm.bus.read
 

@@ -24,7 +24,9 @@ def arm(arm_config, start):
 
 
 def bus_watchdogs(arm):
-    assert all(servo.torque for servo in arm.bus.virtual_bus.servos)  # a servo sees the time when it is looked at
+    assert all(
+        servo.torque for servo in arm.bus.virtual_bus.servos
+    )  # a servo sees the time when it is looked at
     return [servo.memory.values["bus_watchdog"] for servo in arm.bus.virtual_bus.servos]
 
 

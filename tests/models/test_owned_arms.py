@@ -218,9 +218,7 @@ def test_the_servos_of_the_readme_are_those_of_the_arm_file(arm: OwnedArm) -> No
 
 @pytest.mark.parametrize("name", SIX)
 def test_drive_modes_of_the_readme_are_those_of_the_arm_file(name: str) -> None:
-    for joint, row in zip(
-        ARMS[name].config.joints, ARMS[name].rows("| joint | id | servo |"), strict=True
-    ):
+    for joint, row in zip(ARMS[name].config.joints, ARMS[name].rows("| joint | id | servo |"), strict=True):
         bits = [bool(int(number)) for number in re.findall(r"\d+", row[3])]
         assert bits == [servo.reverse for servo in joint.servos]
 

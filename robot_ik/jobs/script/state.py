@@ -150,6 +150,8 @@ class RunState:
             if self.setup.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
                 raise StepFailed(f"not there after {allowed:.2f} s")
 
-        execute(trajectory, self.setup.sinks, source=self.setup.opened, clock=self.setup.clock, on_tick=in_time)
+        execute(
+            trajectory, self.setup.sinks, source=self.setup.opened, clock=self.setup.clock, on_tick=in_time
+        )
         if not arrived():
             self.setup.repeat(end - self.setup.clock.now(), arrived)
