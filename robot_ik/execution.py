@@ -399,10 +399,7 @@ class _FollowState:
     def __init__(
         self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
     ) -> None:
-        from robot_ik.problem import (  # here, because these load the compiler
-            Budget,
-            require_options,
-        )
+        from robot_ik.problem import Budget, require_options  # here, because these load the compiler
         from robot_ik.solvers import make_solver
 
         require_options(robot, tolerance, None, 0)

@@ -10,13 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from robot_ik.errors import (
-    ConfigError,
-    InvalidModelError,
-    ModelError,
-    UnknownRobotError,
-    close_matches,
-)
+from robot_ik.errors import ConfigError, InvalidModelError, ModelError, UnknownRobotError, close_matches
 from robot_ik.tables import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"

@@ -5,13 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.errors import (
-    ConfigError,
-    ModelError,
-    UnknownFrameError,
-    UnknownJointError,
-    UnknownSolverError,
-)
+from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, UnknownSolverError
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue, find_robot, read_robot_file
 from robot_ik.solvers import solver_name

@@ -30,7 +30,13 @@ from robot_ik.hardware.registers import (
     Register,
 )
 from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, Memory
-from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics, torque_limit
+from robot_ik.hardware.virtual.motor import (
+    PWM_FULL,
+    TORQUE_MODES,
+    VELOCITY_TICKS,
+    Electrics,
+    torque_limit,
+)
 from robot_ik.hardware.virtual.protocol import (
     ALERT,
     BROADCAST,

@@ -15,16 +15,7 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import (
-    Json,
-    Overwrite,
-    Range,
-    positive,
-    request_of,
-    several,
-    single,
-    wrong,
-)
+from robot_ik.cli.arguments import Json, Overwrite, Range, positive, request_of, several, single, wrong
 from robot_ik.errors import unknown_name_text
 from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json

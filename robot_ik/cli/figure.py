@@ -13,17 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import (
-    Json,
-    Lens,
-    Overwrite,
-    Range,
-    positive,
-    request_of,
-    require,
-    single,
-    wrong,
-)
+from robot_ik.cli.arguments import Json, Lens, Overwrite, Range, positive, request_of, require, single, wrong
 from robot_ik.files import claimed, write_atomically
 from robot_ik.geometry import Pose
 

@@ -11,17 +11,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import (
-    Json,
-    Overwrite,
-    Range,
-    Speed,
-    positive,
-    require,
-    several,
-    single,
-    wrong,
-)
+from robot_ik.cli.arguments import Json, Overwrite, Range, Speed, positive, require, several, single, wrong
 from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 

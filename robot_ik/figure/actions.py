@@ -16,13 +16,7 @@ from robot_ik.figure.figure import DT, GRAVITY, Figure, in_stance_frame
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import FLAT, Footprint, Walk, walk_slices
 from robot_ik.figure.poses import REACH, STIFF, find_pose, support, touches_itself
-from robot_ik.geometry import (
-    axis_rotations,
-    matrix_to_quat,
-    quat_to_matrix,
-    rotation_exp,
-    rotation_log,
-)
+from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 

@@ -13,15 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import (
-    Motion,
-    join,
-    rest_of,
-    rest_slices,
-    stop_walk,
-    take_slices,
-    walk_motion,
-)
+from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
 from robot_ik.figure.decide import Decider, Decision, Obstacle
 from robot_ik.figure.figure import DT, Figure, in_stance_frame
 from robot_ik.figure.frames import SLICE, Slices

@@ -18,15 +18,7 @@ from importlib import metadata
 from pathlib import Path
 
 from robot_ik import environment
-from robot_ik.environment import (
-    NOTE,
-    OK,
-    OPENCV_WHEELS,
-    PROBLEM,
-    CheckRow,
-    permission_hint,
-    version_of,
-)
+from robot_ik.environment import NOTE, OK, OPENCV_WHEELS, PROBLEM, CheckRow, permission_hint, version_of
 from robot_ik.errors import DISTRIBUTION, install_command
 from robot_ik.hardware.ports import serial_ports, serial_row
 

@@ -19,14 +19,7 @@ from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
 from robot_ik.camera.image import dictionary_size, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation, MarkerObservation, marker_points
-from robot_ik.camera.sources import (
-    FolderSource,
-    Frame,
-    FrameSource,
-    ImageSource,
-    VideoSource,
-    require_frame,
-)
+from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, require_frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError
 from robot_ik.files import make_folder

@@ -14,18 +14,7 @@ from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward, frame_pose, perpendicular, rotate_quat, unit
 from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-from robot_ik.kernels.vectors import (
-    apply,
-    apply_back,
-    cross,
-    dot,
-    length,
-    minus,
-    over,
-    plus,
-    scaled,
-    three,
-)
+from robot_ik.kernels.vectors import apply, apply_back, cross, dot, length, minus, over, plus, scaled, three
 
 # Where the number of vectors stands in the sums of ``add_aim``, and how many sums there are.
 _AIMS, AIM_SUMS = 9, 10

@@ -12,13 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import (
-    cap,
-    fix_pushed_by_gradient,
-    keep_inside,
-    prepare,
-    shorten,
-)
+from robot_ik.kernels.jacobian_step import cap, fix_pushed_by_gradient, keep_inside, prepare, shorten
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import (
-    STANDARD_CAMERA,
-    STANDARD_SIZE,
-    MarkerView,
-    standard_set,
-)
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
 from robot_ik.camera.tracker import MarkerTracker
 
 Array = NDArray[np.float64]

@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.body_goals import PosePriorGoal
-from robot_ik.errors import (
-    ConfigError,
-    InvalidGoalError,
-    ModelError,
-    UnknownJointError,
-    UnsupportedGoalError,
-)
+from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError, UnsupportedGoalError
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.pose_prior import fit_pose_prior, mirrored, thinned
 from robot_ik.pose_prior import PosePrior, feature_names

@@ -17,15 +17,7 @@ from robot_ik.cli.main import main
 from robot_ik.errors import MissingExtraError
 from robot_ik.jobs.testbed import film
 from robot_ik.testbed.arrangement import GOAL_COLOUR, INSTANCE_COLOURS
-from robot_ik.testbed.commands import (
-    KEYMAP,
-    CommandLog,
-    MoveGoal,
-    SetCount,
-    SetMethod,
-    SetSpeed,
-    Start,
-)
+from robot_ik.testbed.commands import KEYMAP, CommandLog, MoveGoal, SetCount, SetMethod, SetSpeed, Start
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, last_view, replayed
 

@@ -17,13 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing import rasteriser
-from robot_ik.camera.drawing.meshes import (
-    ModelMesh,
-    cached_mesh,
-    geom_rgba,
-    scratch_data,
-    segments_for,
-)
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
 from robot_ik.camera.drawing.rasteriser import clip, view_planes
 from robot_ik.camera.image import Box, Float32
 from robot_ik.camera.intrinsics import CameraIntrinsics

@@ -11,12 +11,7 @@ import numpy as np
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.camera import (
-    SyntheticMarker,
-    SyntheticScene,
-    SyntheticSource,
-    look_at,
-)
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock

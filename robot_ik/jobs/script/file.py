@@ -13,16 +13,7 @@ from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
 from robot_ik.reading import WrongKey, parse_toml, read_text, shown
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import (
-    Position,
-    Positive,
-    SchemaVersion,
-    Several,
-    Table,
-    Word,
-    check_table,
-    chosen,
-)
+from robot_ik.tables import Position, Positive, SchemaVersion, Several, Table, Word, check_table, chosen
 
 
 class ObjectTable(Table):

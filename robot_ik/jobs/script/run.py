@@ -22,14 +22,7 @@ from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.script.file import ObjectTable, Script
 from robot_ik.jobs.script.report import ScriptReport
-from robot_ik.jobs.script.state import (
-    FAILED,
-    PASSED,
-    RunState,
-    StepFailed,
-    StepResult,
-    error_classes,
-)
+from robot_ik.jobs.script.state import FAILED, PASSED, RunState, StepFailed, StepResult, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.motion.keyframes import column_names

@@ -26,13 +26,7 @@ from robot_ik.solvers.analytic.six_axes import (
     relative_rotation,
     same_way,
 )  # fmt: skip
-from robot_ik.solvers.analytic.subproblems import (
-    angle_between,
-    height_terms,
-    invert,
-    noinline,
-    open_form,
-)
+from robot_ik.solvers.analytic.subproblems import angle_between, height_terms, invert, noinline, open_form
 
 # Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
 # An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.chess_corner import refine_corners
-from robot_ik.camera.boards.patterns import (
-    CharucoPattern,
-    ChessboardPattern,
-    Pattern,
-    fitting_pattern,
-)
+from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern, fitting_pattern
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.image import marker_dictionary
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set

@@ -13,13 +13,7 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.drawing import overlay
 from robot_ik.camera.drawing.meshes import ROUND_PX, cached_mesh, triangulate
-from robot_ik.camera.drawing.painter import (
-    Faces,
-    SurfaceSamples,
-    bounding_box,
-    faces_in_picture,
-    paint_mask,
-)
+from robot_ik.camera.drawing.painter import Faces, SurfaceSamples, bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose, rotation_exp

@@ -15,13 +15,7 @@ from robot_ik.camera.boards.patterns import PatternKind, PatternRequest
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.sheets.page import LETTER_WIDTH, pdf_bytes, rasterize, write_sheet
-from robot_ik.camera.sheets.sheets import (
-    SheetKind,
-    SheetRequest,
-    body_file,
-    body_of,
-    make_sheet_page,
-)
+from robot_ik.camera.sheets.sheets import SheetKind, SheetRequest, body_file, body_of, make_sheet_page
 from robot_ik.errors import CalibrationError, CameraError, OutputError
 
 DPI = 150.0

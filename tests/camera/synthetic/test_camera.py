@@ -16,12 +16,7 @@ from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FrameSource
-from robot_ik.camera.synthetic.camera import (
-    SyntheticMarker,
-    SyntheticScene,
-    SyntheticSource,
-    look_at,
-)
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.photograph import INK, PAPER
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.camera.synthetic.sensor import LINEAR

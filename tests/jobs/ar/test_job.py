@@ -13,13 +13,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.renderers import Drawing, DrawnRobot
 from robot_ik.camera.registration import LatencyOptions, Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
-from robot_ik.errors import (
-    CalibrationError,
-    ConfigError,
-    MarkerNotFoundError,
-    MissingExtraError,
-    OutputError,
-)
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.jobs.ar import job

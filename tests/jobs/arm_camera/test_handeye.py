@@ -19,12 +19,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.arm_camera import handeye
-from robot_ik.jobs.arm_camera.handeye import (
-    HandEyeRequest,
-    handeye_from_samples,
-    run_handeye,
-    samples_path,
-)
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, handeye_from_samples, run_handeye, samples_path
 from robot_ik.jobs.arm_camera.samples import SampleSet
 from robot_ik.jobs.arm_camera.view_planning import ViewTask, plan_views
 from robot_ik.robot import Robot, load_robot

@@ -372,7 +372,7 @@ class FollowStep(Framed, Action):
             report = follow(
                 goals, now.robot, now.solver, setup.sinks, rate=setup.rate, clock=setup.clock,
                 duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
-                speed=self.speed or now.script.speed, source=now.arm, on_tick=note,
+                speed=self.speed or now.script.speed, source=now.setup.opened, on_tick=note,
             )  # fmt: skip
         self._judge(now, report, behind, result)
         if not self.needs_camera:
