@@ -90,11 +90,11 @@ def run_scan(options: ServoScanOptions) -> int:
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     """Rates from the command line; raises ``ConfigError`` for one that no servo has."""
-    from robot_ik.hardware.families.dynamixel_x_table import BAUD_RATES
+    from robot_ik.hardware.models import BAUD_RATES
 
-    known = BAUD_RATES.values()
+    allowed = ", ".join(map(str, BAUD_RATES))
     for rate in rates:
-        require(rate in known, "--baud", f"no servo talks at {rate} bits/s", ", ".join(map(str, known)))
+        require(rate in BAUD_RATES, "--baud", f"no servo talks at {rate} bits/s", allowed)
     return tuple(dict.fromkeys(rates))
 
 
