@@ -1,4 +1,4 @@
-"""A joint that cannot hold or follow is refused before torque, or stops the arm while it is commanded."""
+"""A joint that cannot hold or follow is refused before torque, or stops a commanded arm."""
 
 from __future__ import annotations
 
@@ -22,9 +22,6 @@ from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
 from tests.hardware.joints import with_servo
-
-# ------------------------------------------------------------------------------------- before torque
-
 
 WEAK = [
     ("goal_pwm", 0, r"joint2.*servo id 2.*0 % of its voltage \(Goal PWM 0, PWM Limit 885\)"),
@@ -81,9 +78,6 @@ def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(
                 arm.enable()
                 stream(arm, [start] * 3)
             assert not arm.bus.virtual_bus.servo(2).torque
-
-
-# ------------------------------------------------------------------------------------ while commanded
 
 
 # One lever, level at q = 0: about half of an XM430-W350's stall torque at the shoulder.

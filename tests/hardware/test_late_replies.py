@@ -52,7 +52,7 @@ def test_no_late_reply_is_a_value_and_most_reads_have_one(late_replies, lateness
 def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answer(
     arm_config, late_replies
 ):
-    """One request of twelve is answered late: no register is taken for another, and the report is true."""
+    """One request of twelve is late: no register is taken for another, and the report is true."""
     started = 0
     for seed in range(25):
         servos = VirtualBus.from_config(arm_config, VirtualClock())
