@@ -19,19 +19,19 @@ BEHIND_TICKS = 160
 """Ticks (14 degrees of the servo) up to which a shaft may be behind its goal, whatever its gain."""
 
 GROWTH_TICKS = 32
-"""Ticks by which the distance must have grown beyond that.
+"""Ticks by which the distance must also have grown.
 
 If a hand or a wall keeps the joint at a constant distance, the servo's own overload protection
 decides, as for an arm that is held.
 """
 
 SUSTAINED = 0.5
-"""s that the shaft must have been so far behind: a knock or a lost cycle is over by then."""
+"""Seconds for which the shaft must be behind. A knock or a lost cycle is shorter."""
 
 
 @dataclass
 class _Behind:
-    """A servo that is behind: since when, s, the distance then and the largest since, ticks."""
+    """A servo that is behind: since when (s), the distance then and the largest since (ticks)."""
 
     since: float
     first: int
@@ -41,14 +41,15 @@ class _Behind:
 class Following:
     """The distance between goals and shafts of an arm, from command to command.
 
-    Joints that press on something by design are left out: those of a gripper, and all in
+    Joints that press on something by design are left out: those of a gripper, and all joints in
     current-based position mode.
 
     Args:
         config: The arm file.
-        longest_tick: s for which one command moves a goal at most.  A goal is that far ahead just
-            after it was sent.
-        pause: s without a command after which the next one begins anew, because the arm was held.
+        longest_tick: Longest time that one command moves a goal, s. The goal is ahead by that
+            much just after it was sent.
+        pause: Time without a command after which the distances are forgotten, s, because the arm
+            was held meanwhile.
     """
 
     def __init__(self, config: ArmConfig, *, longest_tick: float, pause: float) -> None:
@@ -62,7 +63,7 @@ class Following:
         self._last = -math.inf
 
     def check(self, goals: Mapping[int, int], shafts: Mapping[int, int], now: float) -> None:
-        """Call it after each command.
+        """Raise if a joint falls ever further behind. Called after each command.
 
         Args:
             goals: Servo id -> ticks.
@@ -94,17 +95,14 @@ def _not_following(drive: Drive, goal: int, shaft: int) -> MotorFaultError:
     return MotorFaultError(
         drive.name,
         ("not_following",),
-        hint=f"{drive.name} does not follow: {behind} behind; all hold. Is something in its way, "
-        "its load too heavy, its supply weak or its Goal PWM too low? Then: robot-ik servo "
-        "reset-fault, or Arm.reset_fault()",
+        hint=f"{drive.name} does not follow: {behind} behind; all joints hold. Check for an "
+        "obstacle, a heavy load, a weak supply or a low Goal PWM. Then run "
+        "robot-ik servo reset-fault, or call Arm.reset_fault()",
     )
 
 
 def _allowed(drive: Drive, longest_tick: float) -> float:
-    """Return the ticks that a healthy servo may be behind.
-
-    They come from its load, one step of the goal, and the lag of a slow profile.
-    """
+    """Return how far a healthy servo may be behind: load, step and profile lag, in ticks."""
     joint, servo = drive
     gain = servo.gains.position_p or servo.table["position_p_gain"].initial
     load = family_of(servo.table.family).load_lag(gain or 0)

@@ -1,4 +1,4 @@
-"""A joint that cannot hold or follow is refused before torque, or stops a commanded arm."""
+"""A joint that cannot hold is refused before torque; one that cannot follow stops the arm."""
 
 from __future__ import annotations
 
