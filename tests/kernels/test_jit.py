@@ -284,3 +284,24 @@ def test_a_callee_is_compiled_once_for_all_literal_arguments(tmp_path: Path) -> 
     )
     done = run(script, XDG_CACHE_HOME=tmp_path / "cache")
     assert done.stdout.split() == ["-281.0", "1"], done.stderr
+
+
+POWERS = """
+from robot_ik.kernels.jit import kernel
+
+@kernel
+def square(values):
+    for i in range(values.shape[0]):
+        values[i] = values[i] ** 2
+"""
+
+
+def test_the_first_kernel_of_a_process_can_take_powers(tmp_path: Path) -> None:
+    """numba implements a power in Python code, in which a variable holds a function."""
+    (tmp_path / "powers.py").write_text(POWERS)
+    script = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import powers, numpy;"
+        "values = numpy.array([3.0]); powers.square(values); print(values[0])"
+    )
+    done = run(script, XDG_CACHE_HOME=tmp_path / "cache")
+    assert done.stdout.split() == ["9.0"], done.stderr
