@@ -43,7 +43,7 @@ help:
 	@echo 'make docs          the pages and the API as a site, in build/site'
 	@echo 'make soak          the long tests'
 	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
-	@echo 'make strangers     other people'"'"'s Dynamixel clients, unmodified, on the virtual bus'
+	@echo 'make strangers     other people'"'"'s servo clients, unmodified, on the virtual bus'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
 	@echo 'make test-mujoco3  model, kernel, solver, hardware and figure tests with MuJoCo 3, in another one'
 	@echo 'make bench-camera  the accuracy and speed of the camera (ARGS="--quick --rows marker board")'

@@ -13,22 +13,17 @@ import robot_ik as rik
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.targets import MarkerTarget, marker
-from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import joint_offset
 from robot_ik.jobs.scene import scene_for
 
 
 def main(offset_deg: float = 0.0) -> None:
-    robot = rik.load_robot("puma560")
-    config = ArmConfig.load(robot.arm_file)
-    servos = VirtualBus.from_config(config, rik.VirtualClock(), robot.home)
-    servos.inject(joint_offset(config.joint("joint2"), offset_deg))
-    arm = open_arm(config, "sim", virtual_bus=servos)
+    arm = rik.open_robot("puma560", bus="sim")
+    robot = arm.robot
+    arm.virtual_bus.inject(joint_offset(arm.config.joint("joint2"), offset_deg))
 
     scene = scene_for(robot)  # where table, marker and camera stand: [reach] of robot.toml
-    camera = SyntheticSource(scene.synthetic(robot), lambda: servos.true_angles(config), clock=arm.clock)
+    camera = SyntheticSource(scene.synthetic(robot), arm.true_q, clock=arm.clock)
     lens = scene.intrinsics
     eye = scene.pose_world_camera
     table = marker(scene.marker_id, scene.marker_size, scene.dictionary)

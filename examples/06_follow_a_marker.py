@@ -16,14 +16,12 @@ from robot_ik.camera.latest_goals import LatestGoals
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.targets import marker as marker_target
-from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.scene import scene_for
 
 
 def main(late: bool = False) -> None:
-    robot = rik.load_robot("puma560")
-    arm = open_arm(ArmConfig.load(robot.arm_file), "sim")
+    arm = rik.open_robot("puma560", bus="sim")
+    robot = arm.robot
     scene = scene_for(robot)
 
     def marker(now: float) -> rik.Pose:

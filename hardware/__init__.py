@@ -27,8 +27,19 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.pty import PtyPort
+    from robot_ik.ports import Clock
 
-__all__ = ["BUSES", "SIMULATED", "Bus", "bus_row", "open_arm", "open_bus", "pty_port"]
+__all__ = [
+    "BUSES",
+    "SIMULATED",
+    "Bus",
+    "bus_row",
+    "open_arm",
+    "open_bus",
+    "pty_port",
+    "simulated_servos",
+    "virtual_servos",
+]
 
 
 @dataclass(frozen=True)
@@ -55,7 +66,7 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
 
     if servos is None:
         raise RuntimeError("a simulated bus needs servos")
-    return SimBus(servos)
+    return SimBus(servos, config.family.protocol)
 
 
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
@@ -64,7 +75,7 @@ def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     pty_port()  # now, not when it is opened
     if servos is None:
         raise RuntimeError("a simulated bus needs servos")
-    return ServedBus(servos, config.baud)
+    return ServedBus(servos, config.baud, config.family.protocol)
 
 
 def pty_port() -> type[PtyPort]:
@@ -78,9 +89,9 @@ def pty_port() -> type[PtyPort]:
 
 
 def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
-    from robot_ik.hardware.dynamixel import DynamixelBus
+    from robot_ik.hardware.serial_bus import SerialBus
 
-    return DynamixelBus(name, config.baud)
+    return SerialBus(name, config.baud, config.family.protocol)
 
 
 BUSES: Mapping[str, Bus] = MappingProxyType(
@@ -110,8 +121,8 @@ def open_arm(
     *,
     on_exit: str | None = None,
     virtual_bus: VirtualBus | None = None,
-    start: ArrayLike | None = None,
-    park_at: ArrayLike | None = None,
+    start: ArrayLike | Mapping[str, float] | None = None,
+    park_at: ArrayLike | Mapping[str, float] | None = None,
 ) -> Arm:
     """Makes an arm on a bus, still disconnected: a ``with`` block connects it, ``enable`` gives it torque.
 
@@ -131,7 +142,7 @@ def open_arm(
 
     servos = _servos(config, bus, virtual_bus, start)
     made = bus_row(bus).make(bus, config, servos)
-    return Arm(config, made, virtual_bus=servos, on_exit=on_exit, park_at=park_at)
+    return Arm(config, made, on_exit=on_exit, park_at=park_at)
 
 
 def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = None) -> ServoBus:
@@ -147,13 +158,16 @@ def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = N
         ConfigError: ``config`` is none, or ``virtual_bus`` for a real port.
     """
     bus = bus_row(name).make(name, config, _servos(config, name, virtual_bus, None))
-    bus.names |= {servo.id: servo.name for servo in config.servos}
+    bus.names |= {drive.id: drive.name for drive in config.drives}
     bus.open()
     return bus
 
 
 def _servos(
-    config: ArmConfig, bus: str, servos: VirtualBus | None, start: ArrayLike | None
+    config: ArmConfig,
+    bus: str,
+    servos: VirtualBus | None,
+    start: ArrayLike | Mapping[str, float] | None,
 ) -> VirtualBus | None:
     """The servos where they are virtual; their clock is that of the bus."""
     from robot_ik.hardware.config import ArmConfig
@@ -176,7 +190,30 @@ def _servos(
         return None
     if servos is not None:
         return servos
-    from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.ports import RealClock, VirtualClock  # they bring numpy: commands ask for names only
+    from robot_ik.ports import (  # they bring numpy: commands ask for names only
+        RealClock,
+        VirtualClock,
+    )
 
-    return VirtualBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)
+    return simulated_servos(config, VirtualClock() if row.virtual_time else RealClock(), start)
+
+
+def simulated_servos(
+    config: ArmConfig, clock: Clock, start: ArrayLike | Mapping[str, float] | None = None
+) -> VirtualBus:
+    """Return simulated servos of the arm's family, without torque.
+
+    Args:
+        config: Arm.
+        clock: Clock of the servos.
+        start: Where the joints stand at first, see ``virtual.bus.start_values``.
+    """
+    from robot_ik.hardware.virtual.bus import VirtualBus
+
+    return VirtualBus.from_config(config, clock, start)
+
+
+def virtual_servos(bus: ServoBus) -> VirtualBus | None:
+    """Return the simulated servos behind a bus; None if its servos are real."""
+    servos: VirtualBus | None = getattr(bus, "virtual_bus", None)
+    return servos

@@ -17,8 +17,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import Self, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError, StopRequestedError, UnsafeCommandError
@@ -28,7 +29,9 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
+from robot_ik.hardware.guardian import Guardian, guardian_for
 from robot_ik.hardware.limiter import finite
+from robot_ik.hardware.servo import GRIPPER
 from robot_ik.hardware.startup import (
     check_currents,
     check_revolutions_kept,
@@ -42,9 +45,6 @@ from robot_ik.hardware.torque import ExitReport, checked_policy, leave, read_sta
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
 from robot_ik.ports import Array, Closing, JointReading, VirtualClock
 
-if TYPE_CHECKING:
-    from robot_ik.hardware.virtual.bus import VirtualBus
-
 __all__ = ["Arm", "ArmState"]
 
 log = logging.getLogger(__name__)
@@ -53,7 +53,6 @@ LOCK_PATIENCE = 1.0
 """s for which leaving waits for another thread to end its motion; then the arm is left all the same."""
 
 _AT_REST = 1e-3  # rad/s (m/s): slower than this a joint stands still
-_POLL_PERIOD = 0.02  # s between two polls for a request to stop
 _GO_ON = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
 
 T = TypeVar("T")
@@ -101,7 +100,6 @@ class Arm(Closing):
         config: The arm file.
         bus: Opened by ``connect``, closed by ``close``; one that is open before stays open,
             so that several arms can be on one wire.  Its clock is the arm's.
-        virtual_bus: The simulated servos behind ``bus``, for tests and demonstrations; None on metal.
         on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off); the arm file's by default.
         park_at: (n,) rad; by default where the arm was enabled: there it had stood without torque.
 
@@ -116,14 +114,15 @@ class Arm(Closing):
         config: ArmConfig,
         bus: ServoBus,
         *,
-        virtual_bus: VirtualBus | None = None,
         on_exit: str | None = None,
-        park_at: ArrayLike | None = None,
+        park_at: ArrayLike | Mapping[str, float] | None = None,
     ) -> None:
         said = on_exit or config.on_exit
         self.on_exit = checked_policy(said, config.file or config.name, "bus.on_exit")
-        self.config, self.bus, self.clock, self.virtual_bus = config, bus, bus.clock, virtual_bus
-        bus.names |= {servo.id: servo.name for servo in config.servos}
+        self.config = config
+        self.bus = bus
+        self.clock = bus.clock
+        bus.names |= {drive.id: drive.name for drive in config.drives}
         self.joints: tuple[str, ...] = config.names
         self.lower, self.upper, self.resolution = config.lower, config.upper, config.resolution
         self.state = ArmState.DISCONNECTED
@@ -132,7 +131,7 @@ class Arm(Closing):
         self._shares_bus = False  # it was open when we came
         self._cycle = Cycle(config, bus)
         self._park_at = park_at
-        self._rest: tuple[float, ...] = ()
+        self._rest: dict[str, float] = {}  # joint -> where it was enabled; a gripper keeps what it has
         self._currents: dict[str, float] = {}  # joint -> mA asked for since connect
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
@@ -142,10 +141,12 @@ class Arm(Closing):
         self._commanded = 0.0  # when the last one came
         self._stop_file = StopFile(config.name)
         self._stop_requests: deque[str] = deque()  # policies of requests that were not carried out yet
+        self._stop_lock = threading.Lock()
+        self._stopping = False  # a request was taken and is not acknowledged yet
         self._stop_policy: str | None = None  # of the request carried out last: close leaves the arm so
         self._unraised_stop: StopRequestedError | None = None  # carried out by the heartbeat, not raised yet
-        self._polled_at = 0.0
         self._close_lock = threading.RLock()
+        self._guardian: Guardian | None = None  # of [bus] on_orphan
         self._closing_thread: int | None = None  # its ident; from the begin of close until connect
 
     @property
@@ -156,7 +157,7 @@ class Arm(Closing):
     @property
     def ages(self) -> Array:
         """(n,) s since each joint's last good sample; infinite before the first."""
-        return self.clock.now() - self._cycle.samples.times[: len(self.joints)]
+        return self.clock.now() - self._cycle.samples.times
 
     # ------------------------------------------------------------------------------ from off to on
 
@@ -176,7 +177,7 @@ class Arm(Closing):
             self._shares_bus = self.bus.is_open
             try:
                 self.bus.open()
-                feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
+                feedback = verify(self.bus, self.config, real=self.bus.real)
                 self._currents.clear()
                 self._require_not_closed()
             except BaseException:
@@ -187,11 +188,15 @@ class Arm(Closing):
             self.state = after
 
     @uninterrupted
-    def enable(self) -> None:
+    def enable(self, *, handle_signals: bool = True) -> None:
         """Torque on where the arm stands; from here on signals and exceptions end in ``close``'s policy.
 
         A signal that comes meanwhile is raised at the end, and torque is off again.  A request to stop is
         carried out before torque comes on, or as soon as it is on.
+
+        Args:
+            handle_signals: False: the program keeps its own handlers of SIGINT and SIGTERM, and calls
+                ``close`` itself when they come.
 
         Raises:
             ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again where
@@ -203,14 +208,14 @@ class Arm(Closing):
         """
         with self._lock:
             after = self._after("enable")
-            if self.virtual_bus is None:
+            if self.bus.real:
                 require_calibrated(self.config)
             if not self.config.stale_ms:
                 log.warning(
                     "stale_ms = 0: in a pause of commands nothing holds the arm, a loaded joint sinks"
                 )
             self._obey_stop(poll_now=True)
-            self._guard.install()
+            self._guard.install(handle_signals=handle_signals)
             first = not self._energised
             try:
                 self._give_torque(first)
@@ -230,6 +235,8 @@ class Arm(Closing):
 
         ``first``: no servo has torque because of this arm yet.
         """
+        if self._guardian is None:
+            self._guardian = guardian_for(self.bus, self.config)
         if not isinstance(self.clock, VirtualClock):
             self._stop_file.open(self.bus.port)
             self._heartbeat.start()
@@ -244,7 +251,9 @@ class Arm(Closing):
         finally:
             self._energised = True  # also where another thread has left the arm meanwhile
         if first:  # After a later enable the arm stands where it never stood without torque.
-            self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
+            standing = dict(zip(self.joints, self._cycle.limits.q, strict=True))
+            grippers = {joint.name for joint in self.config.group(GRIPPER)}
+            self._rest = {name: q for name, q in standing.items() if name not in grippers}
         self._commanded, self._streaming = self.clock.now(), False
 
     def _undo_enable(self, first: bool) -> None:
@@ -262,6 +271,7 @@ class Arm(Closing):
         if first and confirmed:
             self._energised = False
             self._heartbeat.dismiss()
+            self._release_guardian()
             self._stop_file.close()
             self._guard.remove()
 
@@ -272,12 +282,15 @@ class Arm(Closing):
 
     # --------------------------------------------------------------------------------- in motion
 
-    def send(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
+    def send(self, q: ArrayLike | Mapping[str, float], now: float) -> Array:
         """One bus cycle: goals within limits and caps to all servos, positions of all back.
 
         Args:
             q: (n,) rad, or joint name -> rad (the others stay).
             now: Time for which ``q`` is meant, s.  The arm never moves faster than its own clock allows.
+
+        Returns:
+            (n,) rad that were sent: ``q`` within limits and caps.
 
         Raises:
             UnsafeCommandError: NaN, wrong length, unknown joint; nothing was sent.
@@ -293,6 +306,7 @@ class Arm(Closing):
             self._latching(lambda: self._cycle.drive(q, now))
             self._commanded, self._streaming = came, True  # one that is refused is none: the arm goes stale
             self.state = after
+            return np.array(self._cycle.limits.q)
 
     def read(self) -> JointReading:
         """Measured joint angles; those of this cycle's ``send`` cost nothing, otherwise the servos are asked.
@@ -314,7 +328,7 @@ class Arm(Closing):
                 samples.begin(ticks, self.clock.now())
             elif self.state is not ArmState.FAULT and self.ages.min() > 0.5 * self._cycle.period:
                 self._latching(self._cycle.measure)
-            return JointReading(samples.q[: len(self.joints)].copy(), float(samples.times.min()))
+            return JointReading(samples.q.copy(), float(samples.times.min()))
 
     def positions(self) -> dict[str, float]:
         """Joint -> last measured rad (m of a slide), those of a gripper too; NaN before the first sample."""
@@ -352,8 +366,9 @@ class Arm(Closing):
             if off.any():
                 self._latching(self._cycle.hold)  # it presses no longer on what is in its way
         if off.any():
-            worst = self.config.whole.joints[int((off / self.config.whole.resolution).argmax())]
-            way = worst.text(float(off[self.config.whole.names.index(worst.name)]))
+            k = int((off / self.config.resolution).argmax())
+            worst = self.config.joints[k]
+            way = worst.text(float(off[k]))
             problem = f"{worst.name!r} is still {way} from where it was sent"
             raise HardwareError(problem, hint="is something in its way?")
 
@@ -458,10 +473,18 @@ class Arm(Closing):
             try:  # the others stay where they are; the one in fault cannot hear or will not obey
                 if self.bus.is_open:
                     goals = self._cycle.begin_hold()
+                    if self.config.family.capabilities.goal_enables_torque:
+                        goals = self._only_with_torque(goals)
                     self.bus.sync_write(shared_register(self.config, "goal_position"), goals)
             except HardwareError as second:
                 log.warning("holding the other joints: %s", second)
             raise
+
+    def _only_with_torque(self, goals: Mapping[int, int]) -> dict[int, int]:
+        """Goals of the servos that have torque and no error: a goal would switch the others on again."""
+        errors = self.bus.sync_read(list(goals), shared_register(self.config, "hardware_error_status"))
+        torque = self.bus.sync_read(list(goals), shared_register(self.config, "torque_enable"))
+        return {id: goal for id, goal in goals.items() if torque[id].data and errors[id].data == 0}
 
     def reset_fault(self) -> tuple[str, ...]:
         """Restarts the servos that have shut down and verifies everything; then ``enable`` goes on.
@@ -487,8 +510,7 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            real = self.virtual_bus is None
-            feedback = verify(self.bus, self.config, real=real, currents=self._currents)
+            feedback = verify(self.bus, self.config, real=self.bus.real, currents=self._currents)
             self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
@@ -508,9 +530,16 @@ class Arm(Closing):
             after = self._after("reconnect")
             self._raise_stop()
             _check_timeout(timeout)
-            real = self.virtual_bus is None
-            feedback = find_again(self.bus, self.config, timeout, real=real, currents=self._currents)
+            self._release_guardian()  # it has the file descriptor of the port that went away
+            feedback = find_again(self.bus, self.config, timeout, real=self.bus.real, currents=self._currents)
+            if self._energised:
+                self._guardian = guardian_for(self.bus, self.config)
             self._begin_anew(feedback, after)
+
+    def _release_guardian(self) -> None:
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None:
+            guardian.release()
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
         """From a verified bus to ``CONNECTED``; torque stays as it is, and so do the goals."""
@@ -526,6 +555,7 @@ class Arm(Closing):
 
     def _beat(self) -> None:
         """One beat.  Whoever holds the lock is at work: then there is nothing to check."""
+        self._poll_stop_file()
         if not self._lock.acquire(blocking=False):
             return
         try:
@@ -590,14 +620,21 @@ class Arm(Closing):
     def _stop_pending(self, *, poll_now: bool = False) -> bool:
         """Whether a request of this process or of another one waits to be carried out.
 
-        ``poll_now``: other processes' requests are looked for however short ago that was done.
+        The heartbeat looks for requests of other processes, beside the control cycle.  ``poll_now``: look
+        for them here as well.
         """
-        now = self.clock.now()
-        if not self._stop_requests and (poll_now or now - self._polled_at >= _POLL_PERIOD):
-            self._polled_at = now
-            if (policy := self._stop_file.requested()) is not None:
-                self.request_stop(policy)
+        if poll_now:
+            self._poll_stop_file()
         return bool(self._stop_requests)
+
+    def _poll_stop_file(self) -> None:
+        """Take over a request of another process, once: not while it is being carried out."""
+        with self._stop_lock:
+            if self._stop_requests or self._stopping:
+                return
+            policy = self._stop_file.requested()
+            if policy is not None:
+                self.request_stop(policy)
 
     def _obey_stop(self, *, poll_now: bool = False) -> None:
         """Carries out a request to stop, if there is one, and raises it."""
@@ -615,7 +652,7 @@ class Arm(Closing):
         """Leaves the arm as the last request asks, and latches it as a fault."""
         policy = self._take_stop()
         report = self._leave(policy) if self._energised else self._leave_untouched()
-        self._stop_file.acknowledge(ok=report.ok, text=report.text)
+        self._acknowledge_stop(report)
         stopped = StopRequestedError(f"stopped on request: {report.text}", hint=_GO_ON)
         if self.state is not ArmState.FAULT:  # an earlier one says more
             self.state, self.fault = ArmState.FAULT, stopped
@@ -624,9 +661,17 @@ class Arm(Closing):
 
     def _take_stop(self) -> str:
         """The policy of the last request; there is one.  Requests that come meanwhile stay."""
-        while self._stop_requests:
-            self._stop_policy = self._stop_requests.popleft()
+        with self._stop_lock:
+            self._stopping = True
+            while self._stop_requests:
+                self._stop_policy = self._stop_requests.popleft()
         return self._stop_policy or "hold"
+
+    def _acknowledge_stop(self, report: ExitReport) -> None:
+        """Tell the process that asked how the arm was left."""
+        with self._stop_lock:
+            self._stop_file.acknowledge(ok=report.ok, text=report.text)
+            self._stopping = False
 
     # ------------------------------------------------------------------------------------ the end
 
@@ -653,7 +698,12 @@ class Arm(Closing):
                 self._leave_for_good(alone=locked)
             finally:
                 # Each whatever becomes of the others; the handlers last, for then signals are no longer kept.
-                for step in (self._heartbeat.stop, self._close_bus, self._stop_file.close):
+                for step in (
+                    self._heartbeat.stop,
+                    self._release_guardian,
+                    self._close_bus,
+                    self._stop_file.close,
+                ):
                     try:
                         step()
                     except Exception as error:
@@ -686,8 +736,7 @@ class Arm(Closing):
             if alone:
                 unparked = self._park(stop=lambda: self._guard.received > 1)
         if self._stop_pending(poll_now=True):  # it came too late for a cycle
-            report = self._leave(self._take_stop(), unparked)
-            self._stop_file.acknowledge(ok=report.ok, text=report.text)
+            self._acknowledge_stop(self._leave(self._take_stop(), unparked))
         else:
             self._leave(self._stop_policy or self.on_exit, unparked)
 

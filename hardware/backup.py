@@ -6,26 +6,37 @@ reached: they are saved, and changed by setting a servo up, not here.
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, check_table, keys_of, read_json
+from robot_ik.config import (
+    KeyProblem,
+    SchemaVersion,
+    Several,
+    Table,
+    check_table,
+    keys_of,
+    read_json,
+)
 from robot_ik.errors import ArmStateError, HardwareError, ServoRefusedError
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.bus import ServoBus, require_models
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number, model_name
-from robot_ik.hardware.joint_map import ServoId
+from robot_ik.hardware.family import family_of
+from robot_ik.hardware.models import control_table, model_by_number, model_name
+from robot_ik.hardware.registers import ControlTable, Register
+from robot_ik.hardware.servo import ServoId
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""
 
-ADDRESS = ("id", "baud_rate", "protocol_type")
+ADDRESS = ("id", "baud_rate", "protocol_type", "lock")
 """EEPROM registers that decide how a servo is reached."""
 
 _BLOCK = 64  # bytes read at once
@@ -70,13 +81,15 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
     Raises:
         ServoMismatchError: Missing servos, or other models than the arm file's.  Errors of the bus, by joint.
     """
-    require_models(bus, {s.id: (s.name, s.table.number) for s in config.servos}, "the arm file")
+    require_models(
+        bus, {drive.id: (drive.name, drive.servo.table.number) for drive in config.drives}, "the arm file"
+    )
     found = []
-    for servo in config.servos:
+    for name, servo in ((drive.name, drive.servo) for drive in config.drives):
         firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
         table = control_table(servo.model, firmware)
         registers = _read(bus, servo.id, table, [r for r in table if "indirect_data" not in r.name])
-        found.append(SavedServo(servo.name, servo.id, table.model, table.number, firmware, registers))
+        found.append(SavedServo(name, servo.id, table.model, table.number, firmware, registers))
     return found
 
 
@@ -178,19 +191,30 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
                 f"torque of {servo.joint!r} (id {servo.id}) is on: its EEPROM is locked; nothing was written",
                 hint="support the arm, then: robot-ik servo torque off",
             )
-    # The operating mode first: changing it resets gains and limits that depend on it.
-    left = sorted(changes, key=lambda change: change.register != "operating_mode")
-    for last in (False, True):  # a limit may be refused until the one at the other end is written
-        changing, left = left, []
-        for change in changing:
-            try:
-                bus.write(change.id, tables[change.id][change.register], change.saved)
-            except ServoRefusedError:
-                if last:
-                    raise
-                left.append(change)
+    families = {table.family for table in tables.values()}
+    with contextlib.ExitStack() as stack:
+        for name in families:
+            ids = [id for id, table in tables.items() if table.family == name]
+            stack.enter_context(family_of(name).eeprom_unlocked(bus, ids))
+        _write(bus, tables, changes)
     wrong = [c for c in changes if bus.read(c.id, tables[c.id][c.register]).data != c.saved]
     if wrong:
         names = ", ".join(f"{c.register} of {c.joint}" for c in wrong)
         raise HardwareError(f"written, and reads back otherwise: {names}")
     return changes
+
+
+def _write(bus: ServoBus, tables: Mapping[int, ControlTable], changes: Sequence[Change]) -> None:
+    """Write saved values.  A limit may be refused until the one at the other end is written."""
+    # The operating mode first: changing it resets gains and limits that depend on it.
+    left = sorted(changes, key=lambda change: change.register != "operating_mode")
+    for is_last in (False, True):
+        changing = left
+        left = []
+        for change in changing:
+            try:
+                bus.write(change.id, tables[change.id][change.register], change.saved)
+            except ServoRefusedError:
+                if is_last:
+                    raise
+                left.append(change)

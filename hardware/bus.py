@@ -1,7 +1,7 @@
 """What every servo bus can do, whatever lies behind it: a serial port, a pty or plain Python objects.
 
 Values cross this interface decoded (signed where the register is signed) and in the servo's own units;
-radians begin one layer up, in ``JointMap``.  All methods are safe to call from any thread.
+radians begin one layer up, in ``Joint``.  All methods are safe to call from any thread.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoMismatchError, ServoRefusedError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import Register, model_name
+from robot_ik.hardware.models import model_name
+from robot_ik.hardware.registers import Register
 from robot_ik.ports import Clock
 
 log = logging.getLogger(__name__)
@@ -93,7 +94,7 @@ class Counters:
 
 @runtime_checkable
 class ServoBus(Protocol):
-    """A bus of Protocol 2.0 servos.
+    """A bus of servos of one family.
 
     Errors: ``BusNotOpenError`` (open, or any call before it), ``BusTimeoutError`` (a single servo did
     not answer ``read``/``write``/``ping``), ``BusCorruptError`` (it answered nonsense every time),
@@ -103,6 +104,7 @@ class ServoBus(Protocol):
     """
 
     port: str
+    real: bool  # whether the servos are made of metal; False: simulated
     counters: Counters
     clock: Clock  # on which an arm on this bus runs
     names: dict[int, str]  # servo id -> joint, for errors; each arm on this bus adds its own
@@ -110,6 +112,10 @@ class ServoBus(Protocol):
     @property
     def is_open(self) -> bool:
         """Whether the port is open."""
+        ...
+
+    def fileno(self) -> int | None:
+        """Return the file descriptor of the open port; None if there is none."""
         ...
 
     def open(self) -> None:
@@ -199,10 +205,10 @@ def shared_register(config: ArmConfig, name: str) -> Register:
         ConfigError: The models of the arm differ in it.
     """
     first = config.servos[0].table[name]
-    for joint in config.servos:
-        other = joint.table[name]
+    for servo in config.servos:
+        other = servo.table[name]
         if (other.address, other.size, other.signed) != (first.address, first.size, first.signed):
-            problem = f"{name} lies elsewhere in {joint.model} than in {config.servos[0].model}"
+            problem = f"{name} lies elsewhere in {servo.model} than in {config.servos[0].model}"
             raise config.wrong(problem, "joints", "models with one layout on one bus")
     return first
 
@@ -254,6 +260,8 @@ def read_all(bus: ServoBus, config: ArmConfig, name: str, *, absent: int | None 
     Raises:
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
     """
+    if absent is not None and name not in config.servos[0].table:
+        return dict.fromkeys(config.servo_ids, absent)
     register = shared_register(config, name)
     values: dict[int, int] = {}
     for id, status in bus.sync_read(config.servo_ids, register).items():

@@ -16,9 +16,9 @@ from robot_ik.files import timestamp
 from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import RANGE_TOLERANCE_TICKS, TWIST, JointMap, Sign
-from robot_ik.hardware.x_series import REVERSE
+from robot_ik.hardware.families.dynamixel_x_table import REVERSE
+from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import RANGE_TOLERANCE_TICKS, TWIST, Drive, Joint, Servo, Sign
 
 LEAST_SWEEP = math.radians(10.0)
 """rad at the joint (at the pinion of a slide); a joint that turned by less was forgotten."""
@@ -45,7 +45,7 @@ class Sweep:
 
     def __init__(self, config: ArmConfig, ticks: Mapping[int, int]) -> None:
         # A limp servo in position mode may count on beyond its revolution; with torque it counts within it.
-        period = {j.id: TICKS_PER_REVOLUTION for j in config.servos if j.mode == OperatingMode.POSITION}
+        period = {servo.id: TICKS_PER_REVOLUTION for servo in config.servos if servo.is_single_turn}
         self._raw = {id: ticks[id] for id in config.servo_ids}
         self.now = {id: value % period[id] if id in period else value for id, value in self._raw.items()}
         self.low, self.high = dict(self.now), dict(self.now)
@@ -64,9 +64,9 @@ class Sweep:
             self.low[id] = min(self.low[id], self.now[id])
             self.high[id] = max(self.high[id], self.now[id])
 
-    def travel(self, servo: JointMap) -> float:
+    def travel(self, drive: Drive) -> float:
         """How far its joint was turned, rad (m of a slide)."""
-        return (self.high[servo.id] - self.low[servo.id]) * servo.resolution
+        return (self.high[drive.id] - self.low[drive.id]) * drive.joint.resolution
 
 
 def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
@@ -74,15 +74,16 @@ def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
 
     A joint was not swept, crosses the end of its servo's revolution, or its two servos did not turn together.
     """
-    for joint in config.servos:
-        low, high = sweep.low[joint.id], sweep.high[joint.id]
-        if sweep.travel(joint) < LEAST_SWEEP * joint.lever:
-            which = f" (servo id {joint.id})" if joint.id not in config.ids else ""
+    for drive in config.drives:
+        joint, servo = drive
+        low, high = sweep.low[servo.id], sweep.high[servo.id]
+        if sweep.travel(drive) < LEAST_SWEEP * joint.lever:
+            which = f" (servo id {servo.id})" if servo is not joint.servo else ""
             raise OperatorError(
-                f"joint {joint.name!r}{which} moved by {joint.text(sweep.travel(joint))} only",
+                f"joint {joint.name!r}{which} moved by {joint.text(sweep.travel(drive))} only",
                 hint="sweep every joint from one stop to the other",
             )
-        if joint.mode == OperatingMode.POSITION and not 0 <= low <= high < TICKS_PER_REVOLUTION:
+        if servo.is_single_turn and not 0 <= low <= high < TICKS_PER_REVOLUTION:
             raise HardwareError(
                 f"joint {joint.name!r} crosses the end of its servo's revolution: it swept ticks {low} "
                 f"to {high}, and a servo in position mode counts 0 to {TICKS_PER_REVOLUTION - 1}",
@@ -90,22 +91,23 @@ def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
                 "in the arm file",
             )
     for joint in config.joints:
+        travel = sweep.travel(Drive(joint, joint.servo))
         for other in joint.servos[1:]:
-            _require_together(joint, other, sweep.travel(joint), sweep.travel(other))
+            _require_together(joint, other, travel, sweep.travel(Drive(joint, other)))
 
 
-def _require_together(joint: JointMap, other: JointMap, travel: float, other_travel: float) -> None:
+def _require_together(joint: Joint, other: Servo, travel: float, other_travel: float) -> None:
     """Raises ``HardwareError`` unless two servos of a joint have gone the same way, whatever their signs."""
     if abs(abs(travel) - abs(other_travel)) > TWIST * joint.lever:
         raise HardwareError(
-            f"the two servos of joint {joint.name!r} do not turn together: id {joint.id} by "
+            f"the two servos of joint {joint.name!r} do not turn together: id {joint.servo.id} by "
             f"{joint.text(travel)}, id {other.id} by {joint.text(other_travel)}",
             hint="does a horn or a gear slip? do both have the ratio of the arm file?",
         )
 
 
 def counting_directions(
-    config: ArmConfig, joint: JointMap, before: Mapping[int, int], after: Mapping[int, int]
+    config: ArmConfig, joint: Joint, before: Mapping[int, int], after: Mapping[int, int]
 ) -> dict[int, Sign]:
     """Which way the servos of a joint, by id, count when it was turned in the positive direction.
 
@@ -114,10 +116,13 @@ def counting_directions(
     Raises:
         HardwareError: Nothing turned, another joint did, or its two servos did not turn together.
     """
-    ways = {s.id: (after[s.id] - before[s.id]) * s.resolution / s.lever for s in config.servos}
-    largest = max(config.servos, key=lambda servo: abs(ways[servo.id]))
-    farthest = largest.text(abs(ways[largest.id]) * largest.lever)
-    own = ways[joint.id]
+    ways = {
+        servo.id: (after[servo.id] - before[servo.id]) * moved.resolution / moved.lever
+        for moved, servo in config.drives
+    }
+    largest = max(config.drives, key=lambda drive: abs(ways[drive.id]))
+    farthest = largest.joint.text(abs(ways[largest.id]) * largest.joint.lever)
+    own = ways[joint.servo.id]
     if abs(ways[largest.id]) < LEAST_WIGGLE:
         raise OperatorError(
             f"joint {joint.name!r} did not turn (most: {largest.name} by {farthest})",
@@ -135,19 +140,19 @@ def counting_directions(
 
 def check_shadows(config: ArmConfig, directions: Mapping[int, int], zero: Mapping[int, int]) -> None:
     """Raises ``HardwareError`` where a shadow could not follow its servo: by their directions and zeros."""
-    for servo in config.servos:
-        if servo.shadow_of is None:
+    for joint, servo in config.drives:
+        if servo.primary_id is None:
             continue
-        which = f"the shadow of joint {servo.name!r} (servo id {servo.id})"
-        if directions[servo.id] != directions[servo.shadow_of]:
+        which = f"the shadow of joint {joint.name!r} (servo id {servo.id})"
+        if directions[servo.id] != directions[servo.primary_id]:
             raise HardwareError(
                 f"{which} counts the other way round",
                 hint="set bit 0 of its Drive Mode (reverse), or give it goals of its own: shadow = false",
             )
-        apart = abs(zero[servo.id] - zero[servo.shadow_of]) * servo.resolution
-        if apart > TWIST * servo.lever:
+        apart = abs(zero[servo.id] - zero[servo.primary_id]) * joint.resolution
+        if apart > TWIST * joint.lever:
             raise HardwareError(
-                f"{which} stands {servo.text(apart)} beside the servo whose goals it takes",
+                f"{which} stands {joint.text(apart)} beside the servo whose goals it takes",
                 hint="turn its horn, or give it goals of its own: shadow = false in the arm file",
             )
 
@@ -185,12 +190,12 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
     joints, rows = [], []
     second = {row.name: row for row in found.twins}
     for joint, row in zip(config.joints, found.joints, strict=True):
-        made = replace(joint, direction=row.direction, zero_ticks=row.zero_ticks)
-        if joint.twin is not None and not joint.twin.shadow:
-            other = second[joint.name]
-            twin = replace(joint.twin, direction=other.direction, zero_ticks=other.zero_ticks)
-            made = replace(made, twin=twin)
-        low, high = sorted(made.to_radians(t) for t in (row.range_min, row.range_max))
+        servos = [replace(joint.servo, direction=row.direction, zero_ticks=row.zero_ticks)]
+        for servo in joint.servos[1:]:
+            shown = row if servo.primary_id is not None else second[joint.name]
+            servos.append(replace(servo, direction=shown.direction, zero_ticks=shown.zero_ticks))
+        made = replace(joint, servos=tuple(servos))
+        low, high = sorted(made.value(ticks) for ticks in (row.range_min, row.range_max))
         limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]
         common = max(joint.lower, limits[0]), min(joint.upper, limits[1])
         lower, upper = max(low, common[0]), min(high, common[1])
@@ -208,7 +213,7 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
     return replace(config, joints=tuple(joints), file=None, uncalibrated=False)
 
 
-def _range(joint: JointMap, low: float, high: float) -> str:
+def _range(joint: Joint, low: float, high: float) -> str:
     return f"{low / joint.per_unit:.1f} .. {high / joint.per_unit:.1f}"
 
 
@@ -226,18 +231,19 @@ def measured_calibration(
     ``zero``: servo id -> ticks at ``pose``, joint -> rad (m of a slide); ``limits``: joint -> those of the
     model, rad (m).
     """
-    drive_mode, homing = (read_all(bus, config, name) for name in ("drive_mode", "homing_offset"))
+    drive_mode = read_all(bus, config, "drive_mode", absent=0)
+    homing = read_all(bus, config, "homing_offset")
     check_shadows(config, directions, zero)
     rows = []
-    for servo in config.servos:
-        leader = servo.id if servo.shadow_of is None else servo.shadow_of  # whose goals it takes
+    for joint, servo in config.drives:
+        leader = servo.id if servo.primary_id is None else servo.primary_id  # whose goals it takes
         direction = directions[leader]
         turned = replace(servo, direction=direction)
-        zero_ticks = zero[leader] - (turned.to_ticks(pose[servo.name]) - turned.zero_ticks)
-        lower, upper = (q / servo.per_unit for q in limits[servo.name])
+        zero_ticks = zero[leader] - (joint.nearest_ticks(pose[joint.name], turned) - turned.zero_ticks)
+        lower, upper = (q / joint.per_unit for q in limits[joint.name])
         rows.append(
             JointCalibration(
-                servo.name,
+                joint.name,
                 servo.id,
                 servo.model,
                 drive_mode[servo.id],
@@ -261,19 +267,19 @@ def check_calibration(bus: ServoBus, config: ArmConfig, found: Calibration) -> N
         CalibrationMismatchError: With a table of all differences.
         ConfigError: The calibration is of another arm.
     """
-    if (others := _servos(found.rows)) != _servos(config.servos):
+    if (others := _names(found.rows)) != _names(config.drives):
         raise ConfigError(
             f"it is a calibration of {', '.join(others)}",
             file=found.file or found.arm,
             key="joints",
-            allowed=", ".join(_servos(config.servos)),
+            allowed=", ".join(_names(config.drives)),
         )
     names = ("drive_mode", "homing_offset", "present_position")
-    servo = {name: read_all(bus, config, name) for name in names}
+    servo = {name: read_all(bus, config, name, absent=0) for name in names}
     rows: list[tuple[str, str, str, str]] = []
-    for joint, row in zip(config.servos, found.rows, strict=True):
-        said = {name: values[joint.id] for name, values in servo.items()}
-        rows += _differences(joint, row, said)
+    for drive, row in zip(config.drives, found.rows, strict=True):
+        said = {name: values[drive.id] for name, values in servo.items()}
+        rows += _differences(drive, row, said)
     if rows:
         raise CalibrationMismatchError(
             f"the arm does not agree with its calibration {found.file or ''}".rstrip(),
@@ -304,7 +310,7 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
     """
     if (found := own_calibration(config)) is None:
         return
-    joints = {joint.name: joint for joint in config.whole.joints}
+    joints = {joint.name: joint for joint in config.joints}
     known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
     rows = []
     for row in (row for row in found.joints if row.name in joints.keys() & known):
@@ -324,36 +330,42 @@ def own_calibration(config: ArmConfig) -> Calibration | None:
     if config.file is None or not calibration_beside(config.file).exists():
         return None
     found = Calibration.load(calibration_beside(config.file))
-    names = _servos(config.servos)
-    if _servos(found.rows) == names or _servos(found.rows) != _servos(ArmConfig.load(config.file).servos):
+    names = _names(config.drives)
+    if _names(found.rows) == names or sorted(_names(found.rows)) != sorted(
+        _names(ArmConfig.load(config.file).drives)
+    ):
         return found
-    joints, twins = (tuple(r for r in rows if r.name in names) for rows in (found.joints, found.twins))
+    joints, twins = (
+        tuple(sorted((row for row in rows if row.name in names), key=lambda row: names.index(row.name)))
+        for rows in (found.joints, found.twins)
+    )
     return replace(found, joints=joints, twins=twins)
 
 
-def _servos(rows: Sequence[JointCalibration | JointMap]) -> list[str]:
+def _names(rows: Sequence[JointCalibration | Drive]) -> list[str]:
     """The joint of each servo, as often as servos turn it."""
     return [row.name for row in rows]
 
 
 def _differences(
-    joint: JointMap, row: JointCalibration, servo: Mapping[str, int]
+    drive: Drive, row: JointCalibration, said: Mapping[str, int]
 ) -> list[tuple[str, str, str, str]]:
     """(joint, what, expected, found) of what differs at one joint."""
-    pairs = [(key, getattr(row, key), getattr(joint, key)) for key in _IN_ARM_FILE]
+    joint, servo = drive
+    pairs = [(key, getattr(row, key), getattr(servo, key)) for key in _IN_ARM_FILE]
     # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
     # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); the two are compared when torque goes on.
-    shadow = joint.shadow_of is not None
+    shadow = drive.is_shadow
     if not shadow:
-        pairs.append(("homing_offset", row.homing_offset, servo["homing_offset"]))
+        pairs.append(("homing_offset", row.homing_offset, said["homing_offset"]))
     rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
     # Only its reverse bit changes what a position means; the others are set as we need them.
-    if (row.drive_mode ^ servo["drive_mode"]) & REVERSE:
-        rows.append((joint.name, "drive_mode", str(row.drive_mode), str(servo["drive_mode"])))
+    if (row.drive_mode ^ said["drive_mode"]) & REVERSE:
+        rows.append((joint.name, "drive_mode", str(row.drive_mode), str(said["drive_mode"])))
     if shadow:
         return rows
-    present = servo["present_position"]
-    if joint.mode == OperatingMode.POSITION:
+    present = said["present_position"]
+    if servo.is_single_turn:
         present %= TICKS_PER_REVOLUTION
     if not row.range_min - RANGE_TOLERANCE_TICKS <= present <= row.range_max + RANGE_TOLERANCE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))

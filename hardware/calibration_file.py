@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, ConfigDict, Field, RootModel, model_validator
+import tomlkit
+from pydantic import BeforeValidator, Field
 
-from robot_ik.config import (
-    KeyProblem,
-    SchemaVersion,
-    Several,
-    Table,
-    check_table,
-    keys_of,
-    read_json,
-    read_table,
-)
+from robot_ik.config import KeyProblem, SchemaVersion, Several, Table, keys_of, read_table
 from robot_ik.errors import ConfigError
-from robot_ik.files import timestamp, write_atomically
-from robot_ik.hardware.config import ArmConfig, toml_rows
-from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign, Twin
-from robot_ik.hardware.x_series import REVERSE
+from robot_ik.files import write_atomically
+from robot_ik.hardware.arm_file import with_zeros
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.registers import MULTI_TURN_TICKS
+from robot_ik.hardware.servo import Joint, Servo, ServoId, Sign, SwingArm
 
 SCHEMA = 1  # raised when a key changes its meaning
 
@@ -92,11 +82,9 @@ class Calibration:
     def save(self, path: Path) -> None:
         """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
         head = {"schema": SCHEMA, "arm": self.arm, "robot": self.robot, "created": self.created}
-        lines = toml_rows(head)
-        for table, rows in (("joints", self.joints), ("twins", self.twins)):
-            for row in rows:
-                lines += ["", f"[[{table}]]", *toml_rows(asdict(row))]
-        write_atomically(path, "\n".join(lines) + "\n")
+        tables = {"joints": self.joints, "twins": self.twins}
+        content = {name: [asdict(row) for row in rows] for name, rows in tables.items() if rows}
+        write_atomically(path, tomlkit.dumps(head | content))
 
     @classmethod
     def load(cls, path: Path) -> Calibration:
@@ -135,138 +123,7 @@ class _CalibrationFile(Table):
 
 
 # ------------------------------------------------------------------------------------------
-# LeRobot's calibration JSON.  Positions in it are Present Position, as here, with register 20 (Homing Offset)
-# in them; its zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
-# ``MotorCalibration``, and ``_normalize`` for degrees.)
-
-
-class _LeRobotRow(Table):
-    """Other keys are LeRobot's affair."""
-
-    model_config = ConfigDict(extra="ignore")
-
-    id: ServoId
-    drive_mode: _Byte
-    homing_offset: _Ticks
-    range_min: _Ticks
-    range_max: _Ticks
-
-    @model_validator(mode="after")
-    def _some_range(self) -> _LeRobotRow:
-        if self.range_min >= self.range_max:
-            raise KeyProblem("the range is empty", "range_min", f"< {self.range_max}")
-        return self
-
-
-class _LeRobotFile(RootModel[dict[str, _LeRobotRow]]):
-    """Joint -> its row."""
-
-
-def save_lerobot(path: Path, calibration: Calibration) -> None:
-    """Writes a calibration as LeRobot reads it.
-
-    Raises:
-        ConfigError: A range beyond one revolution: LeRobot writes it into registers that take 0 to 4095.
-            Or two servos turn a joint.
-        OutputError: The file cannot be written.
-    """
-    _require_no_twins([row.name for row in calibration.twins], calibration.file or path)
-    for joint in calibration.joints:
-        if not 0 <= joint.range_min < joint.range_max < TICKS_PER_REVOLUTION:
-            raise ConfigError(
-                f"ticks {joint.range_min} to {joint.range_max} of {joint.name!r} are not within a revolution",
-                file=calibration.file or calibration.arm,
-                key=joint.name,
-                allowed=f"0 to {TICKS_PER_REVOLUTION - 1} (LeRobot writes it into the position limits)",
-            )
-    keys = _LeRobotRow.model_fields
-    content = {joint.name: {key: getattr(joint, key) for key in keys} for joint in calibration.joints}
-    write_atomically(path, json.dumps(content, indent=4) + "\n")
-
-
-def _require_no_twins(names: Sequence[str], file: Path) -> None:
-    if names:
-        raise ConfigError(
-            f"two servos turn {', '.join(names)}: LeRobot's file has one for each joint",
-            file=file,
-            key=names[0],
-            hint="calibrate by hand: robot-ik servo calibrate",
-        )
-
-
-def load_lerobot(
-    path: Path,
-    config: ArmConfig,
-    limits: Mapping[str, tuple[float, float]],
-) -> Calibration:
-    """A calibration out of LeRobot's file, for the joints of an arm file.
-
-    Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
-    middle of the range.  Directions are those of the arm file.
-
-    ``limits``: joint -> limits of the model, rad (m of a slide).
-
-    Raises:
-        ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
-    """
-    _require_no_twins([joint.name for joint in config.joints if joint.twin is not None], path)
-    content = read_json(path, "LeRobot's calibration")
-    if not isinstance(content, dict) or not content:
-        raise ConfigError(
-            "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
-        )
-    rows = check_table(_LeRobotFile, content, path).root
-    by_id = {row.id: row for row in rows.values()}
-    joints = []
-    for joint in config.joints:
-        row = rows.get(joint.name) or by_id.get(joint.id)
-        if row is None:
-            allowed = ", ".join(f"{name} (id {row.id})" for name, row in rows.items())
-            raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
-        _require_usable(joint, row, path)
-        lower, upper = (q / joint.per_unit for q in limits[joint.name])
-        joints.append(
-            JointCalibration(
-                name=joint.name,
-                model=joint.model,
-                direction=joint.direction,
-                zero_ticks=(row.range_min + row.range_max) // 2,
-                urdf_lower=lower,
-                urdf_upper=upper,
-                **dict(row),
-            )
-        )
-    return Calibration(config.name, config.robot, timestamp(), tuple(joints), file=path)
-
-
-def _require_usable(joint: JointMap, row: _LeRobotRow, path: Path) -> None:
-    """Offset and direction of counting that the servo of the arm file has as well."""
-    if joint.mode == OperatingMode.POSITION and abs(row.homing_offset) > POSITION_MODE_HOMING:
-        raise ConfigError(
-            f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
-            f"{row.homing_offset} ticks",
-            file=path,
-            key=f"{joint.name}.homing_offset",
-            allowed=HOMING_FIXES,
-        )
-    if bool(row.drive_mode & REVERSE) != bool(joint.reverse):
-        said = "not reversed" if joint.reverse else "reversed"
-        raise ConfigError(
-            f"the servo of {joint.name!r} is {said} in it (drive_mode {row.drive_mode}), and the arm file "
-            f"says reverse = {str(bool(joint.reverse)).lower()}",
-            file=path,
-            key=f"{joint.name}.drive_mode",
-            allowed=f"reverse = {str(not joint.reverse).lower()} in the arm file",
-        )
-
-
-# ------------------------------------------------------------------------------------------
 # New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
-
-_TABLES = re.compile(r"^(?=[ \t]*\[)", re.MULTILINE)
-_JOINT = re.compile(r"\s*\[\[\s*joints\s*\]\]")
-_TWIN = re.compile(r"\s*\[\s*joints\s*\.\s*twin\s*\]")
-_ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)", re.MULTILINE)
 
 
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
@@ -283,17 +140,16 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     moved = []
     for joint in config.joints:
         offset = offsets.get(joint.name, 0.0)
-        made = replace(joint, zero_ticks=_ticks(joint, offset))
-        if joint.twin is not None and not joint.twin.shadow:
-            made = replace(made, twin=replace(joint.twin, zero_ticks=_ticks(joint.servos[1], offset)))
-        moved.append(made)
+        servos = tuple(replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos)
+        moved.append(replace(joint, servos=servos))
     return replace(config, joints=tuple(moved))
 
 
-def _ticks(servo: JointMap, offset: float) -> int:
-    """Its zero by which it is where it really is; of a bent gear in the middle of its range."""
-    middle = sum(servo.limits) / 2.0 if servo.swing else 0.0
-    return round(servo.zero_ticks + servo.position(middle - offset) - servo.position(middle))
+def _moved_zero(joint: Joint, servo: Servo, offset: float) -> int:
+    """Return the zero by which the joint value is correct; of a bent gear in the middle of its range."""
+    middle = sum(joint.limits) / 2.0 if isinstance(joint.gear, SwingArm) else 0.0
+    moved = joint.position(middle - offset, servo) - joint.position(middle, servo)
+    return round(servo.zero_ticks + moved)
 
 
 def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tuple[Path, ...]:
@@ -306,7 +162,7 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
         Where the old files are kept, beside the new ones.
 
     Raises:
-        ConfigError: The file has changed since, or it is written in a way that cannot be edited.
+        ConfigError: The file has changed since.
         OutputError: It cannot be written; everything is as it was.
     """
     old = ArmConfig.load(file)
@@ -318,14 +174,14 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
             )  # fmt: skip
     new = zeros_moved(old, offsets)
     text = file.read_bytes().decode("utf-8")  # line ends as they are
-    edited = _edited(text, new, file)
+    edited = with_zeros(text, {servo.id: servo.zero_ticks for servo in new.servos})
     calibration = calibration_beside(file)
     kept = [_backup(file, text)]
     if calibration.exists():
         found = Calibration.load(calibration)
         kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
         # Else arm and calibration would contradict each other.
-        zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.shadow_of is None}
+        zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.primary_id is None}
         joints, twins = (
             tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
             for rows in (found.joints, found.twins)
@@ -333,38 +189,6 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
         replace(found, joints=joints, twins=twins).save(calibration)
     write_atomically(file, edited)
     return tuple(kept)
-
-
-def _edited(text: str, new: ArmConfig, file: Path) -> str:
-    """The text with the zeros of ``new``; checked by reading it again."""
-    following = iter((*new.joints, *new.auxiliary))
-    joint: JointMap | None = None
-    parts = _TABLES.split(text)
-    for k, part in enumerate(parts):
-        servo: JointMap | Twin | None = None
-        if _JOINT.match(part):
-            servo = joint = next(following, None)
-        elif _TWIN.match(part) and joint is not None:
-            servo = joint.twin
-        if servo is not None:
-            parts[k] = _with_zero(part, servo.zero_ticks)
-    edited = "".join(parts)
-    if ArmConfig.parse(edited, file) != replace(new, file=file):
-        zeros = ", ".join(f"{one.name} {one.zero_ticks}" for one in new.servos)
-        raise ConfigError(
-            "the arm file is written in a way that cannot be edited; nothing is written",
-            file=file, key="joints.zero_ticks", allowed=f"by hand: {zeros}",
-        )  # fmt: skip
-    return edited
-
-
-def _with_zero(table: str, zero: int) -> str:
-    """The text of a table with this zero; one without (its zero was the default) gets it as first key."""
-    edited, found = _ZERO.subn(lambda m: m[0] if int(m[2]) == zero else f"{m[1]}{zero}", table, count=1)
-    if found or zero == TICKS_PER_REVOLUTION // 2:
-        return edited
-    head, _, rest = table.partition("\n")
-    return f"{head}\nzero_ticks = {zero}\n{rest}"
 
 
 def _backup(file: Path, text: str) -> Path:

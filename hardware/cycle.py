@@ -20,15 +20,12 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware.bus import KEEPS_TORQUE, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    TICKS_PER_REVOLUTION,
-    OperatingMode,
-    hardware_error_names,
-)
+from robot_ik.hardware.family import family_of
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.following import Following
-from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter, finite
+from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import TWIST, Drive
 from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
@@ -94,27 +91,27 @@ class Samples:
 
     Attributes:
         ticks: Servo id -> last present position.
-        q: (n,) the same in rad at the joints, by their first servos; NaN before the first sample.
+        q: (n,) the same as joint values, by the servos that measure the joints; NaN before the first sample.
         times: (n,) when each was taken, s on the arm's clock: of two servos the older one.
         jumped: Servo id -> ticks before it jumped further than it can have moved.
     """
 
     def __init__(self, config: ArmConfig) -> None:
-        self._servos = config.servos
+        self._drives = config.drives
         self._joints = len(config.joints)
         self._twins = [
-            (k, config.names.index(servo.name)) for k, servo in enumerate(self._servos) if k >= self._joints
+            (k, config.names.index(drive.name)) for k, drive in enumerate(self._drives) if k >= self._joints
         ]
-        self._speeds = [servo.velocity * servo.ticks_per_unit for servo in self._servos]
+        self._speeds = [drive.joint.velocity * drive.joint.ticks_per_unit for drive in self._drives]
         self.ticks: dict[int, int] = {}
         self.jumped: dict[int, int] = {}
-        self._angles = np.full(len(self._servos), np.nan)
-        self._times = np.full(len(self._servos), -np.inf)
-        self._missed = [0] * len(self._servos)
+        self._values = np.full(len(self._drives), np.nan)
+        self._times = np.full(len(self._drives), -np.inf)
+        self._missed = [0] * len(self._drives)
 
     @property
     def q(self) -> Array:
-        return self._angles[: self._joints]
+        return self._values[: self._joints]
 
     @property
     def times(self) -> Array:
@@ -126,101 +123,100 @@ class Samples:
         return times
 
     def begin(self, ticks: Mapping[int, int], now: float) -> None:
-        """The arm had no torque until here: a hand may have turned it since the last sample."""
+        """Take the first samples of an arm without torque: a hand may have turned it since the last one."""
         self.ticks.clear()
         self.jumped.clear()
         self.take(ticks, now)
 
     def take(self, ticks: Mapping[int, int | None], now: float) -> None:
-        """Takes what a cycle brought (servo id -> ticks); who is missing keeps its old sample."""
-        for k, servo in enumerate(self._servos):
-            value = ticks[servo.id]
+        """Take the samples of a cycle (servo id -> ticks).  A servo without one keeps its old sample."""
+        for k, drive in enumerate(self._drives):
+            id = drive.servo.id
+            value = ticks[id]
             if value is None:
                 self._missed[k] += 1
                 continue
             self._missed[k] = 0
-            before = self.ticks.get(servo.id, value)
+            before = self.ticks.get(id, value)
             if abs(value - before) > TICKS_PER_REVOLUTION / 2 + self._speeds[k] * (now - self._times[k]):
-                self.jumped.setdefault(servo.id, before)
-            self.ticks[servo.id] = value
-            self._angles[k] = servo.to_radians(value)
+                self.jumped.setdefault(id, before)
+            self.ticks[id] = value
+            self._values[k] = drive.joint.value(value, drive.servo)
             self._times[k] = now
 
-    def age(self, servo: JointMap, now: float) -> float:
-        """s since the last sample of a servo; infinite before the first."""
-        return float(now - self._times[self._servos.index(servo)])
+    def age(self, drive: Drive, now: float) -> float:
+        """Return the s since the last sample of a servo; infinite before the first."""
+        return float(now - self._times[self._drives.index(drive)])
 
-    def silent(self, now: float) -> list[JointMap]:
-        """Servos that have not answered for ``SILENCE`` and ``SILENT_CYCLES``."""
+    def silent(self, now: float) -> list[Drive]:
+        """Return the servos that have not answered for ``SILENCE`` and ``SILENT_CYCLES``."""
         return [
-            servo
-            for k, servo in enumerate(self._servos)
+            drive
+            for k, drive in enumerate(self._drives)
             if self._missed[k] >= SILENT_CYCLES and now - self._times[k] >= SILENCE
         ]
 
-    def twisted(self) -> JointMap | None:
-        """A servo that stands more than ``TWIST`` apart from the other one of its joint."""
+    def twisted(self) -> Drive | None:
+        """Return a servo that stands more than ``TWIST`` apart from the other one of its joint."""
         for k, joint in self._twins:
-            servo = self._servos[k]
-            if abs(self._angles[k] - self._angles[joint]) > TWIST * servo.lever_at(self._angles[joint]):
-                return servo
+            drive = self._drives[k]
+            value = self._values[joint]
+            if abs(self._values[k] - value) > TWIST * drive.joint.lever_at(value):
+                return drive
         return None
 
 
-# ------------------------------------------------------------------------------------------
-# Something in a cycle looks wrong: the servo itself is asked what it is, and the fault is described.
-
-
-def shutdown_fault(bus: ServoBus, servo: JointMap) -> MotorFaultError:
+def shutdown_fault(bus: ServoBus, drive: Drive) -> MotorFaultError:
     """The fault of a servo whose replies carry the alert bit, with what its register says."""
     try:
-        value = bus.read(servo.id, servo.table["hardware_error_status"]).data or 0
+        value = bus.read(drive.id, drive.servo.table["hardware_error_status"]).data or 0
     except HardwareError as error:
-        log.warning("hardware error status of %s: %s", servo.name, error)
+        log.warning("hardware error status of %s: %s", drive.name, error)
         value = 0
     return MotorFaultError(
-        servo.name,
-        hardware_error_names(value) or ("hardware_error",),
+        drive.name,
+        family_of(drive.servo.table.family).error_names(value) or ("hardware_error",),
         hint="the others hold; remove the cause, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
 
-def jump_fault(servo: JointMap, before: int, now: int) -> MotorFaultError:
+def jump_fault(drive: Drive, before: int, now: int) -> MotorFaultError:
     """The fault of a servo whose position changed by more than it can have moved, in ticks.
 
     It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
     """
-    there, here = (servo.text(servo.to_radians(ticks)) for ticks in (before, now))
+    there, here = (drive.joint.text(drive.value(ticks)) for ticks in (before, now))
     return MotorFaultError(
-        servo.name,
+        drive.name,
         ("position_jump",),
         hint=f"it read {there}, now {here}: it lost count of its revolutions, or a horn is loose: "
         "all hold. Check it, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
 
-def has_torque(bus: ServoBus, servo: JointMap) -> bool:
+def has_torque(bus: ServoBus, drive: Drive) -> bool:
     """Whether a servo says so itself; False where it cannot be heard.
 
     Raises:
         MotorFaultError: It has none.
         BusDisconnectedError: The port went away.
     """
+    family = family_of(drive.servo.table.family)
+    names = [part.name for part in family.plain_block(drive.servo.table).parts[:2]]
     try:
-        torque = bus.read(servo.id, servo.table["torque_enable"]).data
+        values = {name: bus.read(drive.id, drive.servo.table[name]).data or 0 for name in names}
     except (BusTimeoutError, BusCorruptError):
         return False
-    if not torque:
+    if not family.is_in_control(values):
         hint = "the servo has probably restarted: check its supply; the other joints hold"
-        raise MotorFaultError(servo.name, ("torque_lost",), hint=hint)
+        raise MotorFaultError(drive.name, ("torque_lost",), hint=hint)
     return True
 
 
 class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
 
-    Commands are of the arm's q, or by name; what they do not name stays at its last command.  All else
-    here is of all joints: those of q, then the auxiliary ones.
+    Commands are of all joints, or by name: joints that are not named keep their last command.
 
     Attributes:
         samples: Measured positions; ``limits``: state of the limiter; ``goals``: servo id -> ticks last sent.
@@ -229,23 +225,23 @@ class Cycle:
     """
 
     def __init__(self, config: ArmConfig, bus: ServoBus, feedback: Feedback | None = None) -> None:
-        driven, config = len(config.joints), config.whole
         self.samples = Samples(config)
         self.limits = LimiterState.at_rest(np.zeros(len(config.joints)))
         self.goals: dict[int, int] = {}
         self.held = False
         self.reports = MotionReport()
         self.period = 1.0 / config.rate_hz
-        self._config, self._bus, self._clock = config, bus, bus.clock
+        self._config = config
+        self._bus = bus
+        self._clock = bus.clock
         self._limiter = SafetyLimiter(
-            config.lower, config.upper, config.velocity, config.acceleration, joints=config.names,
-            commanded=driven,
-        )  # fmt: skip
+            config.lower, config.upper, config.velocity, config.acceleration, joints=config.names
+        )
         self._goal = shared_register(config, "goal_position")
         self.feedback = feedback or Feedback(config)
         self._following = Following(config, longest_tick=LONGEST_TICK * self.period, pause=PAUSE)
         # A shadow hears what is written to its first servo.
-        self._written = [servo for servo in config.servos if servo.shadow_of is None]
+        self._written = [drive for drive in config.drives if not drive.is_shadow]
         # A pause of half the bus watchdog: from there on it may have tripped.
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
         self._last_now: float | None = None
@@ -261,7 +257,7 @@ class Cycle:
     def stand(self, goals: Mapping[int, int], *, held: bool = False) -> None:
         """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
         self.goals = dict(goals)
-        self.limits = LimiterState.at_rest([j.to_radians(goals[j.id]) for j in self._config.joints])
+        self.limits = LimiterState.at_rest([j.value(goals[j.servo.id]) for j in self._config.joints])
         self._last_now, self.held = None, held
         self._last_traffic = self._moved_until = self._clock.now()
 
@@ -289,13 +285,14 @@ class Cycle:
         self.held = False
         dt = self._tick(time)
         if dt > 0.0:
-            self.limits, out, report = self._limiter.step(self.limits, command, dt)
-            angles = out.tolist() if len(self._config.servos) == out.size else self._config.spread(out)
+            self.limits, report = self._limiter.step(self.limits, command, dt)
             self.goals = {
-                servo.id: servo.goal(angle) for servo, angle in zip(self._config.servos, angles, strict=True)
+                servo.id: joint.goal(value, servo)
+                for joint, value in zip(self._config.joints, self.limits.q, strict=True)
+                for servo in joint.servos
             }
             self.reports.count(report)
-        self._measure(start, {s.id: self.goals[s.id] for s in self._written})
+        self._measure(start, {drive.servo.id: self.goals[drive.servo.id] for drive in self._written})
 
     def measure(self) -> None:
         """Positions of all, without new goals.
@@ -321,16 +318,17 @@ class Cycle:
         now = self._clock.now()
         measured = {id: self.feedback.measurement(status, now) for id, status in statuses.items()}
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
-        for servo in self._config.servos:
-            if statuses[servo.id].alert:
-                raise shutdown_fault(self._bus, servo)
+        for drive in self._config.drives:
+            id = drive.servo.id
+            if statuses[id].alert:
+                raise shutdown_fault(self._bus, drive)
             # Not heard: if it stays so, it is a silent servo.
-            if measured[servo.id].torque is False and has_torque(self._bus, servo):
-                log.warning("servo %d has torque, which its feedback denies: read plainly now", servo.id)
-                self.feedback.read_plainly(servo.id)
-            if servo.id in self.samples.jumped:
-                has_torque(self._bus, servo)
-                raise jump_fault(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
+            if measured[id].torque is False and has_torque(self._bus, drive):
+                log.warning("servo %d has torque, which its feedback denies: read plainly now", id)
+                self.feedback.read_plainly(id)
+            if id in self.samples.jumped:
+                has_torque(self._bus, drive)
+                raise jump_fault(drive, self.samples.jumped[id], self.samples.ticks[id])
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
@@ -359,8 +357,8 @@ class Cycle:
         wanted = self._limiter.command(q, self.limits.command)
         command = np.clip(wanted, self._config.lower, self._config.upper)
         self._drive(tuple(command.tolist()), now)
-        names, driven = self._limiter.joints, self._limiter.joints[: self._limiter.commanded]
-        asked = np.array([name in (q if isinstance(q, Mapping) else driven) for name in names])
+        names = self._limiter.joints
+        asked = np.array([name in (q if isinstance(q, Mapping) else names) for name in names])
         velocity, acceleration = self._config.velocity, self._config.acceleration
         needed = np.abs(command - self.samples.q) / velocity + 2.0 * velocity / acceleration
         end = now + (float(needed.max()) + GRACE if timeout is None else timeout)
@@ -391,15 +389,13 @@ class Cycle:
         since is held where it says it is: it would go to its goal by a revolution.
         """
         goals = dict(self.goals)
-        for joint in self._config.servos:
-            if joint.id not in self.samples.jumped:
-                # What a gripper holds keeps it from its goal: yielding would let go of it.
-                presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
-                if presses or self.held:
-                    continue
-            present = self.samples.ticks.get(joint.id)
-            if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:
-                goals[joint.id] = present
+        for joint, servo in self._config.drives:
+            # What a gripper holds keeps it from its goal: yielding would let go of it.
+            if servo.id not in self.samples.jumped and (servo.presses or self.held):
+                continue
+            present = self.samples.ticks.get(servo.id)
+            if present is not None and abs(present - goals[servo.id]) * joint.resolution > SAG * joint.lever:
+                goals[servo.id] = present
         self.goals, self.held = goals, True
         return goals
 
@@ -457,13 +453,14 @@ class Cycle:
         self._moved_until = max(self._moved_until + dt, here - JITTER * self.period)
         return dt
 
-    def _confirm_silence(self, silent: list[JointMap], everyone: bool) -> None:
+    def _confirm_silence(self, silent: list[Drive], everyone: bool) -> None:
         """Who is about to be given up is asked once more, by itself and with all patience.
 
         ``everyone``: all are silent.
         """
-        for servo in silent:
-            age = self.samples.age(servo, self._clock.now())
+        for drive in silent:
+            servo = drive.servo
+            age = self.samples.age(drive, self._clock.now())
             try:
                 ticks = self._bus.read(servo.id, servo.table["present_position"]).data
             except BusTimeoutError:
@@ -471,18 +468,18 @@ class Cycle:
             except BusCorruptError:
                 status, cause = "corrupt", "whether another servo has this id"
             else:
-                nobody: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
-                self.samples.take(nobody | {servo.id: ticks}, self._clock.now())
+                missing: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
+                self.samples.take(missing | {servo.id: ticks}, self._clock.now())
                 continue
             if everyone:
                 raise BusTimeoutError(
                     id=servo.id,
                     register="present_position",
                     port=self._bus.port,
-                    joint=servo.name,
+                    joint=drive.name,
                     last_good=age if math.isfinite(age) else None,
                     everyone=True,
                     hint=f"check their power, the cable and the adapter; {KEEPS_TORQUE}",
                 )
             hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
-            raise MotorFaultError(servo.name, (status,), hint=hint)
+            raise MotorFaultError(drive.name, (status,), hint=hint)

@@ -15,27 +15,37 @@ from dataclasses import dataclass, replace
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError
 from robot_ik.hardware.bus import BROADCAST_ID
-from robot_ik.hardware.control_table import (
-    BAUD_CODES,
+from robot_ik.hardware.family import ServoFamily, families
+from robot_ik.hardware.models import (
     BAUD_RATES,
-    IDS,
-    X_SERIES,
-    ControlTable,
     control_table,
-    hardware_error_names,
     model_by_number,
     model_name,
     require_id,
 )
-from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
-from robot_ik.hardware.packets import SHORTEST_STATUS
+from robot_ik.hardware.registers import IDS, ControlTable
+from robot_ik.hardware.serial_bus import SerialBus
 from robot_ik.hardware.serial_port import RESPONSE_TIME
 
-LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
+LIKELY = (
+    1_000_000,
+    57_600,
+    2_000_000,
+    3_000_000,
+    4_000_000,
+    115_200,
+    4_500_000,
+    9_600,
+    500_000,
+    250_000,
+    128_000,
+    76_800,
+    38_400,
+)
 """Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
 
 _MANY = 3  # rates at which no servos are all found again, but where a port has no rate
-_READ_BYTES = 14 + SHORTEST_STATUS  # of a read and its reply, without the data
+_READ_BYTES = 25  # of a read and its reply in Protocol 2, without the data; Protocol 1 has fewer
 _READS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
 
@@ -44,9 +54,12 @@ class FoundServo:
     """One id that answers at one rate.
 
     Attributes:
-        id, baud: Where; ``number``: Model Number, None where replies were too damaged to tell.
+        id, baud: Where; ``family``: how it talks.
+        number: Model Number, None where replies were too damaged to tell.
         firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
             each None if it could not be read.
+        voltage_limits: The servo's own, V.
+        temperature_limit: The servo's own, C; None if it could not be read.
         late: s by which its quickest reply came later than its bytes and ``return_delay`` ask for, or None.
         errors: Latched hardware errors by name.
         shared: Replies collide: two servos seem to have this id.
@@ -54,12 +67,15 @@ class FoundServo:
 
     id: int
     baud: int
+    family: ServoFamily
     number: int | None = None
     firmware: int | None = None
     voltage: float | None = None
     temperature: int | None = None
     return_delay: int | None = None
     torque: bool | None = None
+    voltage_limits: tuple[float, float] = (0.0, math.inf)
+    temperature_limit: int | None = None
     late: float | None = None
     errors: tuple[str, ...] = ()
     shared: bool = False
@@ -80,11 +96,18 @@ def scan(
     port: str,
     bauds: Sequence[int] = LIKELY,
     *,
+    family: ServoFamily | None = None,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[FoundServo]:
-    """Asks at every rate who is there, and each of them how it is.  Writes nothing to any servo.
+    """Look for servos at every rate and read their state.  Writes nothing to any servo.
 
-    ``bauds``: rates to try, bits/s; ``progress`` is called with (what is going on, share done).
+    Servos of two families do not share a wire: once one family has answered, the others are not tried.
+
+    Args:
+        port: Serial port.
+        bauds: Rates to try, bit/s.
+        family: The only family to look for; None: every family.
+        progress: Called with what is going on and the share that is done.
 
     Returns:
         Servos by rate, then by id.
@@ -94,24 +117,44 @@ def scan(
     """
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
-        progress(f"{baud} baud", k / len(bauds))
-        with closing(DynamixelBus(port, baud, retries=0)) as bus:
-            bus.open()
-            responses, damaged = bus.collect_pings(BROADCAST_ID, listening_time(baud))
-            servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(responses.items())]
-            if damaged:
-                rest = [id for id in IDS if id not in responses]
-                servos += _one_by_one(bus, baud, rest, progress)
-            found += sorted(servos, key=lambda servo: servo.id)
+        for candidate in _candidates(baud, found, family):
+            progress(f"{baud} baud", k / len(bauds))
+            found += _scan_rate(port, baud, candidate, progress)
     progress("done", 1.0)
     return found
+
+
+def _candidates(baud: int, found: Sequence[FoundServo], family: ServoFamily | None) -> list[ServoFamily]:
+    """Return the families to look for at a rate: those that know it, or the one that has answered."""
+    known = {servo.family.name for servo in found if servo.number is not None}
+    if family is not None:
+        return [family] if baud in family.baud_rates else []
+    return [
+        candidate
+        for candidate in families()
+        if baud in candidate.baud_rates and (not known or candidate.name in known)
+    ]
+
+
+def _scan_rate(
+    port: str, baud: int, family: ServoFamily, progress: Callable[[str, float], None]
+) -> list[FoundServo]:
+    """Return the servos of one family at one rate, by id."""
+    with closing(SerialBus(port, baud, family.protocol, retries=0)) as bus:
+        bus.open()
+        responses, damaged = bus.collect_pings(BROADCAST_ID, bus.listening_time)
+        servos = [_details(bus, FoundServo(id, baud, family, *who)) for id, who in sorted(responses.items())]
+        if damaged:
+            rest = [id for id in IDS if id not in responses]
+            servos += _one_by_one(bus, family, rest, progress)
+    return sorted(servos, key=lambda servo: servo.id)
 
 
 def no_reply_hint(bauds: Iterable[int]) -> str:
     """What to check when no servo answered."""
     rates = set(bauds)
     text = "check: is the servos' supply on? the cable, and its direction? is it the right port?"
-    left = [rate for rate in BAUD_RATES.values() if rate not in rates]
+    left = [rate for rate in BAUD_RATES if rate not in rates]
     return text + (f" rates not tried: {', '.join(map(str, left))}" if left else "")
 
 
@@ -143,25 +186,25 @@ def scan_notes(found: Sequence[FoundServo]) -> list[str]:
 
 
 def _one_by_one(
-    bus: DynamixelBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
+    bus: SerialBus, family: ServoFamily, ids: Sequence[int], progress: Callable[[str, float], None]
 ) -> list[FoundServo]:
     """Servos that the ping to all did not find, and ids from which only damaged replies come."""
     found: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
-        progress(f"{baud} baud, id {id}", k / len(ids))
+        progress(f"{bus.baud} baud, id {id}", k / len(ids))
         responses, damaged = bus.collect_pings(id, RESPONSE_TIME)
         if damaged and id not in responses:
             responses, damaged = bus.collect_pings(id, RESPONSE_TIME)  # noise can hit one reply
         for other, who in responses.items():
-            found[other] = _details(bus, FoundServo(other, baud, *who))
+            found[other] = _details(bus, FoundServo(other, bus.baud, family, *who))
         if damaged and id not in responses:
-            found[id] = FoundServo(id, baud, shared=True)
+            found[id] = FoundServo(id, bus.baud, family, shared=True)
     return list(found.values())
 
 
-def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
+def _details(bus: SerialBus, servo: FoundServo) -> FoundServo:
     """The same servo with its state, and whether its replies collide with another's."""
-    table = servo.table or X_SERIES
+    table = servo.table or servo.family.common_table
     before = bus.counters.corrupt
     values: dict[str, int] = {}
     quickest = math.inf  # a busy computer is not the adapter's fault
@@ -172,7 +215,10 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
         "hardware_error_status",
         "present_input_voltage",
         "present_temperature",
-        *("present_position", "realtime_tick") * (_READS // 2),
+        "min_voltage_limit",
+        "max_voltage_limit",
+        "temperature_limit",
+        *servo.family.changing_registers * (_READS // 2),
     )
     for name in names:
         begin = time.perf_counter()
@@ -183,15 +229,18 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
         bytes_of_both = _READ_BYTES + table[name].size
         quickest = min(quickest, time.perf_counter() - begin - bytes_of_both * 10.0 / servo.baud)
     volts, delay, torque = (values.get(name) for name in ("present_input_voltage", *names[1:3]))
+    low, high = (values.get(f"{end}_voltage_limit") for end in ("min", "max"))
     return replace(
         servo,
         firmware=values.get("firmware_version", servo.firmware),
         voltage=None if volts is None else volts / 10.0,
         temperature=values.get("present_temperature"),
+        voltage_limits=(0.0 if low is None else low / 10.0, math.inf if high is None else high / 10.0),
+        temperature_limit=values.get("temperature_limit"),
         return_delay=None if delay is None else 2 * delay,
         torque=None if torque is None else bool(torque),
         late=None if delay is None else max(quickest - 2e-6 * delay, 0.0),
-        errors=hardware_error_names(values.get("hardware_error_status", 0)),
+        errors=servo.family.error_names(values.get("hardware_error_status", 0)),
         shared=bus.counters.corrupt - before > 1,
     )
 
@@ -258,7 +307,8 @@ def set_up(
         raise ConfigError(
             f"{servo.model} cannot talk at {baud} bits/s", file="command line", key="--baud", allowed=allowed
         )
-    with closing(DynamixelBus(port, servo.baud)) as bus:
+    family = servo.family
+    with closing(SerialBus(port, servo.baud, family.protocol)) as bus:
         bus.open()
         at = servo.id
         if bus.read(at, table["torque_enable"]).data:
@@ -267,18 +317,12 @@ def set_up(
                 hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
                 f"{at} --baud {servo.baud}",
             )
-        if bus.read(at, table["return_delay_time"]).data:
-            bus.write(at, table["return_delay_time"], 0)
-        # Id before rate: if the line breaks between, the servo is where it was, under its new id.
-        if at != id:
-            bus.write(at, table["id"], id)
-            bus.ping(id)
-        if servo.baud != baud:
-            bus.write(id, table["baud_rate"], BAUD_CODES[baud])
-    with closing(DynamixelBus(port, baud)) as bus:
+        family.write_address(bus, table, at, id, baud)
+    with closing(SerialBus(port, baud, family.protocol)) as bus:
         bus.open()
-        names = ("model_number", "id", "baud_rate", "return_delay_time")
-        said = tuple(bus.read(id, table[name]).data for name in names)
-    if said != (servo.number, id, BAUD_CODES[baud], 0):
+        with family.eeprom_unlocked(bus, [id]):
+            names = ("model_number", "id", "baud_rate", "return_delay_time")
+            said = tuple(bus.read(id, table[name]).data for name in names)
+    if said != (servo.number, id, table.baud_code(baud), 0):
         raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
     return servo

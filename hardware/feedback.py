@@ -23,8 +23,9 @@ from typing import NamedTuple
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BusStatus, ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import ControlTable, Register, control_table
-from robot_ik.hardware.joint_map import JointMap, StopAt
+from robot_ik.hardware.models import control_table
+from robot_ik.hardware.registers import ControlTable, Register
+from robot_ik.hardware.servo import Drive, StopAt
 
 log = logging.getLogger(__name__)
 
@@ -61,12 +62,13 @@ class Feedback:
     """
 
     def __init__(self, config: ArmConfig) -> None:
+        self._family = config.family
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
         self._blocks: dict[int, _Block] = {}  # those longer than torque and position
         self._thresholds = {
-            servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
+            drive.id: Thresholds(drive) for drive in config.drives if drive.joint.stop_at != StopAt()
         }
         self._turns = itertools.cycle(self._thresholds)
         self._asked: Mapping[int, Register] = self.registers
@@ -102,7 +104,8 @@ class Feedback:
 
     def read_plainly(self, id: int) -> None:
         """This servo without its indirect addresses from here on: more bytes, and the same is seen."""
-        self._blocks[id] = _plain_block(self._tables[id])
+        register, parts = self._family.plain_block(self._tables[id])
+        self._blocks[id] = register, list(parts)
         self.registers[id] = self._blocks[id][0]
 
     def asked(self) -> Mapping[int, Register]:
@@ -123,7 +126,7 @@ class Feedback:
             return Measurement(value >> 8 if torque else None, torque)
         block, parts = self._blocks[id]
         values = block.take_apart(value, parts)
-        if not values["torque_enable"]:
+        if not self._family.is_in_control(values):
             return Measurement(None, False)
         if id in self._thresholds:
             self._beyond = self._beyond or self._thresholds[id].take(values, now)
@@ -138,14 +141,14 @@ class Feedback:
 class Thresholds:
     """Watches one servo against ``[joints.stop_at]``: the arm stops before the servo shuts itself down."""
 
-    def __init__(self, servo: JointMap) -> None:
-        stop, unit = servo.stop_at, servo.table.current_unit
+    def __init__(self, drive: Drive) -> None:
+        stop, unit = drive.joint.stop_at, drive.servo.table.current_unit
         rows = (
             ("load_limit", "present_load", 0.1, stop.load_percent, "%"),
             ("current_limit", "present_current", unit, stop.current_ma, "mA"),
             ("temperature_limit", "present_temperature", 1.0, stop.temperature_c, "C"),
         )
-        self._servo = servo
+        self._drive = drive
         self._rows = [(*row[:3], most, row[4]) for row in rows if (most := row[3]) is not None]
         self._beyond: dict[str, tuple[float, int]] = {}  # status -> since when, and how many samples
         self._last = -math.inf
@@ -168,9 +171,9 @@ class Thresholds:
             spent = now - since
             if spent >= SUSTAINED and count + 1 >= LEAST_SAMPLES:
                 return MotorFaultError(
-                    self._servo.name,
+                    self._drive.name,
                     (status,),
-                    hint=f"servo id {self._servo.id} at {value:.4g} {unit} for {spent:.1f} s, and stop_at of "
+                    hint=f"servo id {self._drive.id} at {value:.4g} {unit} for {spent:.1f} s, and stop_at of "
                     f"the arm file is {most:g}: all hold. Take its load away or let it cool, then: "
                     "robot-ik servo reset-fault, or Arm.reset_fault()",
                 )
@@ -201,9 +204,3 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
     block = Register("torque, position and health", data.address, len(addresses), signed=True)
     registers = [table[name] for name in parts]
     return block, [replace(r, address=data.address + addresses.index(r.address)) for r in registers]
-
-
-def _plain_block(table: ControlTable) -> _Block:
-    """From torque to temperature, as they lie: the same 83 bytes in all models."""
-    names = (*_PARTS, *_health_of(table))
-    return table.block("torque_enable", "present_temperature"), [table[name] for name in names]

@@ -12,18 +12,11 @@ from dataclasses import dataclass
 
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import GRIPPER, JointMap
+from robot_ik.hardware.family import family_of
+from robot_ik.hardware.servo import GRIPPER, Drive
 
 BEHIND_TICKS = 160
 """Ticks (14 degrees of the servo) up to which a shaft may be behind its goal, whatever its gain."""
-
-FULL_EFFORT = 128 * 885
-"""Ticks behind times Position P Gain at which a servo gives all its PWM.
-
-The gain is the register over 128 (ROBOTIS e-manual, X series, Position PID Gain). A load keeps the
-shaft behind by a part of that distance. A shaft that is further behind is overpowered.
-"""
 
 GROWTH_TICKS = 32
 """Ticks by which the distance must also have grown.
@@ -62,9 +55,9 @@ class Following:
     def __init__(self, config: ArmConfig, *, longest_tick: float, pause: float) -> None:
         self._pause = pause
         self._allowed = [
-            (servo, _allowed(servo, longest_tick))
-            for servo in config.servos
-            if servo.group != GRIPPER and servo.mode != OperatingMode.CURRENT_BASED_POSITION
+            (drive, _allowed(drive, longest_tick))
+            for drive in config.drives
+            if drive.joint.group != GRIPPER and not drive.servo.presses
         ]
         self._behind: dict[int, _Behind] = {}
         self._last = -math.inf
@@ -83,8 +76,8 @@ class Following:
         if now - self._last > self._pause:
             self._behind.clear()
         self._last = now
-        for servo, allowed in self._allowed:
-            id = servo.id
+        for drive, allowed in self._allowed:
+            id = drive.id
             distance = abs(goals[id] - shafts.get(id, goals[id]))
             if distance <= allowed:
                 self._behind.pop(id, None)
@@ -94,26 +87,27 @@ class Following:
                 behind = self._behind[id] = _Behind(now, distance, distance)
             behind.largest = max(behind.largest, distance)
             if now - behind.since >= SUSTAINED and distance >= behind.first + GROWTH_TICKS:
-                raise _not_following(servo, goals[id], shafts[id])
+                raise _not_following(drive, goals[id], shafts[id])
 
 
-def _not_following(servo: JointMap, goal: int, shaft: int) -> MotorFaultError:
-    behind = servo.text(abs(servo.to_radians(goal) - servo.to_radians(shaft)), 0)
+def _not_following(drive: Drive, goal: int, shaft: int) -> MotorFaultError:
+    behind = drive.joint.text(abs(drive.value(goal) - drive.value(shaft)), 0)
     return MotorFaultError(
-        servo.name,
+        drive.name,
         ("not_following",),
-        hint=f"{servo.name} does not follow: {behind} behind; all joints hold. Check for an "
+        hint=f"{drive.name} does not follow: {behind} behind; all joints hold. Check for an "
         "obstacle, a heavy load, a weak supply or a low Goal PWM. Then run "
         "robot-ik servo reset-fault, or call Arm.reset_fault()",
     )
 
 
-def _allowed(servo: JointMap, longest_tick: float) -> float:
+def _allowed(drive: Drive, longest_tick: float) -> float:
     """Return how far a healthy servo may be behind: load, step and profile lag, in ticks."""
+    joint, servo = drive
     gain = servo.gains.position_p or servo.table["position_p_gain"].initial
-    load = FULL_EFFORT / gain if gain else 0.0
-    speed = servo.velocity * servo.ticks_per_unit
+    load = family_of(servo.table.family).load_lag(gain or 0)
+    speed = joint.velocity * joint.ticks_per_unit
     lag = longest_tick * speed
-    if servo.profile_acceleration is not None:
-        lag += speed * servo.velocity / (2.0 * servo.profile_acceleration)
+    if joint.profile_acceleration is not None:
+        lag += speed * joint.velocity / (2.0 * joint.profile_acceleration)
     return max(BEHIND_TICKS, load) + lag

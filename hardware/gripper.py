@@ -11,8 +11,8 @@ from robot_ik.errors import HardwareError, UnsafeCommandError, distinct_texts
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle
-from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.hardware.limiter import finite
+from robot_ik.hardware.servo import GRIPPER, Joint
 
 REST = 0.15
 """s in which a finger that has not moved by ``STILL_TICKS`` stands: at its goal, or at something."""
@@ -69,7 +69,7 @@ class Fingers:
                 unit = joint.unit
                 raise UnsafeCommandError(f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}")
             self.goals[name] = float(to)
-        self._names = config.whole.names
+        self._names = config.names
         self._joints = [config.joint(name) for name in self.goals]
         self._last = dict.fromkeys(self.goals, math.inf)
         self._since = -math.inf
@@ -91,11 +91,12 @@ class Fingers:
         return tuple(grips)
 
 
-def _current(bus: ServoBus, joint: JointMap) -> float | None:
-    if "present_current" not in joint.table:
+def _current(bus: ServoBus, joint: Joint) -> float | None:
+    table = joint.servo.table
+    if "present_current" not in table:
         return None
     try:
-        counts = bus.read(joint.id, joint.table["present_current"]).data
+        counts = bus.read(joint.servo.id, table["present_current"]).data
     except HardwareError:
         return None  # the next cycle says what is wrong
-    return None if counts is None else abs(counts) * joint.table.current_unit
+    return None if counts is None else abs(counts) * table.current_unit

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import VELOCITY_UNIT, X_SERIES, hardware_error_names
 from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.family import family_of
 from robot_ik.hardware.ports import quicker, serial_row
+from robot_ik.hardware.servo import Drive
 
 
 @dataclass(frozen=True)
@@ -47,39 +47,40 @@ class ServoState:
         return self.ticks is not None and self.torque is not None
 
 
-_HEALTH = X_SERIES.block("torque_enable", "hardware_error_status")
-_MOTION = X_SERIES.block("present_current", "present_temperature")
-
-
-def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
-    """Asks servos, each a row of its own, as ``ArmConfig.servos``; a row for each, in the same order.
+def read_states(bus: ServoBus, drives: Sequence[Drive]) -> list[ServoState]:
+    """Return the state of every servo of ``drives``, which are of one family, in the same order.
 
     Raises:
-        BusDisconnectedError, BusNotOpenError.
+        BusDisconnectedError, BusNotOpenError: The port went away or is not open.
     """
-    ids = [servo.id for servo in servos]
-    motion, health = bus.sync_read(ids, _MOTION), bus.sync_read(ids, _HEALTH)
-    return [_state(servo, motion[servo.id].data, health[servo.id].data) for servo in servos]
+    if not drives:
+        return []
+    table = drives[0].servo.table
+    ids = [drive.id for drive in drives]
+    values: dict[int, dict[str, int]] = {id: {} for id in ids}
+    for block in family_of(table.family).state_blocks(table):
+        for drive, status in zip(drives, bus.sync_read(ids, block).values(), strict=True):
+            if status.data is not None:
+                values[drive.id] |= drive.servo.table.values(block, status.data)
+    return [_state(drive, values[drive.id]) for drive in drives]
 
 
-def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoState:
+def _state(drive: Drive, values: Mapping[str, int]) -> ServoState:
+    joint, servo = drive
     table = servo.table
-    values: dict[str, int] = {}
-    for block, value in ((_MOTION, motion), (_HEALTH, health)):
-        if value is not None:
-            values |= table.values(block, value)
+    family = family_of(table.family)
     if not values:
-        return ServoState(servo.name, servo.id)
+        return ServoState(joint.name, servo.id)
 
     def scaled(name: str, factor: float) -> float | None:
         return values[name] * factor if name in values else None
 
-    position = servo.to_radians(values["present_position"]) if "present_position" in values else None
-    lever = servo.lever_at(servo.lower if position is None else position)
-    speed = VELOCITY_UNIT / (servo.direction * servo.ratio) * lever / servo.per_unit
-    shown = None if position is None else position / servo.per_unit
+    position = drive.value(values["present_position"]) if "present_position" in values else None
+    lever = joint.gear.lever(joint.lower if position is None else position)
+    speed = family.velocity_unit * servo.direction * lever / joint.per_unit
+    shown = None if position is None else position / joint.per_unit
     return ServoState(
-        servo.name,
+        joint.name,
         servo.id,
         ticks=values.get("present_position"),
         current_ma=scaled("present_current", table.current_unit),
@@ -87,8 +88,8 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
         voltage=scaled("present_input_voltage", 0.1),
         temperature=values.get("present_temperature"),
         torque=bool(values["torque_enable"]) if "torque_enable" in values else None,
-        errors=hardware_error_names(values.get("hardware_error_status", 0)),
-        **{f"position_{servo.unit}": shown, f"velocity_{servo.unit}": scaled("present_velocity", speed)},
+        errors=family.error_names(values.get("hardware_error_status", 0)),
+        **{f"position_{joint.unit}": shown, f"velocity_{joint.unit}": scaled("present_velocity", speed)},
     )
 
 
@@ -112,18 +113,18 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
     All rates are tried only when a servo is missing at the arm file's.
     """
     try:
-        found = scan(port, [config.baud])
+        found = scan(port, [config.baud], family=config.family)
         seen = {servo.id for servo in found}
         if not seen.issuperset(config.servo_ids):
-            found += scan(port, [rate for rate in LIKELY if rate != config.baud])
+            found += scan(port, [rate for rate in LIKELY if rate != config.baud], family=config.family)
     except HardwareError as error:
         return [CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
     rows = [serial_row(port, "servos")]
     if not found:
         return [*rows, CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY))]
     rows += _speed_rows(port, config, found)
-    for servo in config.servos:
-        rows.append(_joint_row(servo, [f for f in found if f.id == servo.id], config))
+    for drive in config.drives:
+        rows.append(_joint_row(drive, [f for f in found if f.id == drive.id], config))
     known = set(config.servo_ids)
     for f in (f for f in found if f.id not in known):
         problem = f"{f.model} at {f.baud}: not in the arm file"
@@ -144,10 +145,11 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
     return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", quicker(port))]
 
 
-def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
-    what = f"servo {servo.id} {servo.name}"
+def _joint_row(drive: Drive, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
+    servo = drive.servo
+    what = f"servo {servo.id} {drive.name}"
     if not found:
-        do = f"check its cable and power; as bought it has id 1: robot-ik servo setup --joint {servo.name}"
+        do = f"check its cable and power; as bought it has id 1: robot-ik servo setup --joint {drive.name}"
         return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
     if len(found) > 1 or found[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
@@ -155,39 +157,45 @@ def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) 
     f = found[0]
     supply = "" if f.voltage is None else f", {f.voltage:.1f} V"
     warm = "" if f.temperature is None else f", {f.temperature} C"
-    about = f"{f.model}, firmware {f.firmware}{supply}{warm}"
-    for status, problem, do in _findings(servo, f, config):
+    about = f"{f.family.title} {f.model}, firmware {f.firmware}{supply}{warm}"
+    for status, problem, do in _findings(drive, f, config):
         return CheckRow(what, status, f"{about}: {problem}", do)
     return CheckRow(what, OK, about)
 
 
-def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> Iterator[tuple[str, str, str]]:
+def _findings(drive: Drive, f: FoundServo, config: ArmConfig) -> Iterator[tuple[str, str, str]]:
     """(status, problem, what to do), the worst first."""
-    setup = f"connect it alone: robot-ik servo setup --joint {servo.name}"
+    servo = drive.servo
+    capabilities = config.family.capabilities
+    setup = f"connect it alone: robot-ik servo setup --joint {drive.name}"
     if f.model != servo.model:
         yield PROBLEM, f"the arm file says {servo.model}", "correct the arm file, or the servo's id"
     if f.baud != config.baud:
         yield PROBLEM, f"it talks at {f.baud}, the arm file says {config.baud}", setup
-    low, high = (servo.table[f"{end}_voltage_limit"].initial or 0 for end in ("min", "max"))
-    if f.voltage is not None and not low <= 10.0 * f.voltage <= high:
-        text = f"its supply must be {low / 10:.1f} to {high / 10:.1f} V"
+    low, high = f.voltage_limits
+    if f.voltage is not None and not low <= f.voltage <= high:
+        text = f"its supply must be {low:.1f} to {high:.1f} V"
         yield PROBLEM, text, "check the power supply and the voltage drop along the cables"
     if f.errors:
         do = "remove the cause, support the arm, then: robot-ik servo reset-fault"
         yield PROBLEM, f"it has shut down or warns: {', '.join(f.errors)}", do
-    if f.firmware is not None and "bus_watchdog" not in (f.table or servo.table):
+    if (
+        capabilities.bus_watchdog
+        and f.firmware is not None
+        and "bus_watchdog" not in (f.table or servo.table)
+    ):
         text = f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it runs on when the cable is pulled"
         do = "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near"
         yield PROBLEM, text, do
-    hottest = servo.table["temperature_limit"].initial or 0
-    if f.temperature is not None and f.temperature > hottest - _WARM:
+    hottest = f.temperature_limit
+    if f.temperature is not None and hottest is not None and f.temperature > hottest - _WARM:
         yield NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"
     if f.torque is None:
         text = "it answers pings only: its Status Return Level is 0"
         yield NOTE, text, "nothing: every start of the arm sets 2"
     if f.torque:
         yield NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"
-    if f.table is not None and "fast_read" not in f.table.abilities:
+    if f.table is not None and "fast_read" in servo.table.abilities - f.table.abilities:
         yield NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"
     if f.return_delay:
         text = f"it waits {f.return_delay} us before each reply"

@@ -96,7 +96,6 @@ class SafetyLimiter:
         *,
         margin: float = 0.0,
         joints: Sequence[str] | None = None,
-        commanded: int | None = None,
     ) -> None:
         """Checks the caps once, so that no step need.
 
@@ -107,7 +106,6 @@ class SafetyLimiter:
             acceleration: (n,) or one cap, rad/s², positive.
             margin: rad kept free at both ends of the range.
             joints: n names for reports and named commands; "joint1" … by default.
-            commanded: Arrays of angles are of so many joints, the first ones; the others move by name.
 
         Raises:
             ValueError: Shapes, signs or an empty range.
@@ -129,61 +127,55 @@ class SafetyLimiter:
         if len(self.joints) != size:
             raise ValueError(f"{len(self.joints)} joint names for {size} joints")
         self.size = size
-        self.commanded = size if commanded is None else commanded
         self._caps = tuple(
             zip(low.tolist(), high.tolist(), max_velocity.tolist(), max_acceleration.tolist(), strict=True)
         )
 
-    def command(
-        self, q: ArrayLike | Mapping[str, float], fill: Sequence[float], size: int | None = None
-    ) -> tuple[float, ...]:
+    def command(self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]) -> tuple[float, ...]:
         """Checks a command without looking at the limits.
 
         Args:
-            q: (``size``,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
+            q: (n,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
             fill: n angles, rad.
-            size: How many; ``commanded`` by default.
 
         Raises:
             UnsafeCommandError: NaN, infinity, wrong length, not numbers, unknown joint.
         """
-        size = self.commanded if size is None else size
         if isinstance(q, Mapping):
-            q, size = self._from_names(q, fill), self.size
+            q = self._from_names(q, fill)
         array = _numbers(q)
         if array is None:
-            raise UnsafeCommandError(f"a command of {reprlib.repr(q)}", f"{size} angles in radians")
-        if array.shape != (size,):
+            raise UnsafeCommandError(f"a command of {reprlib.repr(q)}", f"{self.size} angles in radians")
+        if array.shape != (self.size,):
             raise UnsafeCommandError(
                 f"a command of shape {array.shape}",
-                f"{size} angles, one for each of {', '.join(self.joints[:size])}",
+                f"{self.size} angles, one for each of {', '.join(self.joints)}",
             )
-        values = (*array.tolist(), *fill[size:])
+        values = tuple(array.tolist())
         if not all(map(math.isfinite, values)):
             bad = [n for n, x in zip(self.joints, values, strict=True) if not math.isfinite(x)]
             raise UnsafeCommandError(f"NaN or infinity for {', '.join(bad)}", "finite angles in radians")
         return values
 
     def step(
-        self, state: LimiterState, command: ArrayLike | Mapping[str, float], dt: float
-    ) -> tuple[LimiterState, Array, LimiterReport]:
+        self, state: LimiterState, command: Sequence[float], dt: float
+    ) -> tuple[LimiterState, LimiterReport]:
         """One tick.
 
         Args:
             state: What the last tick returned, or ``LimiterState.at_rest``.
-            command: (n,) rad, or joint name -> rad.
+            command: n values of ``command``, which has checked them.
             dt: Seconds since the last tick.  With a constant dt every law holds exactly; where dt varies,
                 the acceleration between two ticks is bounded over the mean of their lengths, and the
                 position limits win over the acceleration cap.
 
         Returns:
-            New state; angles to send (n,) rad, inside the limits unless the start was outside (then walked
+            New state, whose ``q`` is to be sent: inside the limits unless the start was outside (then walked
             back within the caps); what was changed.
 
         Raises:
-            UnsafeCommandError: see ``command``; dt not positive and finite.
+            UnsafeCommandError: dt not positive and finite, or a state of other joints.
         """
-        wanted = self.command(command, state.command, self.size)
         if not (math.isfinite(dt) and dt > 0.0):
             raise UnsafeCommandError(f"a tick of {dt} s", "a positive time")
         if len(state.q) != self.size:
@@ -192,11 +184,11 @@ class SafetyLimiter:
         past = zip(state.q, state.velocity, state.command, state.command_velocity, self._caps, strict=True)
         rows = [
             _step_joint(goal, q, v, command, lead, caps, dt, mean_dt)
-            for goal, (q, v, command, lead, caps) in zip(wanted, past, strict=True)
+            for goal, (q, v, command, lead, caps) in zip(command, past, strict=True)
         ]
         out, velocity, target, target_velocity, clipped, capped = zip(*rows, strict=True)
         report = LimiterReport(tuple(compress(self.joints, clipped)), tuple(compress(self.joints, capped)))
-        return LimiterState(out, velocity, target, target_velocity, dt), np.array(out), report
+        return LimiterState(out, velocity, target, target_velocity, dt), report
 
     def _from_names(self, named: Mapping[str, float], fill: Sequence[float]) -> list[float]:
         values = list(fill)

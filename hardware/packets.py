@@ -10,12 +10,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from robot_ik.hardware.bus import ALERT_BIT, BROADCAST_ID
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.registers import Register
+from robot_ik.hardware.wire_protocol import StatusPacket
 
 HEADER = b"\xff\xff\xfd\x00"
 STATUS = 0x55
@@ -35,15 +35,6 @@ MAX_PACKET = 1024
 
 _STATUS = bytes((STATUS,))
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
-
-
-class StatusPacket(NamedTuple):
-    """One status with a good checksum and a length that agrees with its length field."""
-
-    id: int
-    code: int
-    alert: bool
-    data: bytes
 
 
 def _crc_table() -> list[int]:

@@ -20,7 +20,7 @@ from serial.tools import list_ports
 from robot_ik.errors import BusNotOpenError, did_you_mean
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.checks import users_of
-from robot_ik.hardware.control_table import BAUD_RATES
+from robot_ik.hardware.models import BAUD_RATES
 from robot_ik.hardware.ports import NO_PORTS
 
 LONGEST_DRAIN = 0.1
@@ -90,6 +90,10 @@ class SleepingPortHandler(PortHandler):
         self._file = self.ser.fileno() if self._posix else -1
         return True
 
+    def fileno(self) -> int | None:
+        """Return the file descriptor of the open port; None if there is none."""
+        return self._file if self._file >= 0 and self.is_open else None
+
     def closePort(self) -> None:
         port, self.ser, self.is_open = self.ser, None, False
         if port is not None:
@@ -97,7 +101,7 @@ class SleepingPortHandler(PortHandler):
 
     def getCFlagBaud(self, baudrate: int) -> int:
         """Every rate a servo can be set to; the SDK's own list stops before 4.5 M."""
-        return baudrate if baudrate in BAUD_RATES.values() else -1
+        return baudrate if baudrate in BAUD_RATES else -1
 
     def getCurrentTime(self) -> float:
         """Milliseconds on a clock that never jumps."""

@@ -11,19 +11,29 @@ from typing import TYPE_CHECKING
 
 from robot_ik.hardware import pty_port
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.protocol2 import PROTOCOL_2
+from robot_ik.hardware.serial_bus import SerialBus
 from robot_ik.hardware.serial_port import SleepingPortHandler
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.wire_protocol import WireProtocol
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.pty import PtyPort
 
 
-class SimBus(DynamixelBus):
+class SimBus(SerialBus):
     """Implements ``ServoBus`` on a ``VirtualBus``, usually on a ``VirtualClock``."""
 
-    def __init__(self, virtual_bus: VirtualBus, *, retries: int = 2) -> None:
-        super().__init__("sim", retries=retries, clock=virtual_bus.clock)
+    def __init__(
+        self,
+        virtual_bus: VirtualBus,
+        protocol: WireProtocol = PROTOCOL_2,
+        *,
+        retries: int = 2,
+        real: bool = False,
+    ) -> None:
+        super().__init__("sim", 1_000_000, protocol, retries=retries, clock=virtual_bus.clock)
+        self.real = real  # a test may treat these servos as real ones
         self.virtual_bus = virtual_bus
 
     def _make_handler(self) -> InProcessPort:
@@ -76,21 +86,23 @@ class InProcessPort(SleepingPortHandler):
             raise OSError("it was unplugged")
 
 
-class ServedBus(DynamixelBus):
+class ServedBus(SerialBus):
     """Virtual servos behind a real pty, and the driver of real ones on it: all but the wire is as with metal.
 
     The port is made when it is opened and taken away when it is closed; ``port`` is its path meanwhile.
     """
 
-    def __init__(self, servos: VirtualBus, baud: int) -> None:
-        super().__init__("pty", baud)
+    real = False
+
+    def __init__(self, servos: VirtualBus, baud: int, protocol: WireProtocol = PROTOCOL_2) -> None:
+        super().__init__("pty", baud, protocol)
         self.clock = servos.clock  # of the arm; what is on the wire takes real time
-        self._servos = servos
+        self.virtual_bus = servos
         self._pty: PtyPort | None = None
 
     def open(self) -> None:
         if self._pty is None:
-            self._pty = pty_port()(self._servos)
+            self._pty = pty_port()(self.virtual_bus)
         self.port = self._pty.path  # another one after it was unplugged
         super().open()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,14 +12,9 @@ from robot_ik.config import KeyProblem
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    ACCELERATION_UNIT,
-    TICKS_PER_REVOLUTION,
-    VELOCITY_UNIT,
-    hardware_error_names,
-)
-from robot_ik.hardware.joint_map import GRIPPER, TWIST, JointMap
-from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
+from robot_ik.hardware.register_access import sync_set
+from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import TWIST, Drive
 
 log = logging.getLogger(__name__)
 
@@ -30,18 +24,6 @@ ON_EXIT = ("torque_off", "hold", "park")
 PATIENCE = 1.0
 """s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
 
-SPEED_HEADROOM = 1.5
-"""Profile Velocity over the joint's cap: the servo catches up after a lost cycle, yet stays bounded."""
-
-RAMP_SHARE = 0.25
-"""Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
-
-LEAST_STRENGTH = 0.25
-"""Share of its voltage without which a servo is refused: so much torque the weight of an arm alone takes."""
-LEAST_GRIP = 0.02
-"""The same of a gripper, which may be meant to press softly and holds up nothing."""
-
-_LARGEST_PROFILE = 32767  # of both profile registers
 _PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
 _ATTEMPTS = 3  # a sync write has no reply: it is read back, and repeated if it was lost
 _REBASE_TICKS = TICKS_PER_REVOLUTION // 8
@@ -60,7 +42,7 @@ def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
     """
     present = read_all(bus, config, "present_position")
     _check_set_up(bus, config, "nothing was switched on")
-    check_strength(bus, config)
+    config.family.check_strength(bus, config)
     _check_revolutions(config, present)
     _check_twins(config, present)
     return present
@@ -77,24 +59,24 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
             then: the caller switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
     """
-    missing = _sync_set(bus, config, "goal_position", goals)
+    missing = sync_set(bus, config, "goal_position", goals)
     if missing:
         raise HardwareError(
             f"{_names(missing)} did not take the present position as goal; nothing was switched on",
             hint="is the shaft outside the servo's own position limits? turn it back inside by hand",
         )
     arm_watchdog(bus, config)
-    missing = _sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
+    missing = sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
     if missing:
         errors = read_all(bus, config, "hardware_error_status")
-        names = hardware_error_names(errors[missing[0].id])
+        names = config.family.error_names(errors[missing[0].id])
         raise MotorFaultError(missing[0].name, names or ("torque_refused",))
     present = read_all(bus, config, "present_position")
-    for joint in config.servos:
-        after = present[joint.id]
-        if abs(after - goals[joint.id]) > _REBASE_TICKS:
+    for drive in config.drives:
+        after = present[drive.id]
+        if abs(after - goals[drive.id]) > _REBASE_TICKS:
             raise HardwareError(
-                f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
+                f"joint {drive.name!r} read {goals[drive.id]} ticks before torque came on and {after} after",
                 hint="a servo may count its revolutions anew when torque comes on: check zero_ticks",
             )
     # A servo that restarted between the last look and its torque is on now, at any speed.
@@ -102,65 +84,18 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
 
 
 def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
-    """Servos stop by themselves when the bus is silent for ``watchdog_ms`` (0: never).
-
-    Raises:
-        HardwareError: A servo did not take it.
-    """
-    if not config.watchdog_ms:
-        return  # cleared when the arm was connected, where there is one
-    value = config.watchdog_ms // WATCHDOG_UNIT_MS
-    missing = _sync_set(bus, config, "bus_watchdog", dict.fromkeys(config.servo_ids, value))
-    if missing:
-        raise HardwareError(
-            f"{_names(missing)} did not take the bus watchdog",
-            hint="power-cycle the servos and try again",
-        )
+    """Servos stop by themselves when the bus is silent for ``watchdog_ms`` (0: never)."""
+    if config.watchdog_ms:
+        config.family.arm_watchdog(bus, config)
 
 
 def set_profiles(bus: ServoBus, config: ArmConfig) -> None:
-    """How fast servos may follow their goals.  0, which they have after a restart, is as fast as they can.
-
-    So it is after their Bus Watchdog has tripped (ROBOTIS-GIT/emanual _includes/en/dxl/x/bus_watchdog.md).
-
-    Raises:
-        HardwareError: A servo did not take it.
-    """
-    profiles = {servo.id: _profile(servo, config.rate_hz) for servo in config.servos}
-    for name in ("profile_acceleration", "profile_velocity"):
-        missing = _sync_set(bus, config, name, {id: profile[name] for id, profile in profiles.items()})
-        if missing:
-            raise HardwareError(
-                f"{name} of {_names(missing)} was written and reads back otherwise; no torque was changed"
-            )
+    """How fast servos may follow their goals; see ``ServoFamily.limit_speed``."""
+    config.family.limit_speed(bus, config)
 
 
-def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
-    # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
-    gear = servo.ratio / servo.levers[0]
-    speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s
-    ramp = speed * rate_hz / RAMP_SHARE
-    if servo.profile_acceleration is not None:
-        ramp = gear * servo.profile_acceleration
-    rows = (("profile_acceleration", ramp, ACCELERATION_UNIT), ("profile_velocity", speed, VELOCITY_UNIT))
-    return {name: min(max(math.ceil(value / unit), 1), _LARGEST_PROFILE) for name, value, unit in rows}
-
-
-def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> list[JointMap]:
-    """Servos that do not read back what was written."""
-    register = shared_register(config, name)
-    wrong = list(config.servos)
-    for _ in range(_ATTEMPTS):
-        bus.sync_write(register, {joint.id: values[joint.id] for joint in wrong})
-        present = read_all(bus, config, name)
-        wrong = [joint for joint in config.servos if present[joint.id] != values[joint.id]]
-        if not wrong:
-            break
-    return wrong
-
-
-def _names(servos: list[JointMap]) -> str:
-    return ", ".join(dict.fromkeys(servo.name for servo in servos))
+def _names(drives: list[Drive]) -> str:
+    return ", ".join(dict.fromkeys(drive.name for drive in drives))
 
 
 def _check_set_up(bus: ServoBus, config: ArmConfig, then: str) -> None:
@@ -168,56 +103,24 @@ def _check_set_up(bus: ServoBus, config: ArmConfig, then: str) -> None:
 
     ``then``: what becomes of the torque, for the error.
     """
-    velocity = read_all(bus, config, "profile_velocity")
-    for servo in config.servos:
-        if not velocity[servo.id]:
-            raise HardwareError(
-                f"joint {servo.name!r} (servo id {servo.id}) has restarted since it was set up: no limit of "
-                f"speed or current is left in it; {then}",
-                hint="check its supply; then connect again, in a program reconnect(), then enable()",
-            )
-
-
-def check_strength(bus: ServoBus, config: ArmConfig) -> None:
-    """A servo whose controller has no gain, or hardly any voltage, has torque on and lets the joint fall.
-
-    Another program may have left its Goal PWM (RAM) or PWM Limit (EEPROM) so.  Nothing is changed here: a
-    small value may be meant.
-
-    Raises:
-        HardwareError: A servo cannot hold the arm.
-    """
-    names = ("position_p_gain", "goal_pwm", "pwm_limit")
-    gains, goals, limits = (read_all(bus, config, name) for name in names)
-    for servo in config.servos:
-        where = f"joint {servo.name!r} (servo id {servo.id})"
-        if not gains[servo.id]:
-            raise HardwareError(
-                f"{where} has Position P Gain 0 and would not follow its goals; nothing was switched on",
-                hint="set position_p in its [joints.gains] table; a power cycle undoes what a program wrote",
-            )
-        goal, limit = abs(goals[servo.id]), limits[servo.id]
-        share = min(goal, limit) / servo.table["pwm_limit"].maximum
-        text = f"{where} may use {100 * share:.0f} % of its voltage (Goal PWM {goal}, PWM Limit {limit})"
-        if share < (LEAST_GRIP if servo.group == GRIPPER else LEAST_STRENGTH):
-            raise HardwareError(
-                f"{text} and could not hold the arm; nothing was switched on",
-                hint="a power cycle resets its Goal PWM; PWM Limit is an EEPROM setting: "
-                "robot-ik servo restore, or DYNAMIXEL Wizard 2",
-            )
-        if share < 1.0:
-            log.warning("%s: it is weaker than its model", text)
+    drive = config.family.forgot_speed(bus, config)
+    if drive is not None:
+        raise HardwareError(
+            f"{drive.label} has restarted since it was set up: no limit of "
+            f"speed or current is left in it; {then}",
+            hint="check its supply; then connect again, in a program reconnect(), then enable()",
+        )
 
 
 def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:
     """A servo that lost power counts its revolutions anew: then its angle is wrong by whole revolutions."""
-    for joint in config.servos:
-        here = present[joint.id]
-        if revolutions := joint.lost_revolutions(here):
+    for joint, servo in config.drives:
+        here = present[servo.id]
+        if revolutions := joint.lost_revolutions(here, servo):
             lower, upper = joint.limits
-            zero = joint.zero_ticks - TICKS_PER_REVOLUTION * revolutions
+            zero = servo.zero_ticks - TICKS_PER_REVOLUTION * revolutions
             raise HardwareError(
-                f"joint {joint.name!r} reads {joint.text(joint.to_radians(here))}, outside "
+                f"joint {joint.name!r} reads {joint.text(joint.value(here, servo))}, outside "
                 f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its revolutions; "
                 "nothing was switched on",
                 hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
@@ -227,8 +130,8 @@ def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:
 
 def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
     """Two servos of one joint that do not agree where it is would fight each other."""
-    for joint in config.whole.joints:
-        angles = [servo.to_radians(present[servo.id]) for servo in joint.servos]
+    for joint in config.joints:
+        angles = [joint.value(present[servo.id], servo) for servo in joint.servos]
         if abs(angles[-1] - angles[0]) > TWIST * joint.lever_at(angles[0]):
             raise HardwareError(
                 f"the two servos of joint {joint.name!r} read {joint.text(angles[0])} and "
@@ -319,7 +222,7 @@ def leave(
         servos: Servo id -> name of those that are left; the arm's.
         everyone: Torque goes off of all servos on the wire at once first, which needs no reply.
     """
-    leaving = _Leaving(bus, config, servos or {servo.id: servo.name for servo in config.servos})
+    leaving = _Leaving(bus, config, servos or {drive.id: drive.name for drive in config.drives})
     left, names = leaving.left, dict.fromkeys(leaving.left.values())
     done = "hold" if policy == "hold" and set(left) <= set(goals) else "torque_off"
     if done == "hold":
@@ -385,11 +288,12 @@ class _Leaving:
     def hold(self, goals: Mapping[int, int]) -> None:
         """Goals as they are, and no Bus Watchdog: another program may take over."""
         bus, left = self._bus, self.left
-        names = ("torque_enable", "goal_position", "bus_watchdog")
-        torque, goal, watchdog = (shared_register(self._config, name) for name in names)
+        torque, goal = (shared_register(self._config, name) for name in ("torque_enable", "goal_position"))
+        armed = self._config.family.capabilities.bus_watchdog
         while left and bus.is_open and bus.clock.now() < self._end:
             with self.step("hold"):
-                bus.sync_write(watchdog, dict.fromkeys(left, 0))
+                if armed:
+                    bus.sync_write(shared_register(self._config, "bus_watchdog"), dict.fromkeys(left, 0))
                 bus.sync_write(goal, {id: goals[id] for id in left})
                 there = bus.sync_read(list(left), goal)
                 powered = bus.sync_read(list(left), torque)

@@ -171,12 +171,18 @@ class ExitGuard:
         self._last_resort = last_resort
         self.received = 0
 
-    def install(self) -> None:
-        """From here on signals end in an exception.  May be called again, also after ``remove``."""
+    def install(self, *, handle_signals: bool = True) -> None:
+        """From here on signals end in an exception.  May be called again, also after ``remove``.
+
+        Args:
+            handle_signals: False: the program keeps its own handlers and leaves the arm itself.  Only the
+                last resort at the end of the interpreter is armed.
+        """
         self.received = 0
         atexit.unregister(self._last_resort)  # not twice
         atexit.register(self._last_resort)
-        _HANDLERS.add(self)
+        if handle_signals:
+            _HANDLERS.add(self)
 
     def remove(self) -> None:
         """The arm is left; with the last one the handlers from before are given back.

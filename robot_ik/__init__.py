@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from robot_ik.pose_prior import PosePrior
     from robot_ik.problem import Problem
     from robot_ik.robot import Robot, load_robot
+    from robot_ik.robot_arm import RobotArm, open_robot
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Deviation, Solution, Status
     from robot_ik.solvers import SOLVERS, make_solver
@@ -82,6 +83,7 @@ _HOME = {
     "robot_ik.budget": ("Budget",),
     "robot_ik.problem": ("Problem",),
     "robot_ik.robot": ("Robot", "load_robot"),
+    "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Deviation", "Solution", "Status"),
     "robot_ik.inverse_kinematics": ("solve", "warm_up"),
@@ -118,6 +120,7 @@ __all__ = [
     "Problem",
     "RealClock",
     "Robot",
+    "RobotArm",
     "RobotIkError",
     "Scene",
     "Solution",
@@ -137,6 +140,7 @@ __all__ = [
     "load_scene",
     "make_chain",
     "make_solver",
+    "open_robot",
     "solve",
     "solve_all",
     "solve_batch",

@@ -46,10 +46,10 @@ class JointReading:
 class JointSink(Protocol):
     """Takes joint angles. Examples are a viewer, a recorder and a servo arm."""
 
-    def send(self, q: Array, now: float) -> None:
+    def send(self, q: Array, now: float) -> object:
         """Take the commanded ``q`` (nq,) for the time ``now`` in seconds.
 
-        The method must neither keep nor change ``q``.
+        The method must neither keep nor change ``q``. What it returns is not used.
         """
         ...
 

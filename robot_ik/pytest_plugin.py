@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import FaultFile
-    from robot_ik.ports import Array
+    from robot_ik.robot_arm import RobotArm
 
 
 @pytest.fixture
@@ -30,8 +30,8 @@ def virtual_arm_config() -> ArmConfig:
 
 
 @pytest.fixture
-def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
-    """Joint angles (n,), rad, of the arm at the start: the home pose, or zeros without a model."""
+def virtual_arm_start(virtual_arm_config: ArmConfig) -> dict[str, float] | None:
+    """Joint -> rad or m at first: the home of the robot, or zeros if its model is not at hand."""
     from robot_ik.hardware.virtual.bus import home_of
 
     return home_of(virtual_arm_config)
@@ -39,25 +39,43 @@ def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
 
 @pytest.fixture
 def virtual_bus(
-    request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_arm_start: Array | None
+    request: pytest.FixtureRequest,
+    virtual_arm_config: ArmConfig,
+    virtual_arm_start: dict[str, float] | None,
 ) -> VirtualBus:
     """The simulated servos: registers, shafts, faults.
 
     Their time is virtual: it passes only during a sleep on ``virtual_bus.clock``. In a test that
     uses ``virtual_port`` it is real.
     """
-    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware import simulated_servos
     from robot_ik.ports import RealClock, VirtualClock
 
     clock = RealClock() if "virtual_port" in request.fixturenames else VirtualClock()
-    return VirtualBus.from_config(virtual_arm_config, clock, virtual_arm_start)
+    return simulated_servos(virtual_arm_config, clock, virtual_arm_start)
 
 
 @pytest.fixture
-def virtual_arm(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Iterator[Arm]:
-    """An arm on these servos, connected and enabled; left as its file says when the test ends."""
+def virtual_robot(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Iterator[RobotArm]:
+    """A robot and its arm on these servos, enabled; left as its file says when the test ends."""
+    from robot_ik.robot_arm import open_robot
+
+    config = virtual_arm_config
+    with open_robot(config.robot, config, "sim", virtual_bus=virtual_bus) as opened:
+        opened.enable()
+        yield opened
+
+
+@pytest.fixture
+def virtual_arm(
+    request: pytest.FixtureRequest, virtual_arm_config: ArmConfig, virtual_bus: VirtualBus
+) -> Iterator[Arm]:
+    """The arm of ``virtual_robot``; alone, an arm on these servos that needs no model."""
     from robot_ik.hardware import open_arm
 
+    if "virtual_robot" in request.fixturenames:
+        yield request.getfixturevalue("virtual_robot").arm
+        return
     with open_arm(virtual_arm_config, "sim", virtual_bus=virtual_bus) as arm:
         arm.enable()
         yield arm

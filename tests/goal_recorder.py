@@ -37,7 +37,7 @@ class GoalRecorder:
         """The servos of this bus are those of this arm; the bus is kept, so that its id is not given anew."""
         from robot_ik.hardware.virtual.protocol import Parser
 
-        self._watched[id(bus)] = (bus, {servo.id: servo for servo in config.servos}, Parser())
+        self._watched[id(bus)] = (bus, {drive.id: drive for drive in config.drives}, Parser())
 
     def see(self, bus: VirtualBus, data: bytes) -> None:
         """Called with what goes to the servos, before they have it."""
@@ -49,7 +49,7 @@ class GoalRecorder:
                 servo = servos.get(servo_id)
                 if servo is None:
                     continue
-                goal = servo.table["goal_position"]
+                goal = servo.servo.table["goal_position"]
                 if address <= goal.address < address + len(written):
                     at = goal.address - address
                     self.check(bus, servo, goal.decode(written[at : at + goal.size]))
@@ -60,7 +60,7 @@ class GoalRecorder:
         first, last = servo.ticks_range
         if first <= goal <= last:
             return
-        at = servo.table["present_position"]
+        at = servo.servo.table["present_position"]
         for present in (at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id):
             if not min(first, present) <= goal <= max(last, present):
                 self.forbidden.append(f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}")
@@ -106,8 +106,9 @@ def _tap_arm(module: Any) -> None:
 
     def made(self: Any, config: ArmConfig, *arguments: object, **options: object) -> None:
         make(self, config, *arguments, **options)
-        if self.virtual_bus is not None:
-            _now.watch(self.virtual_bus, config)
+        servos = getattr(self.bus, "virtual_bus", None)
+        if servos is not None:
+            _now.watch(servos, config)
 
     module.Arm.__init__ = made
 

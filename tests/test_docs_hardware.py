@@ -18,7 +18,7 @@ from robot_ik.execution import execute
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import Instruction, Packet, Parser
@@ -30,7 +30,7 @@ REFERENCE = DOCS / "reference"
 ROBOT = load_robot("puma560")
 assert ROBOT.arm_file is not None
 CONFIG = ArmConfig.load(ROBOT.arm_file)
-POSITION, GOAL = (CONTROL_TABLES["XM430-W350"][name] for name in ("present_position", "goal_position"))
+POSITION, GOAL = (X_TABLES["XM430-W350"][name] for name in ("present_position", "goal_position"))
 
 CALLS: dict[str, Callable[[ServoBus], object]] = {
     "ping": lambda bus: bus.ping(1),
@@ -68,13 +68,13 @@ def test_whose_packets_are_on_the_wire_is_said_rightly(call: str, monkeypatch: p
     page = (REFERENCE / "hardware.md").read_text(encoding="utf-8")
     packets = page.partition("\n## Packets\n")[2].partition("\n## ")[0]
     (row,) = [row for row in packets.splitlines() if row.startswith("|") and f"`{call}`" in row]
-    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket", "rxPacket"})
+    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket"})
     assert ("hardware/packets.py" in row.split("|")[3]) == (not used)
 
 
 def test_every_call_of_a_bus_is_in_that_table() -> None:
     calls = {name for name in vars(ServoBus) if not name.startswith("_")}
-    assert calls - {"open", "close", "is_open", "use_fast_reads"} == set(CALLS)
+    assert calls - {"open", "close", "is_open", "use_fast_reads", "fileno"} == set(CALLS)
 
 
 # ------------------------------------------------------------------------------------- the recipe
@@ -120,7 +120,7 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
     bus = logged_bus.make("logged", CONFIG, servos)
     with (
         caplog.at_level(logging.INFO, logger=module.__name__),
-        Arm(CONFIG, bus, virtual_bus=servos) as arm,
+        Arm(CONFIG, bus) as arm,
     ):
         arm.enable()
         execute(joint_move(ROBOT, arm.read().q, ROBOT.home + 0.1), [arm], clock=arm.clock)

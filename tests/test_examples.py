@@ -100,7 +100,7 @@ def test_move_servos(run: Run, bus: tuple[str, ...], real_time: None) -> None:
     for name, start, target, read in rows:
         assert abs(float(target) - float(start)) == pytest.approx(8.0, abs=0.02), name
         assert float(read) == pytest.approx(float(target), abs=0.2), name  # two ticks of the coarsest joint
-    assert "left with torque_off, confirmed by 6 of 6 servos" in out
+    assert "left with torque_off, confirmed by 6 of 6 joints" in out
     assert 0.0 < number(r"largest lag ([\d.]+) deg", out) < 5.0
 
 

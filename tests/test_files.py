@@ -38,14 +38,10 @@ from robot_ik.figure.motion.retarget import SkeletonMap
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
-from robot_ik.hardware.calibration_file import (
-    Calibration,
-    JointCalibration,
-    load_lerobot,
-    save_lerobot,
-)
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
@@ -101,7 +97,8 @@ NO_LIMITS = defaultdict(lambda: (0.0, 0.0))
 
 def _calibration() -> Calibration:
     rows = tuple(
-        JointCalibration(j.name, j.id, j.model, 0, 0, 100, 3000, 1, 2048, -90.0, 90.0) for j in ARM.joints
+        JointCalibration(j.name, j.servo.id, j.servo.model, 0, 0, 100, 3000, 1, 2048, -90.0, 90.0)
+        for j in ARM.joints
     )
     return Calibration(ARM.name, ARM.robot, today(), rows)
 
@@ -152,7 +149,7 @@ def _saved(save: Callable[[Path], object]) -> Callable[[Path], str]:
 
 
 def _backup(path: Path) -> None:
-    table = CONTROL_TABLES["XM430-W350"]
+    table = X_TABLES["XM430-W350"]
     registers = {r.name: max(r.minimum, 0) for r in table if r.eeprom and r.writable}
     save_backup(path, "arm", [SavedServo("joint1", 1, "XM430-W350", 1020, 46, registers)])
 

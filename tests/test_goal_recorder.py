@@ -29,8 +29,8 @@ def test_it(bus, broken, monkeypatch):
     if broken:
         step = SafetyLimiter.step
         def beyond(self, *given):
-            state, out, report = step(self, *given)
-            return state, out + 3.0, report
+            state, report = step(self, *given)
+            return dataclasses.replace(state, q=tuple(q + 3.0 for q in state.q)), report
         monkeypatch.setattr(SafetyLimiter, "step", beyond)
     with open_arm(arm, bus) as arm:
         arm.enable()

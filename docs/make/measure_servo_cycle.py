@@ -29,14 +29,15 @@ from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHand
 from rich.console import Console
 from rich.progress import track
 
-from robot_ik.hardware.control_table import CONTROL_TABLES, Register
 from robot_ik.hardware.dynamixel import LENGTHS, DynamixelBus
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.packets import read_request, write_request
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
 PAGE = Path(__file__).resolve().parents[1] / "reference" / "hardware.md"
 IDS = tuple(range(1, 7))
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 GOAL, PRESENT = TABLE["goal_position"], TABLE["present_position"]
 BLOCK = Register("torque and position", TABLE["indirect_data_1"].address, 5, signed=True)
 RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)

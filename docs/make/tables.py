@@ -96,13 +96,13 @@ def buses() -> str:
 
 def servos() -> str:
     """One row for each servo model."""
-    from robot_ik.hardware.control_table import CONTROL_TABLES
+    from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 
     return markdown(
         ("model", "number", "modes"),
         (
             (f"`{name}`", table.number, ", ".join(mode.name.lower() for mode in table.modes))
-            for name, table in CONTROL_TABLES.items()
+            for name, table in X_TABLES.items()
         ),
     )
 

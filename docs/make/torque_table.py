@@ -97,8 +97,8 @@ class Strength:
 
 def strength(robot: rik.Robot, arm: ArmConfig) -> Strength:
     """By the manual's figures at its recommended voltages."""
-    stall = np.array([joint.table.motor.stall_torque * joint.ratio for joint in arm.joints])
-    free = np.array([joint.table.motor.no_load_speed / joint.ratio for joint in arm.joints])
+    stall = np.array([joint.servo.table.motor.stall_torque * joint.gear.ratio for joint in arm.joints])
+    free = np.array([joint.servo.table.motor.no_load_speed / joint.gear.ratio for joint in arm.joints])
     return Strength(stall, CONTINUOUS_SHARE * stall, stall * (1.0 - robot.velocity_limits / free))
 
 
@@ -120,10 +120,10 @@ def table(poses: int = POSES, seed: int = SEED) -> str:
     for k, joint in enumerate(arm.joints):
         worst, usual = load.still[:, k].max(), np.percentile(load.still[:, k], 99)
         hardest, hard = load.moving[:, k].max(), np.percentile(load.moving[:, k], 99)
-        belt = "" if joint.ratio == 1.0 else f" × {joint.ratio:g}"
+        belt = "" if joint.gear.ratio == 1.0 else f" × {joint.gear.ratio:g}"
         bare = max(float(worst), 1e-9)
         cells = (
-            f"`{joint.name}`", joint.model + belt, f"{can.stall[k]:.2f}", f"{can.continuous[k]:.2f}",
+            f"`{joint.name}`", joint.servo.model + belt, f"{can.stall[k]:.2f}", f"{can.continuous[k]:.2f}",
             f"{worst:.2f}", f"{usual:.2f}", _times(can.stall[k] / bare), _times(can.continuous[k] / bare),
             f"{hardest:.2f}", f"{hard:.2f}", f"{can.at_speed[k]:.2f}", _times(can.at_speed[k] / hardest),
         )  # fmt: skip

@@ -3,29 +3,36 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import RobotIkError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import RETURN_ALL, RETURN_READ
-from robot_ik.hardware.virtual import servo as instructions
+from robot_ik.hardware.servo import GRIPPER
+from robot_ik.hardware.virtual.families import VIRTUAL_FAMILIES
 from robot_ik.hardware.virtual.faults import Fault, Injected
-from robot_ik.hardware.virtual.protocol import BROADCAST, ErrorCode, Instruction, Packet, Parser, build_status
-from robot_ik.hardware.virtual.servo import Request, VirtualServo, fast_status_packets, responding
-from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule, collide
+from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule
 from robot_ik.ports import Array, Clock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.world import World
     from robot_ik.robot import Robot
 
+DEFAULT_FAMILY = "dynamixel_x"
+"""Family of a bus without servos."""
+
+DEFAULT_MODEL = "XM430-W350"
+"""Model of a servo that is added to a bus without servos."""
+
+DEFAULT_BAUD = 1_000_000
+"""bit/s of a servo that is added to a bus without servos."""
+
 
 class VirtualBus:
-    """Servos on one wire.  Safe to call from any thread.
+    """Servos of one family on one wire.  Safe to call from any thread.
 
     Args:
         servos: Ids may repeat, as they may by mistake on a real bus: replies then collide.
@@ -33,6 +40,8 @@ class VirtualBus:
         seed: Of the random faults.
 
     Attributes:
+        family: Name of the servo family.
+        side: The servos' side of the wire protocol.
         world: Moves the shafts by a model of the arm; ``None``: their profiles do.
         wire: Transmits the replies to the host.
         echo: The adapter returns what was sent.
@@ -40,57 +49,50 @@ class VirtualBus:
         latency: Seconds by which replies come later than they should, as from a USB adapter.
     """
 
-    def __init__(self, servos: Iterable[VirtualServo], clock: Clock, seed: int = 0) -> None:
+    def __init__(self, servos: Iterable[Any], clock: Clock, seed: int = 0) -> None:
         self.servos = tuple(servos)
+        self.family: str = self.servos[0].table.family if self.servos else DEFAULT_FAMILY
+        self.side = VIRTUAL_FAMILIES[self.family].side
         self.clock = clock
         self.lock = threading.RLock()
         self.world: World | None = None
         self.echo = self.unplugged = False
         self.latency = 0.0
         self.schedule = WireSchedule(clock)
-        self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
-        self.wire = VirtualWire((servo.id for servo in self.servos), seed)
+        self._built: dict[int | str, Any] = {servo.id: servo for servo in self.servos}
+        self.wire = VirtualWire((servo.id for servo in self.servos), seed, self.side)
         self._injected: list[Injected] = []
-        self._parser = Parser()
-        self._delay = 0.0
+        self._parser = self.side.parser()
         self._wakers: list[Callable[[], None]] = []
 
     @classmethod
     def from_config(
-        cls, config: ArmConfig, clock: Clock, start: ArrayLike | None = None, *, seed: int = 0
+        cls,
+        config: ArmConfig,
+        clock: Clock,
+        start: ArrayLike | Mapping[str, float] | None = None,
+        *,
+        seed: int = 0,
     ) -> VirtualBus:
         """The servos an arm file names, set up as it says (id, model, mode, baud rate), without torque.
 
-        ``start``: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
+        ``start``: (n,) joint angles at first, rad; default 0, or the limit next to it, and for grippers
         the middle of their ranges.
 
         Raises:
             ConfigError: ``start`` has another shape or is not finite.
         """
-        n = len(config.joints)
-        q = np.zeros(n) if start is None else np.asarray(start, dtype=float)
-        if q.shape != (n,) or not np.isfinite(q).all():
-            raise config.wrong(f"start {q.tolist()} is no pose", "", f"{n} angles, rad")
-        q = np.clip(q, config.lower, config.upper)
-        q = np.append(q, [sum(joint.limits) / 2.0 for joint in config.auxiliary])
+        values = start_values(config, start)
+        make = VIRTUAL_FAMILIES[config.family.name].from_drive
         servos = [
-            VirtualServo(
-                joint.model,
-                joint.id,
-                clock,
-                position_ticks=joint.to_ticks(float(angle)),
-                mode=joint.mode,
-                baud=config.baud,
-                reverse=bool(joint.reverse),
-                shadow_of=joint.shadow_of,
-            )
-            for joint, angle in zip(config.servos, config.spread(q), strict=True)
+            make(drive, clock, drive.joint.nearest_ticks(values[drive.name], drive.servo), config.baud)
+            for drive in config.drives
         ]
         bus = cls(servos, clock, seed)
-        bus._built |= {joint.name: bus.servo(joint.id) for joint in config.whole.joints}
+        bus._built |= {joint.name: bus.servo(joint.servo.id) for joint in config.joints}
         return bus
 
-    def servo(self, who: int | str) -> VirtualServo:
+    def servo(self, who: int | str) -> Any:
         """The servo that was put on the bus with this id, or the (first) one of this joint.
 
         Raises:
@@ -110,7 +112,10 @@ class VirtualBus:
 
         Raises:
             KeyError: There is no such servo.
+            KeyProblem: Servos of this family do not have the fault.
         """
+        for fault in faults:
+            fault.require_family(self.family)
         with self.lock:
             self._injected = [fault for fault in self._injected if not fault.over]
             for fault in faults:
@@ -134,23 +139,32 @@ class VirtualBus:
         """``wake`` is called after faults came or went, so that no thread sleeps through them."""
         self._wakers.append(wake)
 
-    def add(self, servo: VirtualServo) -> None:
+    def another(self, id: int) -> Any:
+        """Return a new servo like the first one on the bus; it is not on the bus yet."""
+        model = self.servos[0].table.model if self.servos else DEFAULT_MODEL
+        baud = self.servos[0].baud if self.servos else DEFAULT_BAUD
+        return VIRTUAL_FAMILIES[self.family].another(model, id, self.clock, baud)
+
+    def add(self, servo: Any) -> None:
         """One servo more on the wire; its id may be taken."""
         with self.lock:
             self.servos = (*self.servos, servo)
             self._built.setdefault(servo.id, servo)
 
-    def remove(self, servo: VirtualServo) -> None:
+    def remove(self, servo: Any) -> None:
         with self.lock:
             self.servos = tuple(s for s in self.servos if s is not servo)
 
-    def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
+    def true_angles(self, config: ArmConfig) -> Array:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
         with self.lock:
             self.advance()
-            ways = [-1 if joint.reverse else 1 for joint in config.joints]
-            ticks = [way * self._built[j.id].true_ticks for way, j in zip(ways, config.joints, strict=True)]
-            return np.array([j.to_radians(t) for j, t in zip(config.joints, ticks, strict=True)])
+            return np.array(
+                [
+                    joint.value((-1 if joint.servo.reverse else 1) * self._built[joint.servo.id].true_ticks)
+                    for joint in config.joints
+                ]
+            )
 
     def advance(self) -> None:
         """Brings the world and what was booked up to now, also where no packet comes."""
@@ -173,81 +187,44 @@ class VirtualBus:
         """
         with self.lock:
             self.advance()
-            self._delay = 0.0
+            delay = 0.0
             replies = [data] if self.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
                 self.schedule.count()
                 listeners = [s for s in self.servos if not s.deaf and (baud is None or s.baud == baud)]
-                for servo in listeners:
-                    servo.hear()
-                replies += self.wire.carry(self._execute_all(packet, listeners), self.clock.now())
-            return b"".join(replies), self._delay + (self.latency if replies else 0.0)
+                answer = self.side.execute(packet, listeners, self.wire.rng)
+                delay += answer.delay
+                replies += self.wire.carry(answer.packets, self.clock.now())
+            return b"".join(replies), delay + (self.latency if replies else 0.0)
 
-    def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """Status packets that a packet causes, in the order they go over the wire."""
-        instruction = packet.instruction
-        if not packet.valid:
-            return self._execute(packet, listeners)
-        if instruction in instructions.READS:
-            requests = instructions.READS[instruction](packet.params)
-            fast = instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
-            return (self._read_fast if fast else self._read_many)(requests, listeners)
-        if instruction not in instructions.WRITES:
-            return [] if instruction == Instruction.STATUS else self._execute(packet, listeners)
-        orders = instructions.WRITES[instruction](packet.params)
-        for servo in listeners:
-            own, secondary = servo.id, servo.secondary_id
-            for id, address, data in orders:
-                if id in (own, secondary):
-                    servo.write(address, data, secondary=id == secondary)
-        return []
 
-    def _execute(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """An instruction to one servo, or to all."""
-        broadcast = packet.id == BROADCAST
-        ping, read = packet.instruction == Instruction.PING, packet.instruction == Instruction.READ
-        replies: dict[int, list[bytes]] = {}
-        for servo in sorted(listeners, key=lambda s: s.id):
-            id, level, alert = servo.id, servo.memory.values["status_return_level"], servo.status_byte(0)
-            delay = servo.return_delay
-            if not (broadcast or packet.id == id):
-                if packet.valid and packet.id == servo.secondary_id:
-                    instructions.execute(servo, packet.instruction, packet.params, packet.id)
-                continue
-            error, data = ErrorCode.CRC, b""
-            if packet.valid:
-                error, data = instructions.execute(servo, packet.instruction, packet.params, packet.id)
-            if ping or (not broadcast and level >= (RETURN_READ if read else RETURN_ALL)):
-                self._delay += delay
-                replies.setdefault(id, []).append(
-                    build_status(id, error | alert | servo.status_byte(0), data)
-                )
-        return [self._on_wire(packets) for packets in replies.values()]
+def start_values(config: ArmConfig, start: ArrayLike | Mapping[str, float] | None) -> dict[str, float]:
+    """Return where simulated joints stand at first: joint -> rad or m.
 
-    def _read_many(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """A status packet from each servo asked; those that are missing leave a gap in time only."""
-        replies = []
-        by_id = responding(listeners)
-        for id, address, length in requests:
-            packets = []
-            for servo in by_id.get(id, ()):
-                self._delay += servo.return_delay
-                data, error = servo.read(address, length)
-                packets.append(build_status(id, servo.status_byte(error), data))
-            if packets:
-                replies.append(self._on_wire(packets))
-        return replies
+    Args:
+        config: Arm.
+        start: (n,) values of all joints, or of the joints that carry the tool; or joint -> value.
+            By default 0 or the limit next to it, and the middle of the range for joints of a gripper.
 
-    def _read_fast(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
-        """One status packet to which each servo adds; it ends before the first that is missing."""
-        able = responding([s for s in listeners if "fast_read" in s.table.abilities])
-        first = able.get(requests[0][0]) if requests else None
-        self._delay += first[0].return_delay if first else 0.0
-        packets = fast_status_packets(requests, able)
-        return [self._on_wire(packets)] if packets else []
-
-    def _on_wire(self, packets: list[bytes]) -> bytes:
-        return packets[0] if len(packets) == 1 else collide(packets, self.wire.rng)
+    Raises:
+        ConfigError: ``start`` has another shape or is not finite.
+    """
+    values = {
+        joint.name: sum(joint.limits) / 2.0 if joint.group == GRIPPER else 0.0 for joint in config.joints
+    }
+    if isinstance(start, Mapping):
+        values |= start
+    elif start is not None:
+        q = np.asarray(start, dtype=float)
+        names = {config.names, config.chain.names}
+        given = next((joints for joints in names if q.shape == (len(joints),)), None)
+        if given is None or not np.isfinite(q).all():
+            counts = " or ".join(str(count) for count in sorted({len(joints) for joints in names}))
+            raise config.wrong(f"start {q.tolist()} is no pose", "", f"{counts} angles, rad")
+        values |= dict(zip(given, q.tolist(), strict=True))
+    return {
+        joint.name: min(max(values[joint.name], joint.limits[0]), joint.limits[1]) for joint in config.joints
+    }
 
 
 def robot_of(config: ArmConfig) -> Robot | None:
@@ -255,12 +232,12 @@ def robot_of(config: ArmConfig) -> Robot | None:
     from robot_ik.robot import load_robot
 
     try:
-        return load_robot(config.robot, joints=config.names)
+        return load_robot(config.robot, joints=config.chain.names)
     except RobotIkError:
         return None
 
 
-def home_of(config: ArmConfig) -> Array | None:
-    """(n,) rad, the home of that robot; None where its model is not at hand, or has not these joints."""
+def home_of(config: ArmConfig) -> dict[str, float] | None:
+    """Joint -> rad or m of the home of that robot; None where its model is not at hand."""
     robot = robot_of(config)
-    return robot.home if robot is not None and robot.joints == config.names else None
+    return None if robot is None else dict(zip(robot.joints, robot.home.tolist(), strict=True))

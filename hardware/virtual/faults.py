@@ -16,18 +16,20 @@ from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
-from robot_ik.config import KeyProblem, SchemaVersion, Table, check_table, keys_of, parse_toml, read_text
-from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    BAUD_RATES,
-    CONTROL_TABLES,
-    HARDWARE_ERRORS,
-    IDS,
-    TICKS_PER_REVOLUTION,
-    TRIPPED,
+from robot_ik.config import (
+    KeyProblem,
+    SchemaVersion,
+    Table,
+    check_table,
+    keys_of,
+    parse_toml,
+    read_text,
 )
-from robot_ik.hardware.joint_map import JointMap, ServoId
-from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.families.dynamixel_x_table import TRIPPED
+from robot_ik.hardware.family import FAMILY_MODULES, family_of
+from robot_ik.hardware.registers import IDS, TICKS_PER_REVOLUTION
+from robot_ik.hardware.servo import Joint, ServoId
 from robot_ik.hardware.virtual.wire import SPOILS
 
 if TYPE_CHECKING:
@@ -51,6 +53,7 @@ class Kind:
         low, high: Range of its value; without one it takes none.
         whole: The value is a whole number.
         servo: It befalls servos; else the bus, wire and port among it.
+        families: Servo families that have it; empty: every family.
     """
 
     help: str
@@ -59,6 +62,7 @@ class Kind:
     high: float | None = None
     whole: bool = False
     servo: bool = True
+    families: tuple[str, ...] = ()
 
     @property
     def span(self) -> str:
@@ -117,18 +121,26 @@ class Fault:
             raise KeyProblem(f"{self.kind} is not of one servo", whom, "no joint and no id")
         kind.require(self.value)
 
+    def require_family(self, family: str) -> None:
+        """Raise ``KeyProblem`` if servos of this family do not have the fault."""
+        families = FAULTS[self.kind].families
+        if families and family not in families:
+            kinds = [name for name, row in FAULTS.items() if family in (row.families or (family,))]
+            raise KeyProblem(f"{family} servos have no fault {self.kind!r}", "kind", ", ".join(kinds))
+
     def require_servo(self, config: ArmConfig) -> None:
         """Raises ``KeyProblem`` where the arm has no such servo."""
-        names, ids = config.whole.names, config.servo_ids
+        self.require_family(config.family.name)
+        names, ids = config.names, config.servo_ids
         if self.joint is not None and self.joint not in names:
             raise KeyProblem.unknown("joint", self.joint, names, "joint")
         if self.id is not None and self.id not in ids:
             raise KeyProblem(f"no servo has the id {self.id}", "id", ", ".join(map(str, ids)))
 
 
-def joint_offset(joint: JointMap, degrees: float) -> Fault:
+def joint_offset(joint: Joint, degrees: float) -> Fault:
     """The ``zero_offset`` by which a joint is so many degrees further, in its own direction."""
-    return Fault("zero_offset", joint.id, degrees * joint.direction * joint.ratio)
+    return Fault("zero_offset", joint.servo.id, degrees * joint.servo.direction * joint.gear.ratio)
 
 
 class Injected:
@@ -218,62 +230,71 @@ def _attribute(name: str, convert: Callable[[float], Any] = lambda _: True) -> _
 
 def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
     """A register, behind the host's back."""
-    return _Override(lambda it: it.memory.values[name], lambda it, value: it.memory.set(name, value), convert)
+    return _Override(
+        lambda servo: servo.register(name),
+        lambda servo, value: servo.set_register(name, value),
+        convert,
+    )
 
 
 def _chance(name: str) -> _Override:
     return _Override(lambda bus: bus.wire.chances[name], lambda bus, p: bus.wire.chances.update({name: p}))
 
 
-def _baud_code(rate: float) -> int:
-    return min(BAUD_RATES, key=lambda code: abs(BAUD_RATES[code] - rate))
-
-
 def _shutdown(name: str) -> Apply:
     """A hardware error, which only a restart takes back."""
 
-    def apply(servo: VirtualServo, value: float) -> Undo:
+    def apply(servo: Any, value: float) -> Undo:
         servo.inject_error(name)
         return servo.reboot
 
     return apply
 
 
-def _set_push(servo: VirtualServo, push: float) -> None:
-    servo.shaft.load = dataclasses.replace(servo.shaft.load, push=push)
-
-
-def _turn(servo: VirtualServo, value: float) -> Undo:
+def _turn(servo: Any, value: float) -> Undo:
     servo.rotate_by_hand(value * TICKS_PER_DEGREE)
     return lambda: servo.rotate_by_hand(-value * TICKS_PER_DEGREE)
 
 
-def _heat(servo: VirtualServo, value: float) -> Undo:
-    servo.electrics.temperature = value
-    servo.memory.set("present_temperature", round(value))
+def _heat(servo: Any, value: float) -> Undo:
+    servo.heat_to(value)
     return None
 
 
-def _lose_revolutions(servo: VirtualServo, value: float) -> Undo:
-    servo.shaft.lose_revolutions(round(value))
+def _lose_revolutions(servo: Any, value: float) -> Undo:
+    servo.lose_revolutions(round(value))
     return None
 
 
 def _add_servo(bus: VirtualBus, value: float) -> Undo:
-    known = bus.servos[0] if bus.servos else None
-    model = known.table.model if known else next(iter(CONTROL_TABLES))
-    more = VirtualServo(model, int(value), bus.clock, baud=known.baud if known else 1_000_000)
+    more = bus.another(int(value))
     bus.add(more)
     return lambda: bus.remove(more)
 
 
 _ID_RANGE = IDS[0], IDS[-1]
 _OFF = _Override(lambda servo: servo.off, lambda servo, off: servo.switch(not off), lambda _: True)
-_PUSH = _Override(lambda servo: servo.shaft.load.push, _set_push)
-_SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.set_supply)
+_PUSH = _attribute("push", float)
+_SUPPLY = _Override(lambda servo: servo.volts, lambda servo, volts: servo.set_supply(volts))
 _ZERO_OFFSET = _attribute("zero_offset_ticks", lambda degrees: degrees * TICKS_PER_DEGREE)
-_BAUD = _register("baud_rate", _baud_code)
+_BAUD = _Override(lambda servo: servo.baud, lambda servo, rate: servo.set_baud(rate))
+_BACKLASH = _attribute("backlash_ticks", lambda degrees: degrees * TICKS_PER_DEGREE)
 _LATENCY = _attribute("latency", lambda ms: 1e-3 * ms)
+
+STS = ("feetech_sts",)
+
+
+def _error_families() -> dict[str, tuple[str, ...]]:
+    """Return name of a hardware error -> families that have it."""
+    families: dict[str, tuple[str, ...]] = {}
+    for family in FAMILY_MODULES:
+        for name in family_of(family).error_names(0xFF):
+            if not name.startswith("bit"):
+                families[name] = (*families.get(name, ()), family)
+    return families
+
+
+_ERROR_FAMILIES = _error_families()
 
 FAULTS: Mapping[str, Kind] = MappingProxyType(
     {
@@ -284,11 +305,43 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
         "push": Kind("a steady torque on the shaft, N m", _PUSH, -100, 100),
         "zero_offset": Kind("shaft ahead of its registers, degrees", _ZERO_OFFSET, -3600, 3600),
         "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, -3600, 3600),
-        "lost_turns": Kind("counts wrong by so many revolutions", _lose_revolutions, -255, 255, whole=True),
+        "lost_turns": Kind(
+            "counts wrong by so many revolutions",
+            _lose_revolutions,
+            -255,
+            255,
+            whole=True,
+            families=("dynamixel_x",),
+        ),
         "reboot": Kind("restarts by itself", lambda it, _: it.reboot()),
         "hot": Kind("is so warm, C", _heat, 0, 150),
-        **{name: Kind(f"hardware error: {name}", _shutdown(name)) for name in HARDWARE_ERRORS.values()},
-        "watchdog_tripped": Kind("its watchdog has run out", _register("bus_watchdog", lambda _: TRIPPED)),
+        **{
+            name: Kind(f"hardware error: {name}", _shutdown(name), families=families)
+            for name, families in _ERROR_FAMILIES.items()
+        },
+        "watchdog_tripped": Kind(
+            "its watchdog has run out",
+            _register("bus_watchdog", lambda _: TRIPPED),
+            families=("dynamixel_x",),
+        ),
+        "backlash": Kind("play between motor and shaft, degrees", _BACKLASH, 0, 20, families=STS),
+        "homing_offset": Kind(
+            "its Homing Offset, ticks", _register("homing_offset"), -2047, 2047, whole=True
+        ),
+        "firmware": Kind("another firmware version", _register("firmware_version"), 1, 255, whole=True),
+        "latched_overload": Kind(
+            "an overload stays until a power cycle", _attribute("latches_overload"), families=STS
+        ),
+        "goal_keeps_torque": Kind(
+            "a goal position does not switch torque on",
+            _attribute("goal_enables_torque", lambda _: False),
+            families=STS,
+        ),
+        "drops_locked_writes": Kind(
+            "an EEPROM write while Lock is 1 has no effect",
+            _attribute("drops_locked_writes"),
+            families=STS,
+        ),
         "return_delay": Kind("waits, 2 us a count", _register("return_delay_time"), 0, 254, whole=True),
         "status_level": Kind("Status Return Level", _register("status_return_level"), 0, 2, whole=True),
         "baud": Kind("its baud rate, bits/s", _BAUD, 9600, 4_500_000, whole=True),

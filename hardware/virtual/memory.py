@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from robot_ik.hardware.control_table import TRIPPED, ControlTable, OperatingMode, Register
+from robot_ik.hardware.families.dynamixel_x_table import TIME_BASED, TRIPPED
+from robot_ik.hardware.registers import ControlTable, OperatingMode, Register
 from robot_ik.hardware.virtual.protocol import ErrorCode
-from robot_ik.hardware.x_series import TIME_BASED
 
 PROFILE = ("profile_acceleration", "profile_velocity")
 """0 once the Bus Watchdog has tripped: "when it stops, [both] are set to 0" (ROBOTIS

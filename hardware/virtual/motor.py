@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from robot_ik.hardware.control_table import (
+from robot_ik.hardware.families.dynamixel_x_table import (
     ACCELERATION_UNIT,
-    RADIANS_PER_TICK,
-    TICKS_PER_REVOLUTION,
+    TIME_BASED,
     VELOCITY_UNIT,
-    OperatingMode,
 )
+from robot_ik.hardware.registers import RADIANS_PER_TICK, TICKS_PER_REVOLUTION, Motor, OperatingMode
 from robot_ik.hardware.virtual.memory import Memory
-from robot_ik.hardware.x_series import TIME_BASED, Motor
 
 # ------------------------------------------------------------------------------------------
 # What a shaft has to hold and what that costs the motor: torque, current, voltage, heat, overload.

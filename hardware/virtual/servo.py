@@ -10,22 +10,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
-from robot_ik.hardware.control_table import (
-    BAUD_CODES,
+from robot_ik.hardware.families.dynamixel_x_table import (
     BAUD_RATES,
     HARDWARE_ERRORS,
+    RETURN_READ,
+    REVERSE,
+    SLAVE,
+    TORQUE_BY_GOAL,
+    TRIPPED,
+)
+from robot_ik.hardware.models import control_table
+from robot_ik.hardware.registers import (
     IDS,
     RADIANS_PER_TICK,
-    RETURN_READ,
     TICKS_PER_REVOLUTION,
-    TRIPPED,
     OperatingMode,
     Register,
-    control_table,
 )
 from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, Memory
-from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
+from robot_ik.hardware.virtual.motor import (
+    PWM_FULL,
+    TORQUE_MODES,
+    VELOCITY_TICKS,
+    Electrics,
+    torque_limit,
+)
 from robot_ik.hardware.virtual.protocol import (
     ALERT,
     BROADCAST,
@@ -36,7 +47,6 @@ from robot_ik.hardware.virtual.protocol import (
 )
 from robot_ik.hardware.virtual.shaft import Shaft
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
@@ -112,7 +122,7 @@ class VirtualServo:
         self._backup: dict[str, int] = {}
         self.memory.set("id", id)
         self.memory.set("operating_mode", mode)
-        self.memory.set("baud_rate", BAUD_CODES[baud])
+        self.memory.set("baud_rate", self.table.baud_code(baud))
         self.memory.set("present_input_voltage", round(10.0 * self.table.supply))
         self._plans: dict[tuple[int, int], list[tuple[str, Callable[[], int]]]] = {}
         self._live = [(self.table[name], value) for name, value in self._readings().items()]
@@ -198,6 +208,50 @@ class VirtualServo:
     def _set_out(self) -> None:
         if self.torque and not self.tripped:
             self.shaft.go()
+
+    def register(self, name: str) -> int:
+        """Return the value of a register without a request of the host."""
+        return self.memory.values[name]
+
+    def set_register(self, name: str, value: int) -> None:
+        """Set a register without a request of the host."""
+        self.memory.set(name, value)
+
+    def set_baud(self, baud: float) -> None:
+        """Set the nearest baud rate of the table, bit/s."""
+        self.memory.set("baud_rate", min(BAUD_RATES, key=lambda code: abs(BAUD_RATES[code] - baud)))
+
+    @property
+    def mode(self) -> int:
+        """Operating mode."""
+        return self.memory.values["operating_mode"]
+
+    def torque_limit(self, volts: float) -> float:
+        """Return the largest torque that mode, limits and supply allow, N m."""
+        return torque_limit(self.memory, volts)
+
+    @property
+    def volts(self) -> float:
+        """Supply, V."""
+        return self.shaft.volts
+
+    @property
+    def push(self) -> float:
+        """A steady torque on the shaft, N m."""
+        return self.shaft.load.push
+
+    @push.setter
+    def push(self, torque: float) -> None:
+        self.shaft.load = replace(self.shaft.load, push=torque)
+
+    def heat_to(self, temperature: float) -> None:
+        """Set the temperature of the motor, C."""
+        self.electrics.temperature = temperature
+        self.memory.set("present_temperature", round(temperature))
+
+    def lose_revolutions(self, revolutions: int) -> None:
+        """Count wrong by this number of revolutions from here on."""
+        self.shaft.lose_revolutions(revolutions)
 
     def rotate_by_hand(self, ticks: float) -> None:
         """Turns the shaft of a servo without torque by so many ticks; with torque it does not give."""

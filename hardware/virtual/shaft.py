@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import POSITION_MODE_HOMING
+from robot_ik.hardware.families.dynamixel_x_table import POSITION_MODE_HOMING, REVERSE
+from robot_ik.hardware.registers import TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.memory import Memory
 from robot_ik.hardware.virtual.motor import (
@@ -20,7 +20,6 @@ from robot_ik.hardware.virtual.motor import (
     brake,
     rest,
 )
-from robot_ik.hardware.x_series import REVERSE
 from robot_ik.ports import Clock
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-from robot_ik.hardware.control_table import IDS
-from robot_ik.hardware.virtual.protocol import BROADCAST, Parser, build_status
+from robot_ik.hardware.registers import IDS
+from robot_ik.hardware.virtual.servo_side import ServoSide
+from robot_ik.hardware.wire_protocol import BROADCAST_ID
 from robot_ik.ports import Clock
 
 Action = Callable[[], None]
@@ -107,6 +108,7 @@ class VirtualWire:
     """The transmission of status packets to the host.
 
     Attributes:
+        side: Builds the status packets that replace others.
         chances: Row of ``SPOILS`` -> its probability per status packet.
         now: Time of the replies, s.
         rng: Random generator of all faults; equal seeds and equal traffic give equal faults.
@@ -115,8 +117,9 @@ class VirtualWire:
         behind: A packet that comes after the next one.
     """
 
-    def __init__(self, taken: Iterable[int], seed: int) -> None:
-        self.foreign = sorted(set(IDS).difference(taken)) or [BROADCAST]
+    def __init__(self, taken: Iterable[int], seed: int, side: ServoSide) -> None:
+        self.side = side
+        self.foreign = sorted(set(IDS).difference(taken)) or [BROADCAST_ID]
         self.reseed(seed)
         self.chances = dict.fromkeys(SPOILS, 0.0)
 
@@ -155,20 +158,6 @@ def _late(wire: VirtualWire, packet: bytes) -> bytes:
     return b""
 
 
-def _shorten(wire: VirtualWire, packet: bytes) -> bytes:
-    """The same status with one byte of data less; one without data, or no status at all, stays."""
-    parsed = Parser().feed(packet, 0.0) if packet[4] != BROADCAST else []
-    if not parsed or not parsed[0].is_status:  # servos that talk over each other, the torso of a fast read
-        return packet
-    status = parsed[0]
-    return build_status(status.id, status.params[0], status.data[:-1])
-
-
-def _refuse(wire: VirtualWire, packet: bytes) -> bytes:
-    id = packet[4]
-    return packet if id == BROADCAST else build_status(id, wire.rng.randrange(1, 8))
-
-
 def _flip(wire: VirtualWire, packet: bytes) -> bytes:
     bit = wire.rng.randrange(8 * len(packet))
     spoiled = bytearray(packet)
@@ -185,14 +174,16 @@ SPOILS: Mapping[str, Spoil] = MappingProxyType(
     {
         "late": Spoil("a status packet comes up to 0.15 s late, before those to the next request", _late),
         "drop": Spoil("a status packet is lost", lambda wire, packet: b""),
-        "short": Spoil("a status packet has fewer data than asked, checksum right", _shorten),
-        "error": Spoil("a status packet has an error number and no data", _refuse),
+        "short": Spoil(
+            "a status packet has fewer data than asked, checksum right", lambda w, p: w.side.shortened(p)
+        ),
+        "error": Spoil("a status packet has an error and no data", lambda w, p: w.side.refused(p, w.rng)),
         "corrupt": Spoil("one bit of a status packet flips", _flip),
         "truncate": Spoil("a status packet breaks off", lambda w, p: p[: w.rng.randrange(1, len(p))]),
         "duplicate": Spoil("a status packet comes twice", lambda wire, packet: 2 * packet),
         "wrong_id": Spoil(
             "a status packet with a foreign id comes first",
-            lambda w, p: build_status(w.rng.choice(w.foreign), 0, w.rng.randbytes(4)) + p,
+            lambda w, p: w.side.foreign(w.rng.choice(w.foreign), w.rng) + p,
         ),
         "garbage": Spoil(
             "bytes before a status packet", lambda w, p: w.rng.randbytes(w.rng.randrange(1, 9)) + p

@@ -18,8 +18,8 @@ import numpy as np
 
 from robot_ik.errors import UnknownJointError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import RADIANS_PER_TICK, OperatingMode
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.registers import RADIANS_PER_TICK, OperatingMode
+from robot_ik.hardware.servo import Drive, Joint
 from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.model import compiled, read_spec
@@ -38,7 +38,7 @@ DAMPING = 1.0
 class JointMotor:
     """One servo on a joint of the world; the ``body`` of its shaft.
 
-    ``row`` is the joint by this servo; ``start``, rad (m), is the joint's value where this shaft stands.
+    ``drive`` is the servo and its joint; ``start``, rad (m), is the joint's value where this shaft stands.
 
     Attributes:
         position, velocity, torque: Encoder ticks, ticks/s and N m at the servo's shaft, as last seen.
@@ -46,19 +46,21 @@ class JointMotor:
         strength: N m (N) at the joint, where it stood at first.
     """
 
-    def __init__(self, joint: _Joint, row: JointMap, servo: VirtualServo, start: float) -> None:
-        self._joint, self._servo, self._row = joint, servo, row
+    def __init__(self, joint: _Joint, drive: Drive, servo: VirtualServo, start: float) -> None:
+        self._joint = joint
+        self._servo = servo
+        self._drive = drive
         motor = servo.table.motor
         # A servo whose Drive Mode reverses it was mounted the other way round.
         self._sign = servo.shaft.sign
-        self._ticks_per = self._sign * row.ticks_per(start)
+        self._ticks_per = self._sign * drive.joint.ticks_per(start, drive.servo)
         self.gear = self._ticks_per * RADIANS_PER_TICK
         self.strength = motor.stall_torque * abs(self.gear)
         self._no_load, self._stall = motor.no_load_speed, motor.stall_torque
         self.position = servo.shaft.encoder
         self.velocity = self.torque = 0.0
         # Where two shafts do not agree at first, they are coupled as they stand.
-        self._zero = self.position + servo.zero_offset_ticks - self._sign * row.position(start)
+        self._zero = self.position + servo.zero_offset_ticks - self._sign * drive.position(start)
 
     @property
     def stuck(self) -> bool:
@@ -78,9 +80,11 @@ class JointMotor:
 
     def read_encoder(self) -> None:
         angle = self._joint.angle
-        self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the position
+        self._ticks_per = self._sign * self._drive.joint.ticks_per(
+            angle, self._drive.servo
+        )  # of a swing arm it depends on the position
         self.gear = self._ticks_per * RADIANS_PER_TICK
-        self.position = self._zero + self._sign * self._row.position(angle) - self._servo.zero_offset_ticks
+        self.position = self._zero + self._sign * self._drive.position(angle) - self._servo.zero_offset_ticks
         self.velocity = self._joint.rate * self._ticks_per
 
     def rotate_by(self, ticks: float) -> None:
@@ -91,12 +95,12 @@ class JointMotor:
         """Acceleration that its controller wants, rad/s^2 (m/s^2) at the joint; None where it wants none."""
         servo, shaft = self._servo, self._servo.shaft
         servo.watch(t)
-        if not shaft.powered or servo.memory.values["operating_mode"] in drive.TORQUE_MODES:
+        if not shaft.powered or servo.mode in drive.TORQUE_MODES:
             return None
         position, velocity = shaft.motion.at(t)
         error = self._angle(position) - self._joint.angle
-        if servo.memory.values["operating_mode"] == OperatingMode.VELOCITY:
-            limit = 0.1 * self._row.lever  # it minds its speed, not how far it has fallen behind
+        if servo.mode == OperatingMode.VELOCITY:
+            limit = 0.1 * self._drive.joint.lever  # it minds its speed, not how far it has fallen behind
             error = max(-limit, min(limit, error))
         rate = velocity / self._ticks_per - self._joint.rate
         return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
@@ -112,8 +116,8 @@ class JointMotor:
         stall = servo.table.motor.stall_at(volts)
         # The faster it turns, the less torque the voltage that is left can give.
         lost = self._stall / self._no_load * self._joint.rate * self.gear
-        limit = drive.torque_limit(servo.memory, volts)
-        mode = servo.memory.values["operating_mode"]
+        limit = servo.torque_limit(volts)
+        mode = servo.mode
         torque = demand / self.gear
         if mode in drive.TORQUE_MODES:
             torque = shaft.sign * drive.effort(servo.memory, volts)
@@ -124,10 +128,10 @@ class JointMotor:
         return self.torque * self.gear
 
     def outside(self) -> float:
-        return -self._servo.shaft.load.push * self.gear
+        return -self._servo.push * self.gear
 
     def _angle(self, ticks: float) -> float:
-        return self._row.to_radians(self._sign * (ticks + self._servo.zero_offset_ticks - self._zero))
+        return self._drive.value(self._sign * (ticks + self._servo.zero_offset_ticks - self._zero))
 
 
 STEP = 0.002
@@ -168,7 +172,7 @@ class World:
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
         if not contacts:
             options.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self._joints = [_Joint(self, joint, bus) for joint in config.whole.joints]
+        self._joints = [_Joint(self, joint, bus) for joint in config.joints]
         self._followers = _followers(self.model, {joint.dof for joint in self._joints})
         self._wanted = np.zeros(self.model.nv)
         self._force = np.zeros(self.model.nv)
@@ -230,7 +234,7 @@ class _Joint:
         dof: Of the joint in the model.
     """
 
-    def __init__(self, world: World, joint: JointMap, bus: VirtualBus) -> None:
+    def __init__(self, world: World, joint: Joint, bus: VirtualBus) -> None:
         model = world.model
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
         if number < 0:
@@ -239,12 +243,14 @@ class _Joint:
         self.dof = int(model.jnt_dofadr[number])
         self._at = int(model.jnt_qposadr[number])
         self._world = world
-        first = bus.servo(joint.id)
-        start = joint.to_radians(
-            (-1 if joint.reverse else 1) * (first.shaft.encoder + first.zero_offset_ticks)
+        first = bus.servo(joint.servo.id)
+        start = joint.value(
+            (-1 if joint.servo.reverse else 1) * (first.shaft.encoder + first.zero_offset_ticks)
         )
         world.data.qpos[self._at] = start
-        self.motors = [JointMotor(self, row, bus.servo(row.id), start) for row in joint.servos]
+        self.motors = [
+            JointMotor(self, Drive(joint, servo), bus.servo(servo.id), start) for servo in joint.servos
+        ]
         strength = sum(motor.strength for motor in self.motors)
         if not model.dof_frictionloss[self.dof]:
             model.dof_frictionloss[self.dof] = FRICTION_SHARE * strength

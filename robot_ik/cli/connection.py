@@ -106,11 +106,10 @@ def served_or_serial_port(bus: str, arm: str) -> Iterator[str]:
     if not bus_row(name).virtual:
         yield name
         return
-    from robot_ik.hardware import pty_port
-    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware import pty_port, simulated_servos
     from robot_ik.ports import RealClock
 
-    with pty_port()(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
+    with pty_port()(simulated_servos(load_arm(arm), RealClock()), match_baud=True) as port:
         yield port.path
 
 

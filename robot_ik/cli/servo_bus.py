@@ -90,11 +90,11 @@ def run_scan(options: ServoScanOptions) -> int:
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     """Rates from the command line; raises ``ConfigError`` for one that no servo has."""
-    from robot_ik.hardware.control_table import BAUD_RATES
+    from robot_ik.hardware.models import BAUD_RATES
 
-    known = BAUD_RATES.values()
+    allowed = ", ".join(map(str, BAUD_RATES))
     for rate in rates:
-        require(rate in known, "--baud", f"no servo talks at {rate} bits/s", ", ".join(map(str, known)))
+        require(rate in BAUD_RATES, "--baud", f"no servo talks at {rate} bits/s", allowed)
     return tuple(dict.fromkeys(rates))
 
 
@@ -147,12 +147,12 @@ def run_setup(options: ServoSetupOptions) -> int:
     require(one, "--id", "which servo is it to be?", "either --id N or --joint JOINT")
     config = load_arm(options.arm)
     joint = config.joint(options.joint) if options.joint else None
-    id = joint.id if joint else options.id
+    id = joint.servo.id if joint else options.id
     if id is None:
         raise RuntimeError("neither --id nor --joint is given")
     bauds = checked_rates(options.from_baud) or LIKELY
     (baud,) = checked_rates([config.baud if options.baud is None else options.baud])
-    model = joint.model if joint else ""
+    model = joint.servo.model if joint else ""
     with served_or_serial_port(options.bus, options.arm) as port, console.progress() as bar:
         progress = console.shares_on(bar, "scan")
         servo = set_up(port, id, baud, model=model, bauds=bauds, progress=progress)
@@ -246,7 +246,7 @@ def run_monitor(options: ServoMonitorOptions) -> int:
             live = stack.enter_context(Live(console=screen, auto_refresh=False))
         due = begin
         for k in itertools.count(1):
-            states = read_states(bus, config.servos)
+            states = read_states(bus, config.drives)
             if options.json:
                 servos = [asdict(state) for state in states]
                 console.print_json_line({"time": round(bus.clock.now() - begin, 6), "servos": servos})

@@ -152,7 +152,7 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
     if options.check:
         return _check(options)
     # Without its file: what it was calibrated to before may be wrong, that is why.
-    config = replace(load_arm(options.arm).whole, file=None)
+    config = replace(load_arm(options.arm), file=None)
     pose = dict.fromkeys(config.names, 0.0)
     if options.pose:
         pose |= parse_angles(options.pose, config)
@@ -164,7 +164,7 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
 def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
-    from robot_ik.hardware.calibration_file import load_lerobot
+    from robot_ik.hardware.lerobot_calibration import load_lerobot
     from robot_ik.jobs.hand_guiding import calibrate_by_hand, require_limp, save_calibrated
 
     limits = model_limits(config)
@@ -185,10 +185,11 @@ def _calibrate(
 
 def _check(options: ServoCalibrateOptions) -> int:
     from robot_ik.hardware.calibration import check_calibration
-    from robot_ik.hardware.calibration_file import Calibration, calibration_beside, save_lerobot
+    from robot_ik.hardware.calibration_file import Calibration, calibration_beside
+    from robot_ik.hardware.lerobot_calibration import save_lerobot
 
     found = Calibration.load(calibration_beside(options.out))
-    config = load_arm(str(options.out)).whole
+    config = load_arm(str(options.out))
     with claimed(options.to_lerobot, overwrite=options.overwrite):
         with arm_on(options, config) as arm:  # which compares it with the model
             check_calibration(arm.bus, config, found)
@@ -200,8 +201,10 @@ def _check(options: ServoCalibrateOptions) -> int:
 
 def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
     rows = []
-    for old, new, row in zip(before.servos, after.servos, found.rows, strict=True):
-        limits, formerly = (f"{j.lower / j.per_unit:.1f} .. {j.text(j.upper)}" for j in (new, old))
+    for old, new, row in zip(before.drives, after.drives, found.rows, strict=True):
+        limits, formerly = (
+            f"{j.lower / j.per_unit:.1f} .. {j.text(j.upper)}" for j in (new.joint, old.joint)
+        )
         swept = f"{row.range_min} .. {row.range_max}"
         rows.append((row.name, row.id, swept, row.zero_ticks, f"{row.direction:+d}", limits, formerly))
     columns = ("joint", "id", "swept ticks", "zero", "direction", "limits", "limits before")
@@ -230,7 +233,7 @@ def run_teach(options: ServoTeachOptions) -> int:
 
     if options.file.suffix != ".csv":
         raise wrong("FILE.csv", f"{options.file}", "a name that ends in .csv")
-    config = load_arm(options.arm).whole
+    config = load_arm(options.arm)
     arm = arm_on(options, config)
     prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)  # may refuse: before it is connected
     with claimed(options.file, overwrite=options.overwrite), arm:
@@ -277,11 +280,12 @@ def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
     from robot_ik.jobs.hand_guiding import load_playable, play_motion
 
-    config, motion, stretch = load_playable(options.file, load_arm(options.arm), options.speed)
-    if config.auxiliary:
-        held = ", ".join(joint.name for joint in config.auxiliary)
-        console.say(f"the recording has no {held}: held where it stands", "dim")
-    arm = arm_on(options, config, options.on_exit)
+    whole = load_arm(options.arm)
+    config, motion, stretch = load_playable(options.file, whole, options.speed)
+    held = [name for name in whole.names if name not in config.names]
+    if held:
+        console.say(f"the recording has no {', '.join(held)}: held where it stands", "dim")
+    arm = arm_on(options, whole, options.on_exit)
     with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:
         sinks: list[JointSink] = []
         if options.record is not None:

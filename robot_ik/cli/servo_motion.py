@@ -21,7 +21,7 @@ from robot_ik.errors import distinct_texts
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.joint_map import JointMap
+    from robot_ik.hardware.servo import Joint
     from robot_ik.hardware.startup import ServoReset
 
 
@@ -72,7 +72,7 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
         ConfigError: Neither form, or no finite number.
         UnknownJointError: No such joint; close ones are named.
     """
-    slides = any(joint.slides for joint in (*config.joints, *config.auxiliary))
+    slides = any(joint.slides for joint in config.joints)
     pair = "JOINT=DEG|MM" if slides else "JOINT=DEG"
     named = ["=" in argument for argument in arguments]
     if named and all(named):
@@ -113,7 +113,7 @@ def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
     console.show(console.table("joint", "was", "asked", "is", rows=rows))
 
 
-def shown_value(joint: JointMap, q: float) -> str:
+def shown_value(joint: Joint, q: float) -> str:
     """A joint value for people: degrees, or mm of a slide."""
     if joint.slides:
         return joint.text(q, 2)
@@ -150,10 +150,10 @@ def run_torque(options: ServoTorqueOptions) -> int:
         with driving(arm):
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
-    from robot_ik.hardware.control_table import require_id
+    from robot_ik.hardware.models import require_id
     from robot_ik.hardware.torque import leave
 
-    servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
+    servos = {drive.id: drive.name for drive in config.only(options.joints).drives}
     if options.ids:
         for id in options.ids:
             require_id(id, "--ids")

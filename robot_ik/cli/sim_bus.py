@@ -105,8 +105,8 @@ def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
     offsets = joint_degrees("--zero-offset", options.zero_offset, 360.0)
     return [
         *(joint_offset(config.joint(name), degrees) for name, degrees in offsets.items()),
-        *(Fault("stuck", config.joint(name).id) for name in options.stuck),
-        *(Fault("silent", config.joint(name).id) for name in options.silent),
+        *(Fault("stuck", config.joint(name).servo.id) for name in options.stuck),
+        *(Fault("silent", config.joint(name).servo.id) for name in options.silent),
         Fault("corrupt", value=options.corrupt),
         Fault("drop", value=options.drop),
         Fault("latency", value=options.latency_ms),
@@ -123,9 +123,9 @@ def _require_free(link: Path | None) -> None:
 def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
     """The port alone on stdout, for scripts; the rest goes to stderr."""
     name = str(port.link or port.path)
-    ids = ", ".join(f"{joint.id} {joint.name} ({joint.model})" for joint in config.whole.joints)
+    ids = ", ".join(f"{servo.id} {joint.name} ({servo.model})" for joint, servo in config.drives)
     print(name, flush=True)
-    console.say(f"{config.name}: Protocol 2.0 at {config.baud} baud, torque off")
+    console.say(f"{config.name}: {port.bus.side.name} at {config.baud} baud, torque off")
     console.say(f"servos: {ids}")
     console.say(f"try: {_client(arm, config)} --bus {shlex.quote(name)}", "cyan")
     console.say("end with Ctrl-C", "dim")

@@ -18,6 +18,7 @@ import numpy as np
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError
 from robot_ik.execution import execute
 from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.arm_part import ArmPart
 from robot_ik.hardware.bus import read_all, shared_register
 from robot_ik.hardware.calibration import (
     ASKED_WIGGLE,
@@ -30,10 +31,10 @@ from robot_ik.hardware.calibration import (
     counting_directions,
     measured_calibration,
 )
-from robot_ik.hardware.calibration_file import Calibration, calibration_beside, save_lerobot
+from robot_ik.hardware.calibration_file import Calibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import JointMap, Sign
+from robot_ik.hardware.lerobot_calibration import save_lerobot
+from robot_ik.hardware.servo import Joint, Sign
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import JointSink
 from robot_ik.workcell.guided_motion import approach, playable
@@ -63,7 +64,7 @@ class Person(Protocol):
 def require_limp(arm: Arm) -> None:
     """Raises ``ArmStateError`` where torque is on: the arm cannot be moved by hand."""
     torque = read_all(arm.bus, arm.config, "torque_enable")
-    if on := [servo.name for servo in arm.config.servos if torque.get(servo.id)]:
+    if on := [drive.name for drive in arm.config.drives if torque.get(drive.id)]:
         raise ArmStateError(
             f"torque of {', '.join(on)} is on: the arm cannot be moved by hand",
             hint="support the arm, then: robot-ik servo torque off",
@@ -82,6 +83,10 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
     """
     config, bus = arm.config, arm.bus
     present = shared_register(config, "present_position")
+    if config.family.capabilities.half_turn_homing:
+        text = "0. middle: put every joint into the middle of its range and hold it"
+        person.step(text, lambda: None)
+        config.family.home_half_turn(bus, config)
     sweep = Sweep(config, read_all(bus, config, "present_position"))
 
     def sample() -> None:
@@ -89,9 +94,10 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
 
     swept = functools.partial(check_sweep, config, sweep)
     _step(person, "1. sweep: move every joint from one stop to the other", sample, swept)
-    for servo in config.servos:
-        ticks = f"ticks {sweep.low[servo.id]} to {sweep.high[servo.id]}"
-        person.note(f"   {servo.name}: id {servo.id}, {ticks}, {servo.text(sweep.travel(servo), 0)}")
+    for drive in config.drives:
+        ticks = f"ticks {sweep.low[drive.id]} to {sweep.high[drive.id]}"
+        travel = drive.joint.text(sweep.travel(drive), 0)
+        person.note(f"   {drive.name}: id {drive.id}, {ticks}, {travel}")
     where = ", ".join(f"{name} {config.joint(name).text(q)}" for name, q in pose.items())
     text = f"2. zero: put the arm into the pose {where} and hold it"
     zero = _step(person, text, sample, lambda: _held(arm, sweep, sample))
@@ -142,10 +148,10 @@ def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
     for _ in range(STILL_SAMPLES):
         arm.clock.sleep_until(arm.clock.now() + 0.05)
         sample()
-        for servo in arm.config.servos:
-            if abs(sweep.now[servo.id] - zero[servo.id]) > STILL_TICKS:
+        for drive in arm.config.drives:
+            if abs(sweep.now[drive.id] - zero[drive.id]) > STILL_TICKS:
                 raise OperatorError(
-                    f"joint {servo.name!r} moved while its zero was taken", hint="hold it still"
+                    f"joint {drive.name!r} moved while its zero was taken", hint="hold it still"
                 )
     return zero
 
@@ -178,12 +184,13 @@ class TaughtMotion:
     def sample(self) -> None:
         """Reads all joints; a sample in which one is missing is left out."""
         config = self._arm.config
-        replies = self._arm.bus.sync_read(config.ids, self._present)
-        ticks = [replies[id].data for id in config.ids]
+        ids = [joint.servo.id for joint in config.joints]
+        replies = self._arm.bus.sync_read(ids, self._present)
+        ticks = [replies[id].data for id in ids]
         time = self._arm.clock.now() - self._begin
         if None not in ticks and (not self._times or time > self._times[-1]):
             pairs = zip(config.joints, ticks, strict=True)
-            self._poses.append([joint.to_radians(t) for joint, t in pairs if t is not None])
+            self._poses.append([joint.value(t) for joint, t in pairs if t is not None])
             self._times.append(time)
 
     def motion(self) -> Trajectory | None:
@@ -193,7 +200,7 @@ class TaughtMotion:
         return Trajectory(np.array(self._times) - self._times[0], self._poses, self._arm.config.names)
 
 
-def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float]]:
+def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[Joint, float]]:
     """Joints that leave their limits by more than ``ALLOWED_OUTSIDE``, and by how much at most, rad (m)."""
     beyond = np.maximum(config.lower - motion.q, motion.q - config.upper).max(axis=0)
     pairs = zip(config.joints, beyond.tolist(), strict=True)
@@ -221,16 +228,16 @@ def load_motion(path: Path, joints: Sequence[str], some: Sequence[str] = ()) -> 
 
 
 def load_playable(path: Path, arm: ArmConfig, speed: float) -> tuple[ArmConfig, Trajectory, float]:
-    """The arm with the joints of a recording, which it can repeat, and how much longer that takes.
+    """The joints that a recording moves, the motion that the arm can repeat, and how much longer it takes.
 
-    Of ``arm`` all joints are moved, or those of its q where the recording has no others: then it holds its
-    gripper where it is.  ``speed`` is a share of the recorded one, above 0 and up to 1.
+    A recording without the gripper's joints leaves the gripper where it is.  ``speed`` is a share of the
+    recorded one, above 0 and up to 1.
 
     Raises:
         ConfigError: It cannot be read, is of other joints, or leaves the limits.
     """
-    motion = load_motion(path, arm.whole.names, arm.names)
-    config = arm if motion.joints == arm.names else arm.whole
+    motion = load_motion(path, arm.names, arm.chain.names)
+    config = arm.only(motion.joints)
     for joint, excess in outside(motion, config):
         low, high = joint.limits
         raise ConfigError(
@@ -250,9 +257,9 @@ class PlayReport:
     both errors, rad (m of a slide).
     """
 
-    late: JointMap
+    late: Joint
     tracking_error: float
-    worst: JointMap
+    worst: Joint
     final_error: float
 
     def require_arrived(self) -> None:
@@ -278,18 +285,19 @@ def play_motion(
         HardwareError: A servo failed.
     """
     arm.enable()
-    targets: list[JointSink] = [arm, *sinks]
-    first = approach(arm.read().q, motion.q[0], arm.config)
+    part = ArmPart(arm, motion.joints)
+    targets: list[JointSink] = [part, *sinks]
+    first = approach(part.read().q, motion.q[0], part.config)
     with busy("going to where it begins", first.duration):
-        execute(first, targets, source=arm, clock=arm.clock, settle=0.2)
+        execute(first, targets, source=part, clock=arm.clock, settle=0.2)
     arm.clock.sleep_until(arm.clock.now() + 1.0 / arm.config.rate_hz)  # a recording has each time once
     with busy("playing", motion.duration):
-        done = execute(motion, targets, source=arm, clock=arm.clock, settle=0.4)
+        done = execute(motion, targets, source=part, clock=arm.clock, settle=0.4)
     if done.final_error is None or done.tracking_error is None:
         raise RuntimeError("the motion was not measured")
-    joints = arm.config.joints
+    joints = part.config.joints
     # Fingers that press may be held by something.
-    free = [joint.mode != OperatingMode.CURRENT_BASED_POSITION for joint in joints]
+    free = [not joint.servo.presses for joint in joints]
     share = np.array(free) / [joint.lever for joint in joints]
     error = np.abs(done.final_error)
     late, worst = int(np.argmax(share * done.tracking_error)), int(np.argmax(share * error))

@@ -351,7 +351,7 @@ class _Reach:
 
         settle = _SETTLE_SECONDS if setup.arm is not None else 0.0
         self.report.execution = execute(
-            trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show, settle=settle
+            trajectory, setup.sinks, source=setup.opened, clock=setup.clock, on_tick=show, settle=settle
         )
 
     def show(self, q: Array, time: float) -> None:
@@ -377,7 +377,7 @@ class _Reach:
             report.following = follow(
                 report.robot, goals, sinks=setup.sinks, solver=self.method, rate=setup.rate,
                 clock=setup.clock, duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
-                speed=request.speed, source=setup.arm, on_tick=show,
+                speed=request.speed, source=setup.opened, on_tick=show,
             )  # fmt: skip
         setup.repeat(_SETTLE_SECONDS)
         report.behind = (float(np.median(behind)), max(behind)) if behind else None

@@ -5,18 +5,19 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.errors import ConfigError, ModelError, UnknownJointError, UnsupportedJointError
-from robot_ik.hardware import SIMULATED, bus_row, open_arm
+from robot_ik.errors import ConfigError, ModelError, UnsupportedJointError
+from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
+from robot_ik.robot_arm import RobotArm, open_robot, robot_of_arm
 from robot_ik.robot_file import find_robot
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class RobotSetup:
         robot: Inside the intersection of model, servo mode and joint map.
         frame: What shall be moved.
         limits: How that intersection came about.
-        config, arm: None without a bus.
+        opened: Robot and arm; None without a bus.
         clock: Of the run; virtual where nothing real waits.
         dof: How many joints move the frame.
         shown: (nq,) what was read back last (what was commanded, without a bus): for pictures and windows.
@@ -111,8 +112,7 @@ class RobotSetup:
     robot: Robot
     frame: str
     limits: list[JointLimits]
-    config: ArmConfig | None
-    arm: Arm | None
+    opened: RobotArm | None
     clock: Clock
 
     def __post_init__(self) -> None:
@@ -120,6 +120,21 @@ class RobotSetup:
         self.recorder: list[JointSink] = []
         self.commanded: Array = self.robot.home.copy()
         self.shown = self.commanded
+
+    @property
+    def arm(self) -> Arm | None:
+        """The servos; None without a bus."""
+        return None if self.opened is None else self.opened.arm
+
+    @property
+    def config(self) -> ArmConfig | None:
+        """The arm file with the joints of the robot, in its order; None without a bus."""
+        return None if self.opened is None else self.opened.chain
+
+    @property
+    def has_real_servos(self) -> bool:
+        """Whether metal moves."""
+        return self.opened is not None and self.opened.arm.bus.real
 
     def record(self, recording: Recording) -> None:
         """From here on every command is written, with what the servos measured last."""
@@ -129,7 +144,7 @@ class RobotSetup:
     @property
     def sinks(self) -> list[JointSink]:
         """Who takes commands; the setup itself keeps the last one."""
-        return [*([] if self.arm is None else [self.arm]), self, *self.recorder]
+        return [*([] if self.opened is None else [self.opened]), self, *self.recorder]
 
     def send(self, q: Array, now: float) -> None:
         """Keeps ``q`` (nq,) as what was sent last."""
@@ -138,20 +153,19 @@ class RobotSetup:
     @property
     def q(self) -> Array:
         """(nq,) where the joints are: measured, or as commanded without a bus."""
-        if self.arm is None:
+        if self.opened is None:
             return self.commanded
         from robot_ik.hardware.arm import ArmState
 
-        if self.arm.state is ArmState.DISCONNECTED:
+        if self.opened.arm.state is ArmState.DISCONNECTED:
             return self.commanded
-        self.shown = self.arm.read().q.copy()
+        self.shown = self.opened.read().q.copy()
         return self.shown
 
     def true_q(self) -> Array:
         """(nq,) where a camera would see the joints: with virtual servos their shafts, faults included."""
-        if self.arm is not None and self.arm.virtual_bus is not None and self.config is not None:
-            return np.asarray(self.arm.virtual_bus.true_angles(self.config))
-        return self.shown
+        true_q = None if self.opened is None else self.opened.true_q()
+        return self.shown if true_q is None else true_q
 
     @property
     def resolution(self) -> Array:
@@ -241,23 +255,23 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     clock: Clock = RealClock() if request.view else VirtualClock()
     if without_bus and request.arm_file is None:
         robot = _only_what_moves(robot, request.robot, frame)
-        return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
+        return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, clock)
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
-    limited = robot.with_limits(config.lower, config.upper)
-    limits = _joint_limits(robot, limited, config)
     if without_bus:
-        return RobotSetup(limited, frame, limits, None, None, clock)
+        chain = config.only(robot.joints)
+        limited = robot.with_limits(chain.lower, chain.upper)
+        return RobotSetup(limited, frame, _joint_limits(robot, limited, chain), None, clock)
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
-    check_calibrated_model(robot, config)
-    arm = open_arm(config, request.bus, start=limited.home if virtual else None)
-    if arm.virtual_bus is not None:
+    opened = open_robot(robot, config, request.bus)
+    if opened.virtual_bus is not None:
         offsets = rehearsal.zero_offset_deg.items()
-        arm.virtual_bus.inject(
+        opened.virtual_bus.inject(
             *(joint_offset(config.joint(name), degrees) for name, degrees in offsets),
-            *(Fault("stuck", config.joint(name).id) for name in rehearsal.stuck),
+            *(Fault("stuck", config.joint(name).servo.id) for name in rehearsal.stuck),
         )
-    return RobotSetup(limited, frame, limits, config, arm, arm.clock)
+    limits = _joint_limits(robot, opened.robot, opened.chain)
+    return RobotSetup(opened.robot, frame, limits, opened, opened.clock)
 
 
 def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:
@@ -303,37 +317,6 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
 
 
-def require_joints(robot: Robot, config: ArmConfig) -> None:
-    """Raises ``ConfigError`` where an arm file has joints that the robot has not."""
-    if strangers := [joint for joint in config.names if joint not in robot.joints]:
-        raise ConfigError(
-            f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
-            file=config.file or config.name, key="joints", allowed=", ".join(robot.joints),
-        )  # fmt: skip
-
-
-def check_calibrated_model(robot: Robot, config: ArmConfig) -> None:
-    """Compare a robot's limits with those in the calibration beside the arm file.
-
-    Every job that opens an arm for a robot calls this before it opens the port.  It asks no servo.
-
-    Args:
-        robot: As loaded: within the limits of its model, not yet within those of the arm file.
-        config: The arm file.  Without a calibration beside it there is nothing to compare.
-
-    Raises:
-        CalibrationMismatchError: The arm was calibrated for another model.
-        ConfigError: The calibration cannot be read.
-    """
-    from robot_ik.hardware.calibration import check_model
-
-    limits = {
-        joint: (float(robot.lower[v]), float(robot.upper[v]))
-        for joint, v in zip(robot.joints, robot.tree.vadr.tolist(), strict=True)
-    }
-    check_model(config, limits)
-
-
 def robot_named_in(config: ArmConfig) -> str:
     """The robot that an arm file names: name or path; raises ``ConfigError`` where there is none."""
     try:
@@ -344,8 +327,8 @@ def robot_named_in(config: ArmConfig) -> str:
     return config.robot
 
 
-def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, Any]:
-    """The arm's configuration in the robot's joint order, and the robot with only the arm's joints active."""
+def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, ArmConfig]:
+    """The robot with only the joints of its arm that carry the tool, and the arm."""
     from robot_ik.hardware.config import ArmConfig
 
     path = file or robot.arm_file
@@ -362,9 +345,4 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
             _HEADROOM * robot.velocity_limits, _HEADROOM * robot.acceleration_limits,
         )  # fmt: skip
     config = ArmConfig.load(path)
-    if set(config.names) != set(robot.joints):  # without some, or beyond the group `arm`: a gripper's
-        with contextlib.suppress(UnknownJointError):
-            robot = load_robot(name, joints=config.names)
-    require_joints(robot, config)
-    by_name = {joint.name: joint for joint in config.joints}
-    return robot, replace(config, joints=tuple(by_name[joint] for joint in robot.joints))
+    return robot_of_arm(robot, config, name), config

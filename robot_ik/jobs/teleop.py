@@ -20,11 +20,9 @@ from robot_ik.errors import ArmStateError, ConfigError, HardwareError, UnsafeCom
 from robot_ik.execution import Schedule
 from robot_ik.geometry import Pose
 from robot_ik.goals import BEST, EXACT, PoseGoal
-from robot_ik.hardware import bus_row, open_arm
+from robot_ik.hardware import bus_row, open_arm, simulated_servos
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import stale_time
 from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.motion.timing import minimum_jerk
@@ -72,14 +70,12 @@ class JointCoupling:
     """
 
     def __init__(self, leader: ArmConfig, follower: ArmConfig) -> None:
-        both = [
-            (joint, follower.whole) for joint in leader.whole.joints if joint.name in follower.whole.names
-        ]
+        both = [(joint, follower) for joint in leader.joints if joint.name in follower.names]
         if not both:
             raise ConfigError(
                 f"no joint of {leader.name} is one of {follower.name}",
                 file=leader.file or leader.name, key="joints",
-                allowed=f"names of {', '.join(follower.whole.names)}; or hand to hand: --by hand",
+                allowed=f"names of {', '.join(follower.names)}; or hand to hand: --by hand",
             )  # fmt: skip
         self.names = tuple(joint.name for joint, _ in both)
         self._ranges = {joint.name: (joint.limits, other.joint(joint.name).limits) for joint, other in both}
@@ -97,10 +93,11 @@ class Hand:
 
     def __init__(self, config: ArmConfig) -> None:
         robot = load_robot(robot_named_in(config))
-        self.names = config.names
-        self._order = [robot.joints.index(name) for name in config.names]
+        chain = config.chain
+        self.names = chain.names
+        self._order = [robot.joints.index(name) for name in chain.names]
         lower, upper = np.full((2, robot.nv), np.inf) * [[-1.0], [1.0]]
-        lower[self._order], upper[self._order] = config.lower, config.upper
+        lower[self._order], upper[self._order] = chain.lower, chain.upper
         self._robot = robot.with_limits(lower, upper)
         self._q = self._robot.home.copy()
         self.pose = self._robot.forward(self._q)
@@ -170,7 +167,7 @@ class LeaderArm(Operator):
             self._require_gentle()
 
     def _require_gentle(self) -> None:
-        stiff = [j.name for j in self._arm.config.joints if j.mode != OperatingMode.CURRENT_BASED_POSITION]
+        stiff = [j.name for j in self._arm.config.joints if not j.servo.presses]
         if stiff or self._joints is None:
             raise ConfigError(
                 "force feedback needs a leader whose servos push with a limited current, joint to joint"
@@ -253,7 +250,7 @@ class Jog(Operator):
         hand: bool = False,
     ) -> None:
         self._hand, self._read = Hand(config), read
-        self.joints = config.whole.joints
+        self.joints = config.joints
         self.angles: dict[str, float] = {}
         self.hand, self.stop = hand, stop
 
@@ -323,8 +320,8 @@ class Blend:
 
     def __init__(self, here: Angles, there: Angles, config: ArmConfig, now: float) -> None:
         self._apart = {name: here[name] - there[name] for name in there}
-        distance = np.array([self._apart.get(name, 0.0) for name in config.whole.names])
-        self._begin, self.seconds = now, approach_profile(distance, config.whole).duration
+        distance = np.array([self._apart.get(name, 0.0) for name in config.names])
+        self._begin, self.seconds = now, approach_profile(distance, config).duration
 
     def __call__(self, there: Angles, now: float) -> dict[str, float]:
         passed = now - self._begin
@@ -442,7 +439,7 @@ def open_pair(
     clock: Clock = VirtualClock() if virtual_time else RealClock()
 
     def made(config: ArmConfig, bus: str, way_out: str | None) -> Arm:
-        servos = VirtualBus.from_config(config, clock) if bus_row(bus).virtual else None
+        servos = simulated_servos(config, clock) if bus_row(bus).virtual else None
         return open_arm(config, bus, virtual_bus=servos, on_exit=way_out)
 
     first = None if leader is None else made(leader, leader_bus, "torque_off")

@@ -17,18 +17,15 @@ from robot_ik.camera.targets import Observation, marker
 from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
-from robot_ik.hardware import bus_row, open_arm
-from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.pictures import draw_observations
 from robot_ik.jobs.recording import Moment, Recording, open_recording, require_recording
-from robot_ik.jobs.robot_setup import check_calibrated_model, require_joints
 from robot_ik.jobs.scene import scene_for
 from robot_ik.motion.keyframes import column_names
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot, load_robot
-from robot_ik.robot_file import catalogue
+from robot_ik.robot_arm import open_robot
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.arrangement import GOAL_COLOUR
 from robot_ik.testbed.commands import RATE, CommandLog
@@ -44,18 +41,9 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
         CalibrationMismatchError: The arm was calibrated for another model.
         HardwareError: As ``Arm.connect``.
     """
+    opened = open_robot(name, arm_file, bus, on_exit=on_exit or None)
     robot = load_robot(name)
-    path = arm_file or robot.arm_file
-    if path is None:
-        having = [known for known, folder in catalogue().items() if (folder / "arm.toml").is_file()]
-        allowed = f"--arm FILE, or a robot that has one: {', '.join(having)}"
-        raise ConfigError("comes without an arm file", file=robot.name, allowed=allowed)
-    config = ArmConfig.load(path)
-    require_joints(robot, config)
-    check_calibrated_model(robot, config)
-    start = robot.home[[robot.joints.index(joint) for joint in config.names]]
-    arm = open_arm(config, bus, on_exit=on_exit or None, start=start if bus_row(bus).virtual else None)
-    link = ArmLink(arm, robot, bus)
+    link = ArmLink(opened, robot, bus)
     link.open()
     return link
 

@@ -280,8 +280,7 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
             pictured = pictured.with_marker(scene.marker_id, condition="blank")
         synthetic = SyntheticSource(pictured, setup.true_q, seed=request.seed, clock=setup.clock)
         source = stack.enter_context(synthetic)
-        real_servos = setup.arm is not None and setup.arm.virtual_bus is None
-        why = "the synthetic camera cannot see real servos" if real_servos else ""
+        why = "the synthetic camera cannot see real servos" if setup.has_real_servos else ""
     park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return Vision(
         scene, source, setup, why_blind=why, synthetic=synthetic, lead=request.lead,
@@ -317,7 +316,7 @@ def _real_camera(
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
-    elif setup.arm is None or setup.arm.virtual_bus is not None:
+    elif not setup.has_real_servos:
         why = "the arm is simulated, so a real camera cannot see it"
     elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
-from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.health import ServoState, read_states
 from robot_ik.hardware.watchdogs import ExitGuard
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
+from robot_ik.robot_arm import RobotArm
 from robot_ik.testbed.commands import ArmMode
 from robot_ik.workcell.guided_motion import approach, playable
 
@@ -55,14 +56,17 @@ class ArmLink:
     """The arm and the thread that drives it; torque comes on with the first "follow".
 
     Args:
-        arm: Connected by ``open``; its joints are those of the robot, by name.
+        opened: Robot and arm, connected by ``open``.
         robot: Whose angles it gets.
         port: What to call its bus.
     """
 
-    def __init__(self, arm: Arm, robot: Robot, port: str) -> None:
-        self._arm, self._robot, self._port = arm, robot, port
-        self._order = [robot.joints.index(joint) for joint in arm.joints]
+    def __init__(self, opened: RobotArm, robot: Robot, port: str) -> None:
+        self._opened = opened
+        self._arm = opened.arm
+        self._robot = robot
+        self._port = port
+        self._order = [robot.joints.index(joint) for joint in opened.robot.joints]
         self._mode: ArmMode = "hold"
         self._wanted: tuple[Array, float] | None = None
         self._measured: Array | None = None
@@ -70,7 +74,7 @@ class ArmLink:
         self._message = ""
         self._running, self._alive = True, -np.inf  # whether the session runs, and when it last did
         self._is_shown = True  # the session's robot is the arm's
-        self._recorder = RecorderSink(arm.joints)
+        self._recorder = RecorderSink(opened.robot.joints)
         self.recording: Trajectory | None = None
         self._plan: Iterator[Array] | None = None
         self._guard = ExitGuard(self.close)
@@ -190,7 +194,7 @@ class ArmLink:
                 self._cycle(period)
                 if time.monotonic() - looked > _TELEMETRY_PERIOD:
                     looked = time.monotonic()
-                    self._servos = read_states(self._arm.bus, self._arm.config.servos)
+                    self._servos = read_states(self._arm.bus, self._arm.config.drives)
             except RobotIkError as error:
                 self._message = str(error).splitlines()[0]
                 if isinstance(error, ArmStateError | HardwareError):
@@ -220,12 +224,12 @@ class ArmLink:
             if mode in ("follow", "replay"):
                 arm.enable()
         elif mode == "follow" and fresh and self._wanted is not None:
-            arm.send(self._wanted[0], arm.clock.now())
+            self._opened.send(self._wanted[0], arm.clock.now())
         elif mode == "replay" and fresh:
             self._replay()
         elif arm.state is ArmState.ENABLED:
             arm.hold()
-        self._measured = arm.read().q
+        self._measured = self._opened.read().q
         if mode == "teach" and arm.state is ArmState.CONNECTED:
             self._record(self._measured)
 
@@ -236,29 +240,31 @@ class ArmLink:
             self._mode = "hold"
             return
         if self._plan is None:
-            motion, _ = playable(shown, arm.config, 1.0)
-            path = approach(arm.read().q, motion.q[0], arm.config)
+            chain = self._opened.chain
+            motion, _ = playable(shown, chain, 1.0)
+            path = approach(self._opened.read().q, motion.q[0], chain)
             rest = np.repeat(motion.q[-1:], round(_SETTLE * arm.config.rate_hz), axis=0)
             self._plan = iter([*path.q, *motion.q, *rest])
         q = next(self._plan, None)
         if q is None:
             self._mode, self._plan = "hold", None
         else:
-            arm.send(q, arm.clock.now())
+            self._opened.send(q, arm.clock.now())
 
     def _record(self, q: Array) -> None:
         """One sample (n,) of what a hand shows; simulated servos are guided by the page's first robot."""
         arm = self._arm
         self._recorder.send(q, arm.clock.now())
-        if arm.virtual_bus is not None and self._wanted is not None:
-            limit = arm.config.velocity / arm.config.rate_hz  # no hand is quicker than the arm
+        servos = self._opened.virtual_bus
+        if servos is not None and self._wanted is not None:
+            chain = self._opened.chain
+            limit = chain.velocity / chain.rate_hz  # no hand is quicker than the arm
             there = q + np.clip(self._wanted[0] - q, -limit, limit)
-            ways = dict(zip(arm.joints, zip(q.tolist(), there.tolist(), strict=True), strict=True))
-            with arm.virtual_bus.lock:
-                for servo in arm.config.servos:
-                    begin, end = ways.get(servo.name, (0.0, 0.0))
-                    ticks = servo.position(end) - servo.position(begin)
-                    arm.virtual_bus.servo(servo.id).rotate_by_hand(ticks)
+            ways = dict(zip(chain.names, zip(q.tolist(), there.tolist(), strict=True), strict=True))
+            with servos.lock:
+                for drive in chain.drives:
+                    begin, end = ways[drive.name]
+                    servos.servo(drive.id).rotate_by_hand(drive.position(end) - drive.position(begin))
         if len(self._recorder) > TEACH_LIMIT * arm.config.rate_hz:
             self._mode, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"
 
@@ -267,7 +273,7 @@ class ArmLink:
         if len(self._recorder) > 1:
             self.recording = self._recorder.trajectory()
         if len(self._recorder):
-            self._recorder = RecorderSink(self._arm.joints)
+            self._recorder = RecorderSink(self._opened.robot.joints)
 
     def _let_go(self) -> None:
         """Torque off, and connected again."""

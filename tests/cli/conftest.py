@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_ik.cli.main import main
+from tests.hardware.joints import with_servo
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -139,7 +140,7 @@ class Desk:
         """A hand turns a limp joint by so much, at once."""
         row = self.config.joint(joint)
         with self.bus.lock:
-            self.servo(row.id).rotate_by_hand(math.radians(degrees) * row.ticks_per(0.0))
+            self.servo(row.servo.id).rotate_by_hand(math.radians(degrees) * row.ticks_per(0.0))
 
     def torque(self) -> list[bool]:
         with self.bus.lock:
@@ -180,7 +181,7 @@ Hand = Callable[[str, Callable[[], object]], None]
 @pytest.fixture
 def nominal(desk: Desk, tmp_path: Path) -> Path:
     """The arm file before calibration: zeros and directions nobody has looked at."""
-    joints = tuple(replace(j, direction=1, zero_ticks=2048) for j in desk.config.joints)
+    joints = tuple(with_servo(j, direction=1, zero_ticks=2048) for j in desk.config.joints)
     path = tmp_path / "nominal.toml"
     replace(desk.config, joints=joints, file=None).save(path)
     return path

@@ -155,7 +155,7 @@ def test_zeros_are_written_after_a_yes_and_only_then(
     assert "joint zeros" in run.out and "with these zeros" in run.out
     assert (arm.parent / "mine.toml.1.bak").read_bytes() == before
     old, new = ArmConfig.parse(before.decode()), ArmConfig.load(arm)
-    moved = [b.to_radians(2000) - a.to_radians(2000) for a, b in zip(old.joints, new.joints, strict=True)]
+    moved = [b.value(2000) - a.value(2000) for a, b in zip(old.joints, new.joints, strict=True)]
     np.testing.assert_allclose(moved, HIDDEN, atol=np.deg2rad(0.1))
 
 

@@ -31,8 +31,8 @@ def test_zeros_directions_and_ranges_are_found(
     assert run.code == 0, run.err
     mine = ArmConfig.load(tmp_path / "mine.toml")
     for joint, true in zip(mine.joints, desk.config.joints, strict=True):
-        assert joint.direction == true.direction
-        assert joint.zero_ticks == pytest.approx(true.zero_ticks, abs=2)
+        assert joint.servo.direction == true.servo.direction
+        assert joint.servo.zero_ticks == pytest.approx(true.servo.zero_ticks, abs=2)
         assert np.degrees([joint.lower, joint.upper]) == pytest.approx([-95, 95], abs=0.3)
     # With it the arm goes where it is sent, by its own true angles.
     run = robot_ik(
@@ -64,7 +64,7 @@ def test_zeros_taken_in_another_pose(good_hand: Any, calibrate: Any, desk: Any, 
     run = calibrate(good_hand(pose=(0, 45, -30)), "--pose", "joint2=45", "joint3=-30")
     assert run.code == 0, run.err
     for joint, true in zip(ArmConfig.load(tmp_path / "mine.toml").joints, desk.config.joints, strict=True):
-        assert joint.zero_ticks == pytest.approx(true.zero_ticks, abs=2)
+        assert joint.servo.zero_ticks == pytest.approx(true.servo.zero_ticks, abs=2)
 
 
 def failing(run: Any, tmp_path: Path, *parts: str) -> None:
@@ -180,7 +180,7 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
     assert sum(line.startswith("3.2") for line in said) == 2
     assert any("joint 'joint2' did not turn" in line for line in said) and any("once more" in x for x in said)
     mine = ArmConfig.load(tmp_path / "mine.toml")
-    assert [j.direction for j in mine.joints] == [1, -1, 1]
+    assert [j.servo.direction for j in mine.joints] == [1, -1, 1]
 
 
 def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:

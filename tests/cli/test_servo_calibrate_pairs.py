@@ -19,34 +19,33 @@ from robot_ik.hardware.calibration import (
     check_calibration,
     check_model,
 )
-from robot_ik.hardware.calibration_file import Calibration, load_lerobot, save_lerobot
+from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import JointMap, Twin
+from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Direct, Pinion
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.hand_guiding import calibrate_by_hand
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import Twin, make_joint, with_servo, with_twin
 
 MODE = OperatingMode.EXTENDED_POSITION
-LIFT = JointMap("lift", 1, "XM430-W350", MODE, -1, 1500, 2.0, -2.0, 2.0, 1.0, 4.0)
-RACK = JointMap("rack", 2, "XL330-M288", MODE, -1, 700, 1.0, 0.0, 0.03, 0.05, 0.4, pinion=0.008)
+LIFT = make_joint("lift", 1, "XM430-W350", MODE, -1, 1500, -2.0, 2.0, 1.0, 4.0, gear=Direct(2.0))
+RACK = make_joint("rack", 2, "XL330-M288", MODE, -1, 700, 0.0, 0.03, 0.05, 0.4, gear=Pinion(0.008))
 OWN, SHADOW = Twin(3, direction=1, zero_ticks=2600), Twin(3, shadow=True)
 LIMITS = {"lift": (-2.0, 2.0), "rack": (0.0, 0.03)}
 REACH = {"lift": (-1.5, 1.5), "rack": (0.0, 0.025)}
 
 
 def true_arm(twin: Twin) -> ArmConfig:
-    joints = (dataclasses.replace(LIFT, twin=twin), RACK)
+    joints = (with_twin(LIFT, twin), RACK)
     return ArmConfig("pairs", "none", 1_000_000, 100.0, 200, "torque_off", joints, stale_ms=0)
 
 
 def unknown_arm(true: ArmConfig) -> ArmConfig:
     """The same before anybody looked at zeros and directions."""
-    joints = []
-    for joint in true.joints:
-        twin = joint.twin and dataclasses.replace(joint.twin, direction=1, zero_ticks=2048)
-        joints.append(dataclasses.replace(joint, direction=1, zero_ticks=2048, twin=twin))
-    return dataclasses.replace(true, joints=tuple(joints))
+    joints = tuple(with_servo(joint, direction=1, zero_ticks=2048) for joint in true.joints)
+    return dataclasses.replace(true, joints=joints)
 
 
 class Hand:
@@ -58,8 +57,9 @@ class Hand:
 
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
         for part in np.linspace(self.q[name], q, 12):
-            for servo in self.true.joint(name).servos:
-                way = servo.position(part) - servo.position(self.q[name])
+            joint = self.true.joint(name)
+            for servo in joint.servos:
+                way = joint.position(part, servo) - joint.position(self.q[name], servo)
                 self.bus.servo(servo.id).rotate_by_hand(way * (self.slip if servo.id == 3 else 1.0))
             self.q[name] = part
             sample()
@@ -97,7 +97,7 @@ def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object
 def test_both_servos_of_a_joint_and_a_slide_are_found(twin: Twin, tmp_path: Path) -> None:
     true, bus, found, made = measured(twin)
     for mine, truth in zip(made.servos, true.servos, strict=True):
-        assert (mine.id, mine.direction, mine.shadow_of) == (truth.id, truth.direction, truth.shadow_of)
+        assert (mine.id, mine.direction, mine.primary_id) == (truth.id, truth.direction, truth.primary_id)
         assert mine.zero_ticks == pytest.approx(truth.zero_ticks, abs=2)
     for joint in made.joints:
         assert (joint.lower, joint.upper) == pytest.approx(REACH[joint.name], abs=3 * joint.resolution)
@@ -131,12 +131,12 @@ def test_a_shadow_that_counts_the_other_way_is_refused() -> None:
 
 def test_a_swapped_second_servo_is_a_mismatch() -> None:
     _, bus, found, made = measured(OWN)
-    other = dataclasses.replace(made.joints[0], twin=dataclasses.replace(OWN, direction=-1))
+    other = with_twin(made.joints[0], dataclasses.replace(OWN, direction=-1))
     changed = dataclasses.replace(made, joints=(other, made.joints[1]))
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
         check_calibration(arm.bus, changed, found)
     assert ("lift", "direction", "1", "-1") in caught.value.rows
-    single = dataclasses.replace(made, joints=tuple(dataclasses.replace(j, twin=None) for j in made.joints))
+    single = dataclasses.replace(made, joints=tuple(with_twin(j, None) for j in made.joints))
     with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(ConfigError, match="lift, rack, lift"):
         check_calibration(arm.bus, single, found)
 

@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError
-from robot_ik.hardware.calibration_file import Calibration, JointCalibration, load_lerobot
+from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.lerobot_calibration import load_lerobot
+from robot_ik.hardware.registers import OperatingMode
+from tests.hardware.joints import with_servo
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -145,7 +147,7 @@ def test_out_to_lerobot_and_in_again(robot_ik: Any, mine: Path, desk: Any, tmp_p
     run = robot_ik("servo", "calibrate", out, *desk.at, "--from-lerobot", file)
     assert run.code == 0, run.err
     theirs = ArmConfig.load(out)
-    assert [j.zero_ticks for j in theirs.joints] == [2000, 1100, 1700]
+    assert [j.servo.zero_ticks for j in theirs.joints] == [2000, 1100, 1700]
     assert theirs.joints[0].upper == pytest.approx(1000 * 2 * np.pi / 4096, abs=1e-6)
     assert Calibration.load(out.with_name("theirs.calibration.toml")).joints[2].range_max == 2600
 
@@ -207,21 +209,21 @@ def test_an_offset_of_lerobots_that_position_mode_ignores_is_refused_before_it_i
 ) -> None:
     """LeRobot runs mode 4, where it counts; the same servo in mode 3 would have another zero."""
     joints = desk.config.joints
-    first = replace(joints[0], mode=OperatingMode.POSITION)
+    first = with_servo(joints[0], mode=OperatingMode.POSITION)
     file = _lerobot(tmp_path / "koch.json", homing_offset=offset)
     config = replace(desk.config, joints=(first, *joints[1:]))
     with pytest.raises(ConfigError) as caught:
         load_lerobot(file, config, NO_LIMITS)
     assert (caught.value.file, caught.value.key) == (file, "joint1.homing_offset")
     assert str(offset) in str(caught.value) and "extended_position" in str(caught.value)
-    many = replace(first, mode=OperatingMode.EXTENDED_POSITION)
+    many = with_servo(first, mode=OperatingMode.EXTENDED_POSITION)
     found = load_lerobot(file, replace(config, joints=(many, *joints[1:])), NO_LIMITS)
     assert found.joints[0].homing_offset == offset
 
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_lerobots_drive_mode_is_compared_with_reverse(reverse: bool, desk: Any, tmp_path: Path) -> None:
-    first = replace(desk.config.joints[0], reverse=reverse)
+    first = with_servo(desk.config.joints[0], reverse=reverse)
     config = replace(desk.config, joints=(first, *desk.config.joints[1:]))
     right = _lerobot(tmp_path / "right.json", drive_mode=int(reverse))
     assert load_lerobot(right, config, NO_LIMITS).joints[0].drive_mode == reverse

@@ -14,8 +14,11 @@ from robot_ik.cli.arguments import gather
 from robot_ik.cli.reach import ReachOptions
 from robot_ik.hardware import discovery
 from robot_ik.hardware.discovery import FoundServo
+from robot_ik.hardware.family import family_of
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
+
+X = family_of("dynamixel_x")
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -24,7 +27,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 def _servos_answer_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     from robot_ik.hardware import discovery
 
-    monkeypatch.setattr(discovery, "listening_time", lambda baud: 0.03)
+    monkeypatch.setattr(discovery.SerialBus, "listening_time", 0.03)
     monkeypatch.setattr(discovery, "RESPONSE_TIME", 0.006)
     monkeypatch.setattr(discovery, "IDS", range(20))
 
@@ -93,7 +96,7 @@ def test_every_rate_is_tried(robot_ik: Any, desk: Any) -> None:
     desk.servo(3).memory.set("baud_rate", 1)
     desk.servo(3).set_supply(9.0)
     report = json.loads(robot_ik("servo", "scan", *desk.at, "--json").out)
-    assert len(report["bauds"]) == 8
+    assert len(report["bauds"]) == 13
     seen = {s["id"]: s for s in report["servos"]}
     assert {id: s["baud"] for id, s in seen.items()} == {1: 1_000_000, 2: 4_500_000, 3: 57_600}
     assert {id: s["model"] for id, s in seen.items()} == {1: "XM430-W350", 2: "XL430-W250", 3: "XL330-M288"}
@@ -228,19 +231,22 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
 @pytest.mark.parametrize(
     ("found", "reported"),
     [
-        ([FoundServo(1, 1_000_000), FoundServo(2, 1_000_000)], []),
-        ([FoundServo(1, 57_600), FoundServo(2, 1_000_000)], ["different rates (57600: id 1; 1000000: id 2)"]),
+        ([FoundServo(1, 1_000_000, X), FoundServo(2, 1_000_000, X)], []),
         (
-            [FoundServo(id, rate) for rate in (1_000_000, 57_600, 2_000_000) for id in (1, 2)],
+            [FoundServo(1, 57_600, X), FoundServo(2, 1_000_000, X)],
+            ["different rates (57600: id 1; 1000000: id 2)"],
+        ),
+        (
+            [FoundServo(id, rate, X) for rate in (1_000_000, 57_600, 2_000_000) for id in (1, 2)],
             ["answer at every rate: the port has none"],
         ),
-        ([FoundServo(1, 57_600), FoundServo(1, 1_000_000)], ["different rates"]),  # both as bought
+        ([FoundServo(1, 57_600, X), FoundServo(1, 1_000_000, X)], ["different rates"]),  # both as bought
         (
-            [FoundServo(1, 57_600, shared=True), FoundServo(2, 57_600)],
+            [FoundServo(1, 57_600, X, shared=True), FoundServo(2, 57_600, X)],
             ["id 1 at 57600: damaged replies. Two"],
         ),
         (
-            [FoundServo(id, 57_600, shared=True) for id in (1, 2)],
+            [FoundServo(id, 57_600, X, shared=True) for id in (1, 2)],
             ["every reply is damaged: check the cable"],
         ),
     ],

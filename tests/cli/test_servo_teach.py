@@ -93,8 +93,8 @@ def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
 @pytest.mark.parametrize("name", ["puma560", "tabletop_puma", "omx_f", "wx250s", "vx300s", "koch_v11"])
 def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path: Path) -> None:
     arm = ArmConfig.load(name)
-    config = arm.whole
-    ticks = 3.0 * np.array([abs(joint.to_radians(1) - joint.to_radians(0)) for joint in config.joints])
+    config = arm
+    ticks = 3.0 * np.array([abs(joint.value(1) - joint.value(0)) for joint in config.joints])
     middle = 0.5 * (config.lower + config.upper)
     for start in (config.lower - ticks, config.upper + ticks):  # as servos measure it where an arm rests
         file = tmp_path / "motion.csv"
@@ -188,15 +188,14 @@ def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tm
 def test_a_recording_without_the_gripper_moves_the_arm_alone(robot_ik: Any, tmp_path: Path) -> None:
     arm = ArmConfig.load("tabletop_puma")
     file, record = tmp_path / "reach.csv", tmp_path / "played.csv"
-    home = np.clip(np.zeros(len(arm.joints)), arm.lower, arm.upper)
-    Trajectory([0.0, 1.0], [home, home + 0.1 * (arm.upper - home)], arm.names).save_csv(file)
+    chain = arm.chain
+    home = np.clip(np.zeros(len(chain.joints)), chain.lower, chain.upper)
+    Trajectory([0.0, 1.0], [home, home + 0.1 * (chain.upper - home)], chain.names).save_csv(file)
     run = robot_ik("servo", "play", file, "--bus", "sim", "--record", record)
     assert run.code == 0 and "finger_left: held where it stands" in run.err, run.err
     assert "finger_left" not in Trajectory.load_csv(record).joints
     config, motion, _ = hand_guiding.load_playable(file, arm, 1.0)
-    assert (
-        config == arm and motion.joints == arm.names and [j.name for j in config.auxiliary] == ["finger_left"]
-    )
+    assert config == chain and motion.joints == chain.names
 
 
 def test_joints_in_another_order_are_put_right(robot_ik: Any, desk: Any, tmp_path: Path) -> None:

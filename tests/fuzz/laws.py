@@ -17,11 +17,11 @@ from robot_ik.errors import HardwareError
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import BROADCAST_ID, Counters
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.packets import FastParser, StatusParser
 from robot_ik.hardware.packets import crc as host_crc
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Joint
 from robot_ik.hardware.simulated import InProcessPort, SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import (
@@ -225,7 +225,7 @@ QUESTIONS: tuple[Callable[[DynamixelBus], list[tuple[int, int, int]]], ...] = (
 
 def _arm_config() -> ArmConfig:
     joints = (
-        JointMap(f"joint{id}", id, "XM430-W350", OperatingMode.POSITION, 1, 2048, 1.0, -2.0, 2.0, 2.0, 8.0)
+        Joint(f"joint{id}", id, "XM430-W350", OperatingMode.POSITION, 1, 2048, 1.0, -2.0, 2.0, 2.0, 8.0)
         for id in (1, 2)
     )
     return ArmConfig("fuzzed", "none", 1_000_000, 100.0, 200, "torque_off", tuple(joints), stale_ms=0)
@@ -235,7 +235,7 @@ def arm(data: bytes) -> None:
     """Damaged replies never move an arm: while it is asked to stay, every goal is where it stands."""
     config, clock = _arm_config(), VirtualClock()
     bus = VirtualBus.from_config(config, clock)
-    driven = Arm(config, SimBus(bus), virtual_bus=bus, on_exit="torque_off")
+    driven = Arm(config, SimBus(bus), on_exit="torque_off")
     story = [piece for piece in pieces(data) if piece is not None]
     # A forged reply with a right checksum is a lie that no client can see: not what is asked here.
     noise = iter([p for p in story if not any(kind == Instruction.STATUS for _, kind, _ in checked(p))])

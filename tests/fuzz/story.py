@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.packets import crc as host_crc
 from robot_ik.hardware.virtual.protocol import (
     HEADER,
@@ -21,7 +21,7 @@ INPUTS = Path(__file__).with_name("inputs.txt")
 PAUSE = 0.06
 """s; longer than a servo waits for the rest of a packet."""
 
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 PRESENT, GOAL = TABLE["present_position"], TABLE["goal_position"]
 
 HARMLESS = frozenset(

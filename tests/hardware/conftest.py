@@ -15,7 +15,7 @@ from robot_ik.hardware import BUSES, open_arm
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.bus import BusStatus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
@@ -128,7 +128,7 @@ def registers() -> Callable[[Arm, str], list[int]]:
     """A register of every servo, straight from its memory: not over the bus under test."""
 
     def registers(arm: Arm, name: str) -> list[int]:
-        return [servo.memory.values[name] for servo in arm.virtual_bus.servos]
+        return [servo.memory.values[name] for servo in arm.bus.virtual_bus.servos]
 
     return registers
 
@@ -290,13 +290,13 @@ class Lab:
         """Enables, injects in the middle of a motion, and gives what is reported to the program."""
         arm.enable()
         self.drive(arm)
-        arm.virtual_bus.inject(*faults)
+        arm.bus.virtual_bus.inject(*faults)
         with pytest.raises(error) as caught:
             self.stream(arm, self.smooth(self.start, self.start + 0.2, 1.0))
         return caught.value
 
     def torque(self, arm: Arm) -> list[bool]:
-        return [servo.torque for servo in arm.virtual_bus.servos]
+        return [servo.torque for servo in arm.bus.virtual_bus.servos]
 
     def follows_a_bad_wire(
         self, cycles: int = 120, fresh: float = 0.9, *, echo: bool = False, **chances: float
@@ -304,17 +304,17 @@ class Lab:
         """No value that is said is wrong, and no joint lags, whatever the wire does."""
         with self.arm() as arm:
             arm.enable()
-            arm.virtual_bus.inject(*(Fault(kind, value=chance) for kind, chance in chances.items()))
-            arm.virtual_bus.inject(*([Fault("echo")] if echo else []))
+            arm.bus.virtual_bus.inject(*(Fault(kind, value=chance) for kind, chance in chances.items()))
+            arm.bus.virtual_bus.inject(*([Fault("echo")] if echo else []))
             whole = 0
             for q in self.smooth(self.start, self.start + 0.4, cycles / 100):
                 self.stream(arm, [q])
-                said, true = arm.read().q, arm.virtual_bus.true_angles(self.config)
+                said, true = arm.read().q, arm.bus.virtual_bus.true_angles(self.config)
                 assert (np.abs(said - true) <= arm.resolution + 3.0 * arm.ages).all()
                 assert np.abs(true - q).max() < 0.05
                 whole += arm.ages.max() == 0.0
             assert whole >= fresh * cycles and arm.state is ArmState.ENABLED
-            arm.virtual_bus.clear()
+            arm.bus.virtual_bus.clear()
         assert arm.exit_report.ok
         return arm
 

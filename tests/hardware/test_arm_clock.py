@@ -22,11 +22,11 @@ class Goals:
 
     def __init__(self, arm) -> None:
         self.rows: list[tuple[float, np.ndarray]] = []
-        exchange, servos = arm.bus.exchange, arm.config.servos
+        exchange, servos = arm.bus.exchange, arm.config.drives
 
         def recorded(register, values, reads, within=None):
             if values:
-                q = [servo.to_radians(values[servo.id]) for servo in servos]
+                q = [servo.value(values[servo.id]) for servo in servos]
                 self.rows.append((arm.clock.now(), np.array(q)))
             return exchange(register, values, reads, within)
 
@@ -153,11 +153,11 @@ def test_after_a_short_stall_the_shafts_start_from_rest_within_their_acceleratio
         arm.clock.sleep_until(arm.clock.now() + PERIOD)
         arm.send(far, arm.clock.now())
     arm.clock.sleep_until(arm.clock.now() + stall)
-    at = [arm.virtual_bus.true_angles(arm.config)]
+    at = [arm.bus.virtual_bus.true_angles(arm.config)]
     for _ in range(40):
         arm.send(far, arm.clock.now())
         arm.clock.sleep_until(arm.clock.now() + PERIOD)
-        at.append(arm.virtual_bus.true_angles(arm.config))
+        at.append(arm.bus.virtual_bus.true_angles(arm.config))
     speed = np.diff(at, axis=0, prepend=at[:1]) / PERIOD
     change = np.abs(np.diff(speed, axis=0)).max(axis=0)
     assert (change <= arm.config.acceleration * PERIOD + 2.0 * arm.resolution / PERIOD).all()

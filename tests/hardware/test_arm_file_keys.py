@@ -9,7 +9,7 @@ import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.joint_map import Gains, StopAt, SwingArm, Twin
+from robot_ik.hardware.servo import Gains, StopAt, SwingArm
 
 ALL = """
 schema = 1
@@ -72,11 +72,12 @@ load_percent = 60.0
 
 def test_all_keys_are_read_and_written_back() -> None:
     arm = ArmConfig.parse(ALL)
-    shoulder, finger = arm.whole.joints
-    assert shoulder.reverse is True and finger.reverse is False
-    assert shoulder.twin == Twin(3, shadow=True, reverse=False)
-    assert shoulder.gains == Gains(900, 10, 20, 110, 1900, 30, 40)
-    assert dict(shoulder.gains.registers) == {
+    shoulder, finger = arm.joints
+    assert shoulder.servo.reverse is True and finger.servo.reverse is False
+    second = shoulder.servos[1]
+    assert (second.id, second.primary_id, second.reverse) == (3, shoulder.servo.id, False)
+    assert shoulder.servo.gains == Gains(900, 10, 20, 110, 1900, 30, 40)
+    assert dict(shoulder.servo.gains.registers) == {
         "position_p_gain": 900,
         "position_i_gain": 10,
         "position_d_gain": 20,
@@ -85,17 +86,17 @@ def test_all_keys_are_read_and_written_back() -> None:
         "feedforward_1st_gain": 30,
         "feedforward_2nd_gain": 40,
     }
-    assert dict(finger.gains.registers) == {"position_p_gain": 700}
+    assert dict(finger.servo.gains.registers) == {"position_p_gain": 700}
     assert shoulder.profile_velocity == pytest.approx(math.pi)
     assert shoulder.profile_acceleration == pytest.approx(math.radians(6000.0))
     assert finger.profile_velocity == pytest.approx(0.060) and finger.profile_acceleration is None
-    assert shoulder.current_limit == 1000.0 and finger.current_limit is None
+    assert shoulder.servo.current_limit == 1000.0 and finger.servo.current_limit is None
     assert shoulder.stop_at == StopAt(current_ma=800.0, temperature_c=70.0)
     assert finger.stop_at == StopAt(load_percent=60.0)
-    assert finger.swing is not None and finger.pinion is None and finger.unit == "mm"
-    assert (finger.swing.horn, finger.swing.rod) == pytest.approx((0.014, 0.024))
+    assert isinstance(finger.gear, SwingArm) and finger.unit == "mm"
+    assert (finger.gear.horn, finger.gear.rod) == pytest.approx((0.014, 0.024))
     again = ArmConfig.parse(arm.to_toml())
-    for written, read in zip(arm.whole.joints, again.whole.joints, strict=True):
+    for written, read in zip(arm.joints, again.joints, strict=True):
         assert replace(read, lower=0, upper=1) == replace(written, lower=0, upper=1)
         assert read.limits == pytest.approx(written.limits, abs=1e-12)
     assert again.to_toml() == arm.to_toml()
@@ -160,5 +161,5 @@ def test_a_goal_current_above_the_limit_of_the_servo_is_refused() -> None:
 
 def test_swing_arms_are_the_same_law_in_every_unit() -> None:
     finger = ArmConfig.parse(ALL).joint("finger")
-    assert isinstance(finger.swing, SwingArm)
-    assert finger.to_ticks(finger.swing.distance(0.0)) == 2048  # zero_ticks: the horn square to the slide
+    assert isinstance(finger.gear, SwingArm)
+    assert finger.nearest_ticks(finger.gear.distance(0.0)) == 2048  # zero_ticks: the horn square to the slide

@@ -11,17 +11,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from robot_ik.errors import HardwareError, UnsafeCommandError
-from robot_ik.hardware import open_arm
+from robot_ik.hardware import open_arm, simulated_servos
 from robot_ik.hardware.bus import BROADCAST_ID
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.packets import build
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import Instruction
 from robot_ik.ports import VirtualClock
 from robot_ik.robot_file import catalogue
 
-GOAL = CONTROL_TABLES["XM430-W350"]["goal_position"]
+GOAL = X_TABLES["XM430-W350"]["goal_position"]
 angles = st.one_of(st.floats(-10, 10), st.floats(), st.sampled_from([np.pi, -np.pi, 1e9, 1e-300]))
 commands = st.lists(st.lists(angles, min_size=6, max_size=6), min_size=1, max_size=12)
 
@@ -47,14 +47,14 @@ def test_no_command_whatsoever_puts_a_goal_beyond_the_limits_on_the_wire(
 
 
 def test_the_recorder_sees_a_goal_beyond_the_limits_however_it_is_written(arm, goal_recorder):
-    first, last = arm.config.joints[0].ticks_range
+    first, last = arm.config.joints[0].ticks_range()
     arm.bus.sync_write(GOAL, {1: last, 2: 2048})
     assert goal_recorder.goals == 2 and not goal_recorder.forbidden
     arm.bus.sync_write(GOAL, {1: last + 1})
     arm.bus.write(1, GOAL, first - 1)
     arm.bus.exchange(GOAL, {1: last + 1}, {1: GOAL})
     bulk = [bytes((1,)) + struct.pack("<HHi", GOAL.address, 4, last + 1), bytes((2, 65, 0, 1, 0, 1))]
-    arm.virtual_bus.handle(build(BROADCAST_ID, Instruction.BULK_WRITE, b"".join(bulk)))
+    arm.bus.virtual_bus.handle(build(BROADCAST_ID, Instruction.BULK_WRITE, b"".join(bulk)))
     assert len(goal_recorder.forbidden) == 4
     assert "joint1" in goal_recorder.forbidden[0]
     goal_recorder.forbidden.clear()
@@ -66,8 +66,8 @@ ARMS = [name for name, folder in catalogue().items() if (folder / "arm.toml").is
 @pytest.mark.parametrize("name", ARMS)
 def test_the_ends_of_the_range_are_the_last_goals_of_every_shipped_arm(name, goal_recorder):
     """Driven far beyond both ends; the last goals are the last whole ticks whose angles lie within."""
-    config = ArmConfig.load(name).whole
-    servos = VirtualBus.from_config(config, VirtualClock(), start=(config.lower + config.upper) / 2)
+    config = ArmConfig.load(name)
+    servos = simulated_servos(config, VirtualClock(), (config.lower + config.upper) / 2)
     sent: dict[int, set[int]] = {servo.id: set() for servo in config.servos}
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         exchange = arm.bus.exchange
@@ -84,15 +84,15 @@ def test_the_ends_of_the_range_are_the_last_goals_of_every_shipped_arm(name, goa
             with contextlib.suppress(HardwareError):
                 arm.move_to(end + np.sign(end - (config.lower + config.upper) / 2), timeout=1.0)
     assert not goal_recorder.forbidden
-    for servo in config.servos:
-        if servo.shadow_of is not None:  # it hears the goals of its first servo
+    for servo in config.drives:
+        if servo.is_shadow:  # it hears the goals of its first servo
             continue
         first, last = min(sent[servo.id]), max(sent[servo.id])
-        lower, upper = servo.limits
+        lower, upper = servo.joint.limits
         assert (first, last) == servo.ticks_range
         for ticks in (first, last):
-            assert lower <= servo.to_radians(ticks) <= upper
-        beyond = sorted(servo.to_radians(ticks) for ticks in (first - 1, last + 1))
+            assert lower <= servo.value(ticks) <= upper
+        beyond = sorted(servo.value(ticks) for ticks in (first - 1, last + 1))
         assert beyond[0] < lower and beyond[1] > upper
 
 

@@ -13,7 +13,7 @@ def test_after_a_pause_the_tripped_watchdog_is_cleared_and_the_arm_goes_on(
     arm.enable()
     stream(arm, smooth(start, start + 0.1, 0.3))
     arm.clock.sleep_until(arm.clock.now() + 5.0)
-    assert all(servo.torque for servo in arm.virtual_bus.servos)
+    assert all(servo.torque for servo in arm.bus.virtual_bus.servos)
     assert registers(arm, "bus_watchdog") == [-1] * 6
     stream(arm, smooth(start + 0.1, start + 0.2, 0.3))
     arm.clock.sleep_until(arm.clock.now() + 0.1)
@@ -27,7 +27,7 @@ def test_servos_that_stopped_by_themselves_get_their_profiles_back(arm, stream, 
     stream(arm, [start] * 3)
     before = [registers(arm, name) for name in names]
     arm.clock.sleep_until(arm.clock.now() + 5.0)
-    assert all(servo.torque for servo in arm.virtual_bus.servos)
+    assert all(servo.torque for servo in arm.bus.virtual_bus.servos)
     assert [registers(arm, name) for name in names] == [[0] * 6] * 2  # as fast as they can
     stream(arm, smooth(start, start + 0.1, 0.3))
     assert [registers(arm, name) for name in names] == before
@@ -69,7 +69,7 @@ def test_a_tripped_watchdog_whose_reply_is_lost_is_noticed_once_it_is_heard(
     arm.enable()
     stream(arm, [start] * 3)
     arm.clock.sleep_until(arm.clock.now() + 5.0)
-    for servo in arm.virtual_bus.servos[:-1]:
+    for servo in arm.bus.virtual_bus.servos[:-1]:
         servo.heard = arm.clock.now()  # only the last one trips
     original, lost = arm.bus.sync_read, []
 

@@ -25,13 +25,13 @@ from robot_ik.ports import VirtualClock
 
 
 def torque(arm):
-    return [servo.torque for servo in arm.virtual_bus.servos]
+    return [servo.torque for servo in arm.bus.virtual_bus.servos]
 
 
 def overloaded(arm, stream, start, id=6):
     arm.enable()
     stream(arm, [start] * 3)
-    arm.virtual_bus.servo(id).inject_error("overload")
+    arm.bus.virtual_bus.servo(id).inject_error("overload")
     with pytest.raises(MotorFaultError):
         stream(arm, [start] * 2)
 
@@ -51,12 +51,12 @@ def test_a_restarted_servo_joins_in_again_and_the_others_never_let_go(any_arm, s
 
 def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stream, start):
     overloaded(arm, stream, start)
-    arm.virtual_bus.servo(6).rotate_by_hand(150)
+    arm.bus.virtual_bus.servo(6).rotate_by_hand(150)
     arm.reset_fault()
     arm.enable()
-    before = arm.virtual_bus.true_angles(arm.config)
+    before = arm.bus.virtual_bus.true_angles(arm.config)
     stream(arm, [start])  # a ramp, not a jump back
-    after = arm.virtual_bus.true_angles(arm.config)
+    after = arm.bus.virtual_bus.true_angles(arm.config)
     assert np.abs(after - before).max() <= 2 * arm.config.acceleration.max() * 0.01**2 + arm.resolution.max()
 
 
@@ -86,13 +86,13 @@ def test_a_servo_that_lost_its_turns_with_the_restart_is_refused_and_the_fault_s
         overloaded(arm, stream, beyond, id=3)
         with pytest.raises(HardwareError, match=r"(?s)joint3' was at 154.*lost count"):
             arm.reset_fault()
-        assert arm.state is ArmState.FAULT and not arm.virtual_bus.servo(3).torque
+        assert arm.state is ArmState.FAULT and not arm.bus.virtual_bus.servo(3).torque
     assert torque(arm) == [False] * 6
 
 
 def test_a_servo_that_does_not_come_back_keeps_the_fault(arm, stream, start):
     overloaded(arm, stream, start)
-    arm.virtual_bus.inject(Fault("silent", id=6, at_packet=None))
+    arm.bus.virtual_bus.inject(Fault("silent", id=6, at_packet=None))
     with pytest.raises(BusTimeoutError, match="joint6"):
         arm.reset_fault()
     assert arm.state is ArmState.FAULT
@@ -111,7 +111,7 @@ def test_without_a_fault_there_is_nothing_to_reset(arm):
 def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, stream, smooth, start):
     any_arm.enable()
     stream(any_arm, [start] * 3)
-    any_arm.virtual_bus.inject(Fault("port_unplugged"))
+    any_arm.bus.virtual_bus.inject(Fault("port_unplugged"))
     begin = time.monotonic()
     with pytest.raises(BusDisconnectedError):
         stream(any_arm, [start] * 10)
@@ -121,8 +121,8 @@ def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, strea
     with pytest.raises((BusNotOpenError, BusDisconnectedError)):
         any_arm.reconnect(timeout=0.0)
     assert any_arm.state is ArmState.FAULT
-    any_arm.virtual_bus.unplugged = False
-    any_arm.virtual_bus.servo(2).memory.set("torque_enable", 0)  # what happens meanwhile is not undone
+    any_arm.bus.virtual_bus.unplugged = False
+    any_arm.bus.virtual_bus.servo(2).memory.set("torque_enable", 0)  # what happens meanwhile is not undone
     any_arm.reconnect()
     assert any_arm.state is ArmState.CONNECTED
     assert torque(any_arm) == [True, False, True, True, True, True]
@@ -136,10 +136,10 @@ def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, strea
 
 def test_other_servos_behind_the_port_are_refused(arm, stream, start):
     arm.enable()
-    arm.virtual_bus.inject(Fault("port_unplugged", for_s=0.05))
+    arm.bus.virtual_bus.inject(Fault("port_unplugged", for_s=0.05))
     with pytest.raises(BusDisconnectedError):
         stream(arm, [start] * 3)
-    arm.virtual_bus.servo(3).memory.set("id", 33)
+    arm.bus.virtual_bus.servo(3).memory.set("id", 33)
     with pytest.raises(ServoMismatchError):
         arm.reconnect()
     assert arm.state is ArmState.FAULT
@@ -154,7 +154,7 @@ def test_a_current_can_be_lowered_and_never_raised_beyond_the_file(arm_toml):
     text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
     config = ArmConfig.parse(text)
     with open_arm(config, "sim", virtual_bus=VirtualBus.from_config(config, VirtualClock())) as arm:
-        goal = lambda: arm.virtual_bus.servo(1).memory.values["goal_current"]  # noqa: E731
+        goal = lambda: arm.bus.virtual_bus.servo(1).memory.values["goal_current"]  # noqa: E731
         arm.enable()
         arm.limit_current({"joint1": 26.9})
         assert goal() == 10

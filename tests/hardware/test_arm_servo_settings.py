@@ -11,18 +11,28 @@ import pytest
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import Gains, Twin
+from robot_ik.hardware.families.dynamixel_x import SPEED_HEADROOM
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Gains, Servo
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import Twin, with_servo, with_twin
 
 POSITION = OperatingMode.POSITION
+
 GAINS = Gains(position_p=900, position_d=25, velocity_i=1500, feedforward_1=40, feedforward_2=50)
 
 
 def changed(config: ArmConfig, index: int, **changes: object) -> ArmConfig:
+    """The arm with one joint that is changed: keys of the joint, of its servos, or ``twin``."""
     joints = list(config.joints)
-    joints[index] = dataclasses.replace(joints[index], **changes)  # type: ignore[arg-type]
+    joint = joints[index]
+    if "twin" in changes:
+        joint = with_twin(joint, changes.pop("twin"))  # type: ignore[arg-type]
+    fields = {field.name for field in dataclasses.fields(Servo)}
+    joint = with_servo(joint, **{key: value for key, value in changes.items() if key in fields})
+    rest = {key: value for key, value in changes.items() if key not in fields}
+    joints[index] = dataclasses.replace(joint, **rest)  # type: ignore[arg-type]
     return dataclasses.replace(config, joints=tuple(joints))
 
 
@@ -93,13 +103,13 @@ def test_what_lies_in_ram_is_back_after_reset_fault(tuned, stream, start) -> Non
     with open_arm(tuned, "sim", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        servo = arm.virtual_bus.servo(1)
+        servo = arm.bus.virtual_bus.servo(1)
         servo.inject_error("overload")
         with pytest.raises(MotorFaultError):
             stream(arm, [start] * 3)
         servo.memory.set("position_p_gain", 1)  # as good as any: the reboot forgets it
         arm.reset_fault()
-        assert settings(arm.virtual_bus, 1) == WANTED
+        assert settings(arm.bus.virtual_bus, 1) == WANTED
         arm.enable()
         stream(arm, [start] * 3)
 
@@ -108,14 +118,14 @@ def test_what_lies_in_ram_is_back_after_a_brown_out(tuned, stream, start) -> Non
     with open_arm(tuned, "sim", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        servo = arm.virtual_bus.servo(1)
+        servo = arm.bus.virtual_bus.servo(1)
         servo.reboot()
         assert servo.memory.values["position_p_gain"] == 800 and servo.memory.values["profile_velocity"] == 0
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [start] * 50)
         assert caught.value.status == ("torque_lost",)
         arm.reset_fault()
-        assert settings(arm.virtual_bus, 1) == WANTED
+        assert settings(arm.bus.virtual_bus, 1) == WANTED
 
 
 def test_what_lies_in_ram_is_back_after_the_port_was_away(tuned, stream, start) -> None:
@@ -124,14 +134,14 @@ def test_what_lies_in_ram_is_back_after_the_port_was_away(tuned, stream, start) 
     with open_arm(tuned, "sim", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        arm.virtual_bus.unplugged = True
+        arm.bus.virtual_bus.unplugged = True
         with pytest.raises(BusDisconnectedError):
             stream(arm, [start] * 3)
-        for servo in arm.virtual_bus.servos:
+        for servo in arm.bus.virtual_bus.servos:
             servo.reboot()
-        arm.virtual_bus.unplugged = False
+        arm.bus.virtual_bus.unplugged = False
         arm.reconnect(timeout=2.0)
-        assert settings(arm.virtual_bus, 1) == WANTED
+        assert settings(arm.bus.virtual_bus, 1) == WANTED
 
 
 def test_no_servo_gets_torque_by_a_restart_of_its_own(tuned, stream, start) -> None:
@@ -151,14 +161,14 @@ def test_no_servo_gets_torque_by_a_restart_of_its_own(tuned, stream, start) -> N
 def test_a_servo_that_restarted_since_connect_gets_no_torque(tuned, stream, start, id) -> None:
     """Without its profile and its goal current it would be as fast and as strong as it can."""
     with open_arm(tuned, "sim", start=start) as arm:
-        profile = arm.virtual_bus.servo(id).memory.values["profile_velocity"]
-        arm.virtual_bus.servo(id).reboot()
+        profile = arm.bus.virtual_bus.servo(id).memory.values["profile_velocity"]
+        arm.bus.virtual_bus.servo(id).reboot()
         with pytest.raises(HardwareError, match=rf"joint{id}.*restarted.*nothing was switched on"):
             arm.enable()
-        assert not any(servo.torque for servo in arm.virtual_bus.servos)
+        assert not any(servo.torque for servo in arm.bus.virtual_bus.servos)
         arm.reconnect()
-        assert arm.virtual_bus.servo(id).memory.values["profile_velocity"] == profile
-        assert settings(arm.virtual_bus, 1) == WANTED
+        assert arm.bus.virtual_bus.servo(id).memory.values["profile_velocity"] == profile
+        assert settings(arm.bus.virtual_bus, 1) == WANTED
         arm.enable()
         stream(arm, [start] * 3)
 
@@ -167,13 +177,11 @@ def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest()
     from tests.hardware.test_arm_file_keys import ALL
 
     finger = ArmConfig.parse(ALL.replace("profile_velocity_mm = 60.0\n", "")).joint("finger")
-    from robot_ik.hardware.torque import SPEED_HEADROOM
-
     config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     with open_arm(config, "sim") as arm:
-        units = arm.virtual_bus.servo(9).memory.values["profile_velocity"]
+        units = arm.bus.virtual_bus.servo(9).memory.values["profile_velocity"]
     # 50 mm/s where a radian of the horn is 6.5 mm (at 37 mm) need more than where it is 15 mm.
-    least = finger.swing.lead(0.037)
+    least = finger.gear.lever(0.037)
     assert least == pytest.approx(0.0065, abs=2e-4)
     assert units == int(np.ceil(SPEED_HEADROOM * 0.050 / least / 0.0239808))
 

@@ -20,11 +20,13 @@ from robot_ik.errors import (
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.bus import shared_register
-from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import JointSink, JointSource, RealClock, VirtualClock
+from tests.hardware.joints import with_servo
 
 
 def test_it_is_a_sink_and_a_source(any_arm):
@@ -38,7 +40,7 @@ def test_connect_sets_the_servos_up_and_gives_no_torque(any_arm, arm_config, reg
     assert registers(any_arm, "return_delay_time") == [0] * 6
     assert registers(any_arm, "operating_mode") == [OperatingMode.EXTENDED_POSITION] * 6
     for joint, units in zip(arm_config.joints, registers(any_arm, "profile_velocity"), strict=True):
-        speed = units * 0.229 * 2 * math.pi / 60 / joint.ratio  # rad/s at the joint
+        speed = units * 0.229 * 2 * math.pi / 60 / joint.gear.ratio  # rad/s at the joint
         assert 1.2 * joint.velocity < speed < 2 * joint.velocity  # room to catch up, yet bounded
     assert np.allclose(any_arm.read().q, start, atol=0.6 * any_arm.resolution.max())
 
@@ -61,14 +63,14 @@ def test_eeprom_is_not_written_again_when_it_is_right(arm_config):
 
 
 def test_enable_moves_nothing_and_arms_the_watchdog(any_arm, arm_config, registers):
-    for servo in any_arm.virtual_bus.servos:
+    for servo in any_arm.bus.virtual_bus.servos:
         servo.memory.set("goal_position", 5000)  # a stale goal of an earlier program
-    before = any_arm.virtual_bus.true_angles(arm_config)
+    before = any_arm.bus.virtual_bus.true_angles(arm_config)
     any_arm.enable()
     any_arm.clock.sleep_until(any_arm.clock.now() + 0.05)
     assert registers(any_arm, "torque_enable") == [1] * 6
     assert registers(any_arm, "bus_watchdog") == [10] * 6
-    assert np.allclose(any_arm.virtual_bus.true_angles(arm_config), before, atol=any_arm.resolution.max())
+    assert np.allclose(any_arm.bus.virtual_bus.true_angles(arm_config), before, atol=any_arm.resolution.max())
 
 
 def test_the_watchdog_is_armed_before_torque_comes_on(arm, registers):
@@ -88,8 +90,8 @@ def test_the_watchdog_is_armed_before_torque_comes_on(arm, registers):
 
 def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
     joints = list(arm_config.joints)
-    joints[1] = dataclasses.replace(joints[1], id=9)
-    joints[3] = dataclasses.replace(joints[3], model="XM430-W350")
+    joints[1] = with_servo(joints[1], id=9)
+    joints[3] = with_servo(joints[3], model="XM430-W350")
     wanted = dataclasses.replace(arm_config, joints=tuple(joints))
     servos = VirtualBus.from_config(arm_config, VirtualClock())
     arm = open_arm(wanted, "sim", virtual_bus=servos)
@@ -161,7 +163,11 @@ def test_a_servo_that_reverses_by_itself_is_refused(arm_config):
 def test_firmware_without_a_watchdog_is_taken_only_by_those_who_say_so(arm_config, stream, smooth):
     clock = VirtualClock()
     servos = VirtualBus(
-        [VirtualServo(j.model, j.id, clock, firmware=37, mode=j.mode) for j in arm_config.joints], clock
+        [
+            VirtualServo(j.servo.model, j.servo.id, clock, firmware=37, mode=j.servo.mode)
+            for j in arm_config.joints
+        ],
+        clock,
     )
     with pytest.raises(HardwareError, match="no bus watchdog"):
         open_arm(arm_config, "sim", virtual_bus=servos).connect()
@@ -220,7 +226,7 @@ def test_mode_with_torque_on_asks_before_it_lets_the_arm_drop(arm_config):
 
 
 def test_one_turn_limits_of_the_servo_narrower_than_the_file_are_an_error(arm_config):
-    joints = (dataclasses.replace(arm_config.joints[0], mode=OperatingMode.POSITION), *arm_config.joints[1:])
+    joints = (with_servo(arm_config.joints[0], mode=OperatingMode.POSITION), *arm_config.joints[1:])
     config = dataclasses.replace(arm_config, joints=joints)
     servos = VirtualBus.from_config(config, VirtualClock())
     with open_arm(config, "sim", virtual_bus=servos):
@@ -231,7 +237,7 @@ def test_one_turn_limits_of_the_servo_narrower_than_the_file_are_an_error(arm_co
 
 
 def test_models_with_another_layout_cannot_share_a_cycle(arm_config):
-    here = CONTROL_TABLES["XM430-W350"]["goal_position"]
+    here = X_TABLES["XM430-W350"]["goal_position"]
     there = dataclasses.replace(here, address=30)
     joints = [SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))]
     vars(arm_config)["servos"] = joints

@@ -46,7 +46,7 @@ def test_move_to_arrives_and_says_when_it_cannot(arm):
     arm.move_to([0.0] * 6)
     assert arm.state is ArmState.HOLD
     assert np.abs(arm.read().q).max() < 0.01
-    arm.virtual_bus.servo(2).stuck = True
+    arm.bus.virtual_bus.servo(2).stuck = True
     with pytest.raises(HardwareError, match="'joint2' is still"):
         arm.move_to([0.3] * 6)
 
@@ -54,12 +54,12 @@ def test_move_to_arrives_and_says_when_it_cannot(arm):
 def test_a_joint_that_cannot_arrive_stops_pressing(arm):
     arm.enable()
     arm.move_to([0.0] * 6)
-    arm.virtual_bus.inject(Fault("jammed", joint="joint2"))
+    arm.bus.virtual_bus.inject(Fault("jammed", joint="joint2"))
     with pytest.raises(HardwareError, match="'joint2' is still"):
         arm.move_to({"joint2": 0.3}, timeout=0.6)
-    memory = arm.virtual_bus.servo(2).memory
+    memory = arm.bus.virtual_bus.servo(2).memory
     assert arm.state is ArmState.HOLD
-    assert abs(memory.values["goal_position"] - arm.virtual_bus.servo(2).shaft.reading) < 5
+    assert abs(memory.values["goal_position"] - arm.bus.virtual_bus.servo(2).shaft.reading) < 5
 
 
 def test_leaving_switches_torque_off_and_verifies_it(any_arm, stream, registers, start):
@@ -96,7 +96,7 @@ def test_park_goes_back_to_where_it_stood_without_torque(arm_config, stream, smo
         arm.enable()
         stream(arm, smooth(start, start + 0.4, 1.0))
     assert arm.exit_report.parked and arm.exit_report.ok and arm.exit_report.done == "torque_off"
-    assert np.allclose(arm.virtual_bus.true_angles(arm_config), start, atol=0.01)
+    assert np.allclose(arm.bus.virtual_bus.true_angles(arm_config), start, atol=0.01)
     assert registers(arm, "torque_enable") == [0] * 6
 
 
@@ -104,20 +104,20 @@ def test_a_fault_on_the_way_to_the_park_pose_still_ends_in_torque_off(arm_config
     with open_arm(arm_config, "sim", start=start, on_exit="park", park_at=np.zeros(6)) as arm:
         arm.enable()
         stream(arm, [start])
-        arm.virtual_bus.servo(2).inject_error("overload")
+        arm.bus.virtual_bus.servo(2).inject_error("overload")
     assert arm.exit_report.done == "torque_off" and not arm.exit_report.parked
     assert registers(arm, "torque_enable") == [0] * 6
 
 
 def test_who_does_not_answer_at_the_end_is_reported_once(arm, caplog):
     arm.enable()
-    arm.virtual_bus.servo(3).silent = True
+    arm.bus.virtual_bus.servo(3).silent = True
     with caplog.at_level("WARNING", logger="robot_ik"):
         arm.close()
     reported = [record.getMessage() for record in caplog.records]
     assert sum("joint3" in text and "no answer" in text for text in reported) == 1, reported
     assert reported[-1].startswith("torque_off not confirmed by joint3")
-    assert [s.torque for s in arm.virtual_bus.servos] == [False, False, True, False, False, False]
+    assert [s.torque for s in arm.bus.virtual_bus.servos] == [False, False, True, False, False, False]
 
 
 def test_without_a_port_nothing_is_tried_and_everybody_is_named(arm, caplog):

@@ -10,17 +10,19 @@ import pytest
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import Twin
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Direct
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
+from tests.hardware import joints as joint_helpers
+from tests.hardware.joints import Twin, with_servo
 
 TWIN = Twin(id=8, direction=1, zero_ticks=3000)
 SHADOW = Twin(id=8, shadow=True)
 
 
 def with_twin(config: ArmConfig, twin: Twin) -> ArmConfig:
-    joints = (config.joints[0], dataclasses.replace(config.joints[1], twin=twin), *config.joints[2:])
+    joints = (config.joints[0], joint_helpers.with_twin(config.joints[1], twin), *config.joints[2:])
     return dataclasses.replace(config, joints=joints)
 
 
@@ -41,9 +43,9 @@ def test_both_servos_of_a_joint_move_and_both_are_left_without_torque(config, se
         stream(arm, smooth(start, start + 0.3, 0.6))
         arm.clock.sleep_until(arm.clock.now() + 0.05)
         assert np.allclose(arm.read().q, start + 0.3, atol=0.01)
-        second = config.servos[-1]
+        second = config.drives[-1]
         assert second.id == 8
-        assert second.to_radians(servos.servo(8).true_ticks) == pytest.approx(start[1] + 0.3, abs=0.01)
+        assert second.value(servos.servo(8).true_ticks) == pytest.approx(start[1] + 0.3, abs=0.01)
     assert not servos.servo(8).torque and arm.exit_report.ok
 
 
@@ -53,7 +55,7 @@ def test_a_goal_for_a_shadow_is_on_the_wire_once(config, servos, stream, start):
         stream(arm, [start] * 2)
         sent = arm.bus.counters.bytes_sent
         stream(arm, [start])
-        goals = 6 if config.joints[1].twin.shadow else 7
+        goals = 6 if config.drives[-1].is_shadow else 7
         assert arm.bus.counters.bytes_sent - sent == (14 + 5 * goals) + (14 + 7)
 
 
@@ -100,12 +102,13 @@ def test_who_hears_whom_must_be_as_the_file_says(arm_config, start):
 
 def test_the_file_keeps_twins_and_currents_and_refuses_what_cannot_be(arm_config, arm_toml):
     joints = list(with_twin(arm_config, TWIN).joints)
-    joints[5] = dataclasses.replace(joints[5], mode=OperatingMode.CURRENT_BASED_POSITION, current=269.0)
+    joints[5] = dataclasses.replace(
+        with_servo(joints[5], mode=OperatingMode.CURRENT_BASED_POSITION), current=269.0
+    )
     config = dataclasses.replace(arm_config, joints=tuple(joints))
     again = ArmConfig.parse(config.to_toml())
-    assert again.joints[1].twin == TWIN and again.joints[5].current == 269.0
+    assert again.joints[1].servos[1] == config.joints[1].servos[1] and again.joints[5].current == 269.0
     assert again.servo_ids == (1, 2, 3, 4, 5, 6, 8)
-    assert again.spread([1, 2, 3, 4, 5, 6]).tolist() == [1, 2, 3, 4, 5, 6, 2]
     with pytest.raises(ConfigError, match=r"id 3 is already joints\[1\].twin"):
         with_twin(arm_config, dataclasses.replace(TWIN, id=3))
     wrong = [
@@ -136,15 +139,14 @@ def test_the_file_keeps_twins_and_currents_and_refuses_what_cannot_be(arm_config
 @pytest.fixture
 def gripping(arm_config):
     joints = list(arm_config.joints)
-    joints[5] = dataclasses.replace(
-        joints[5], mode=OperatingMode.CURRENT_BASED_POSITION, current=269.0, ratio=1.0, zero_ticks=2048
-    )
+    servo = with_servo(joints[5], mode=OperatingMode.CURRENT_BASED_POSITION, zero_ticks=2048)
+    joints[5] = dataclasses.replace(servo, current=269.0, gear=Direct())
     return dataclasses.replace(arm_config, joints=tuple(joints))
 
 
 def test_a_gripper_is_a_joint_that_presses_no_harder_than_it_is_reported(gripping, stream, smooth, start):
     with open_arm(gripping, "sim", start=start) as arm:
-        servo = arm.virtual_bus.servo(6)
+        servo = arm.bus.virtual_bus.servo(6)
         assert servo.memory.values["goal_current"] == 100
         arm.enable()
         stream(arm, smooth(start, start + 0.2, 0.5))

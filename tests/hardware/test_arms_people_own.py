@@ -6,6 +6,7 @@ Registers are those of the sources in models/<arm>/README.md; nothing here was t
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -27,16 +28,19 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.arm_part import ArmPart
 from robot_ik.hardware.calibration import calibrated, check_calibration
-from robot_ik.hardware.calibration_file import Calibration, load_lerobot
+from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.lerobot_calibration import load_lerobot
+from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.jobs.hand_guiding import calibrate_by_hand
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import with_servo
 
 ARMS = ("koch_v11", "omx_f", "vx300s", "wx250s")
 POSITION = int(OperatingMode.POSITION)
@@ -197,21 +201,23 @@ def run_once(name: str, servos: VirtualBus) -> None:
     config, begin = arm_file(name), rest(name)
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
-        assert np.abs(arm.read().q - begin).max() < 0.01
+        part = ArmPart(arm, robot(name).joints)
+        chain = part.config
+        assert np.abs(part.read().q - begin).max() < 0.01
         move = rik.joint_move(
-            robot(name), arm.read().q, robot(name).home,
-            velocity_limits=config.velocity, acceleration_limits=config.acceleration,
+            robot(name), part.read().q, robot(name).home,
+            velocity_limits=chain.velocity, acceleration_limits=chain.acceleration,
         )  # fmt: skip
-        rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
-        assert np.abs(arm.read().q - robot(name).home).max() < 0.01
-        finger = config.auxiliary[0]
+        rik.execute(move, [part], source=part, clock=arm.clock, settle=0.4)
+        assert np.abs(part.read().q - robot(name).home).max() < 0.01
+        finger = config.group("gripper")[0]
         for share in (0.9, 0.1):
             to = finger.lower + share * (finger.upper - finger.lower)
             (grip,) = arm.grip(to)
             assert not grip.held and abs(grip.q - to) < 5 * finger.resolution
     assert arm.exit_report is not None and arm.exit_report.ok and arm.exit_report.parked
     assert arm.exit_report.done == "torque_off" and not any(servo.torque for servo in servos.servos)
-    there = [joint.to_radians(servos.servo(joint.id).shaft.reading) for joint in config.joints]
+    there = [joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in config.chain.joints]
     assert np.abs(np.array(there) - begin).max() < 0.01
 
 
@@ -235,11 +241,11 @@ def test_an_arm_connects_moves_grips_parks_and_again_after_the_other_program(nam
 
 @pytest.mark.parametrize("name", ["wx250s", "vx300s"])
 def test_the_limits_of_the_file_lie_within_the_makers_registers_to_a_tick(name: str) -> None:
-    for joint in arm_file(name).whole.joints:
-        low, high = (WX_LIMITS if name == "wx250s" else VX_LIMITS).get(joint.id, (0, 4095))
-        first, last = joint.ticks_range
+    for joint in arm_file(name).joints:
+        low, high = (WX_LIMITS if name == "wx250s" else VX_LIMITS).get(joint.servo.id, (0, 4095))
+        first, last = joint.ticks_range()
         assert low <= first <= last <= high, joint.name
-        if joint.id in WX_LIMITS:  # and no narrower than whole degrees make them
+        if joint.servo.id in WX_LIMITS:  # and no narrower than whole degrees make them
             assert first - low <= 2 and high - last <= 2, joint.name
 
 
@@ -269,8 +275,8 @@ def test_a_shadow_whose_offset_fights_its_leader_gets_no_torque(name: str) -> No
 def test_a_gripper_that_cannot_close_does_not_overload_where_the_servo_knows_current() -> None:
     servos = servos_of("vx300s")
     config = arm_file("vx300s")
-    finger = config.auxiliary[0]
-    assert finger.current == 300.0 and finger.mode == OperatingMode.CURRENT_BASED_POSITION
+    finger = config.group("gripper")[0]
+    assert finger.current == 300.0 and finger.servo.presses
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         servos.servo(9).jammed = True
@@ -287,10 +293,10 @@ def test_an_xl430_gripper_that_cannot_close_stops_the_arm_before_it_shuts_down()
         arm.enable()
         servos.servo(9).jammed = True
         with pytest.raises(MotorFaultError) as caught:
-            arm.grip(config.auxiliary[0].lower)
+            arm.grip(config.group("gripper")[0].lower)
             for _ in range(300):
                 arm.clock.sleep_until(arm.clock.now() + 0.01)
-                arm.send(rest("wx250s"), arm.clock.now())
+                ArmPart(arm, robot("wx250s").joints).send(rest("wx250s"), arm.clock.now())
         assert caught.value.joint == "left_finger"
         assert servos.servo(9).memory.values["hardware_error_status"] == 0
 
@@ -301,7 +307,7 @@ def test_a_finger_outside_its_range_is_not_asked_for(name: str) -> None:
     with open_arm(config, "sim", virtual_bus=servos_of(name)) as arm:
         arm.enable()
         with pytest.raises(UnsafeCommandError):
-            arm.grip(config.auxiliary[0].upper + 0.2)
+            arm.grip(config.group("gripper")[0].upper + 0.2)
 
 
 # ------------------------------------------------------------------------------------ calibration, reach
@@ -312,12 +318,15 @@ class Hand:
 
     def __init__(self, true: ArmConfig, servos: VirtualBus) -> None:
         self.true, self.servos = true, servos
-        self.q = {joint.name: joint.to_radians(servos.servo(joint.id).shaft.reading) for joint in true.joints}
+        self.q = {
+            joint.name: joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in true.joints
+        }
 
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
         for part in np.linspace(self.q[name], q, 24):
-            for servo in self.true.joint(name).servos:
-                ticks = servo.position(part) - servo.position(self.q[name])
+            joint = self.true.joint(name)
+            for servo in joint.servos:
+                ticks = joint.position(part, servo) - joint.position(self.q[name], servo)
                 back = -1.0 if self.servos.servo(servo.id).memory.values["drive_mode"] & 1 else 1.0
                 self.servos.servo(servo.id).rotate_by_hand(back * ticks)
             self.q[name] = float(part)
@@ -343,12 +352,12 @@ class Hand:
 
 def true_arm(name: str) -> ArmConfig:
     """An arm as somebody has built it: a Koch's horns sit anywhere, and two of its joints count backwards."""
-    config = arm_file(name).whole
+    config = arm_file(name)
     if name != "koch_v11":
         return config
     zeros, ways = (1900, 3050, 700, 2048, 5100, 2500), (1, -1, 1, 1, -1, 1)
     joints = tuple(
-        dataclasses.replace(joint, zero_ticks=zero, direction=way)
+        with_servo(joint, zero_ticks=zero, direction=way)
         for joint, zero, way in zip(config.joints, zeros, ways, strict=True)
     )
     return dataclasses.replace(config, joints=joints, uncalibrated=False, file=None)
@@ -361,22 +370,22 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
     pose = {joint.name: 0.0 if not joint.slides else sum(joint.limits) / 2 for joint in true.joints}
     servos = VirtualBus.from_config(true, VirtualClock(), list(pose.values()))
     limits = {joint.name: (joint.lower, joint.upper) for joint in true.joints}
-    unknown = dataclasses.replace(arm_file(name).whole, file=None)
+    unknown = dataclasses.replace(arm_file(name), file=None)
     with open_arm(unknown, "sim", virtual_bus=servos) as arm:
         found = calibrate_by_hand(arm, Hand(true, servos), pose, limits)
         made = calibrated(arm.config, found)
         check_calibration(arm.bus, made, found)
     for mine, truth in zip(made.servos, true.servos, strict=True):
-        assert (mine.id, mine.direction) == (truth.id, truth.direction), mine.name
-        assert mine.zero_ticks == pytest.approx(truth.zero_ticks, abs=2), mine.name
+        assert (mine.id, mine.direction) == (truth.id, truth.direction)
+        assert mine.zero_ticks == pytest.approx(truth.zero_ticks, abs=2), mine.id
     assert not made.uncalibrated and arm_file(name).uncalibrated == (name == "koch_v11")
     path = tmp_path / "mine.toml"
     made.save(path)
     found.save(tmp_path / "mine.calibration.toml")
     again = ArmConfig.load(path)
-    assert [j.zero_ticks for j in again.whole.joints] == [j.zero_ticks for j in made.whole.joints]
+    assert [j.servo.zero_ticks for j in again.joints] == [j.servo.zero_ticks for j in made.joints]
     # The same servos, from the side that does not know that they are simulated.
-    wire = SimBus(servos)
+    wire = SimBus(servos, real=True)
     with Arm(again, wire) as arm:
         arm.enable()
         arm.move_to(dict.fromkeys(arm.joints[:1], 0.3))
@@ -385,8 +394,8 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
 
 def test_an_arm_of_placeholders_gets_no_torque_on_real_servos() -> None:
     config, servos = arm_file("koch_v11"), servos_of("koch_v11")
-    with Arm(config, SimBus(servos)) as arm:  # nobody says that these servos are simulated
-        assert arm.read().q.shape == (5,)  # looking is allowed
+    with Arm(config, SimBus(servos, real=True)) as arm:  # nobody says that these servos are simulated
+        assert arm.read().q.shape == (6,)  # looking is allowed
         with pytest.raises(ConfigError, match=r"placeholders.*\n.*servo calibrate") as caught:
             arm.enable()
         assert caught.value.key == "uncalibrated"
@@ -405,16 +414,15 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     )
     path = tmp_path / "koch.json"
     path.write_text(f"{{{rows}}}")
-    config = dataclasses.replace(arm_file("koch_v11").whole, file=None)
-    limits = dict.fromkeys(config.names, (0.0, 0.0))
+    config = dataclasses.replace(arm_file("koch_v11"), file=None)
+    limits = dict.fromkeys(config.names, (-math.inf, math.inf))
     found = load_lerobot(path, config, limits)
     assert isinstance(found, Calibration)
     assert [joint.zero_ticks for joint in found.joints] == [2047] * 6
     in_one_turn = dataclasses.replace(
         config,
         joints=tuple(
-            dataclasses.replace(j, mode=OperatingMode.POSITION) if j.current is None else j
-            for j in config.joints
+            with_servo(j, mode=OperatingMode.POSITION) if j.current is None else j for j in config.joints
         ),
     )
     with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):  # there it would count for nothing
@@ -436,7 +444,7 @@ def test_robot_ik_servo_on_a_pty(name: str, capsys: pytest.CaptureFixture[str], 
     joint = arm_file(name).joints[0].name
     assert main(["servo", "move", f"{joint}=5", "--arm", name, "--bus", "pty"]) == 0
     assert main(["servo", "monitor", "--arm", name, "--bus", "pty", "--count", "1"]) == 0
-    assert arm_file(name).auxiliary[0].name in capsys.readouterr().out
+    assert arm_file(name).group("gripper")[0].name in capsys.readouterr().out
 
 
 # ------------------------------------------------------------------------------- two arms in one program
@@ -492,9 +500,9 @@ def test_leaving_an_arm_never_touches_another_on_the_same_wire(
     servos, first, second = one_wire
     with closing(SimBus(servos)) as wire:
         wire.open()
-        with Arm(second, wire, virtual_bus=servos) as stays:
+        with Arm(second, wire) as stays:
             stays.enable()
-            with Arm(first, wire, virtual_bus=servos, on_exit=policy) as leaves:
+            with Arm(first, wire, on_exit=policy) as leaves:
                 leaves.enable()
                 stream(leaves, "joint1", 0.1)
                 stream(stays, "shoulder_pan", 0.1)
@@ -518,8 +526,8 @@ def test_a_fault_of_one_arm_on_a_shared_wire_is_none_of_the_other(
     with closing(SimBus(servos)) as wire:
         wire.open()
         with (
-            Arm(first, wire, virtual_bus=servos) as ours,
-            Arm(second, wire, virtual_bus=servos) as theirs,
+            Arm(first, wire) as ours,
+            Arm(second, wire) as theirs,
         ):
             ours.enable()
             theirs.enable()

@@ -9,12 +9,12 @@ import pytest
 from robot_ik.errors import BusNotOpenError, BusTimeoutError, ServoRefusedError
 from robot_ik.hardware import BUSES, open_bus
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import RealClock, VirtualClock
 
-XM = CONTROL_TABLES["XM430-W350"]
+XM = X_TABLES["XM430-W350"]
 VIRTUAL = [row.name for row in BUSES.values() if row.virtual]
 
 
@@ -35,7 +35,7 @@ def test_it_is_a_servo_bus(bus):
 
 
 def test_ping_tells_the_model_and_broadcast_ping_everyone(bus, arm_config):
-    expected = {joint.id: joint.table.number for joint in arm_config.joints}
+    expected = {joint.servo.id: joint.servo.table.number for joint in arm_config.joints}
     assert {id: bus.ping(id) for id in expected} == expected
     assert bus.broadcast_ping() == expected
 
@@ -55,22 +55,22 @@ def test_signed_registers_keep_their_sign_and_stuffed_bytes_their_value(bus, val
 
 
 def test_sync_write_and_sync_read_reach_each_servo_with_its_own_value(bus, arm_config):
-    goals = {id: 1000 - 700 * id for id in arm_config.ids}
+    goals = {id: 1000 - 700 * id for id in arm_config.servo_ids}
     bus.sync_write(XM["goal_position"], goals)
-    replies = bus.sync_read(arm_config.ids, XM["goal_position"])
-    assert list(replies) == list(arm_config.ids)
+    replies = bus.sync_read(arm_config.servo_ids, XM["goal_position"])
+    assert list(replies) == list(arm_config.servo_ids)
     assert {id: status.data for id, status in replies.items()} == goals
 
 
 def test_a_broadcast_write_reaches_all_and_waits_for_nobody(bus, arm_config):
     assert bus.write(BROADCAST_ID, XM["led"], 1).data is None
-    assert {s.data for s in bus.sync_read(arm_config.ids, XM["led"]).values()} == {1}
+    assert {s.data for s in bus.sync_read(arm_config.servo_ids, XM["led"]).values()} == {1}
 
 
 def test_a_silent_servo_times_out_and_does_not_hide_the_others(bus, servos, arm_config):
     bus.ping(3)
     servos.inject(Fault("silent", 3))
-    replies = bus.sync_read(arm_config.ids, XM["present_position"])
+    replies = bus.sync_read(arm_config.servo_ids, XM["present_position"])
     assert [id for id, status in replies.items() if status.data is None] == [3]
     before = bus.counters.timeouts
     assert before == 1
@@ -90,7 +90,7 @@ def test_an_unknown_id_never_answered(bus):
 
 def test_an_alert_is_information_and_the_data_are_good(bus, servos, arm_config):
     servos.servo(2).inject_error("overload")
-    replies = bus.sync_read(arm_config.ids, XM["present_position"])
+    replies = bus.sync_read(arm_config.servo_ids, XM["present_position"])
     assert [id for id, status in replies.items() if status.alert] == [2]
     assert all(status.data is not None for status in replies.values())
     status = bus.read(2, XM["hardware_error_status"])
@@ -150,7 +150,7 @@ def test_threads_do_not_mix_their_answers(bus, arm_config):
             if bus.read(id, XM["profile_acceleration"]).data != 100 * id + value:
                 wrong.append(id)
 
-    threads = [threading.Thread(target=ask, args=(id,)) for id in arm_config.ids[:3]]
+    threads = [threading.Thread(target=ask, args=(id,)) for id in arm_config.servo_ids[:3]]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -160,13 +160,13 @@ def test_threads_do_not_mix_their_answers(bus, arm_config):
 
 @pytest.mark.parametrize("fault", ["corrupt", "truncate", "drop", "garbage"])
 def test_on_a_bad_wire_no_value_is_ever_wrong(bus, servos, arm_config, fault):
-    goals = {id: -1000 - 111 * id for id in arm_config.ids}
+    goals = {id: -1000 - 111 * id for id in arm_config.servo_ids}
     bus.sync_write(XM["goal_position"], goals)
     servos.reseed(4)
     servos.inject(Fault(fault, value=0.05))
     good = 0
     for _ in range(60):
-        for id, status in bus.sync_read(arm_config.ids, XM["goal_position"]).items():
+        for id, status in bus.sync_read(arm_config.servo_ids, XM["goal_position"]).items():
             assert status.data in (goals[id], None)
             good += status.data is not None
     assert good >= 0.97 * 60 * 6
@@ -175,12 +175,14 @@ def test_on_a_bad_wire_no_value_is_ever_wrong(bus, servos, arm_config, fault):
 
 def test_local_echo_is_not_an_answer(bus, servos, arm_config):
     servos.inject(Fault("echo"))
-    assert bus.ping(4) == arm_config.joints[3].table.number
-    assert all(s.data is not None for s in bus.sync_read(arm_config.ids, XM["present_position"]).values())
+    assert bus.ping(4) == arm_config.joints[3].servo.table.number
+    assert all(
+        s.data is not None for s in bus.sync_read(arm_config.servo_ids, XM["present_position"]).values()
+    )
 
 
 def test_the_simulated_bus_takes_no_virtual_time(arm_config):
     clock = VirtualClock()
     bus = open_bus("sim", arm_config, virtual_bus=VirtualBus.from_config(arm_config, clock))
-    bus.sync_read(arm_config.ids, XM["present_position"])
+    bus.sync_read(arm_config.servo_ids, XM["present_position"])
     assert clock.now() == 0.0

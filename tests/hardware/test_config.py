@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, OutputError, UnknownJointError
-from robot_ik.hardware import config
+from robot_ik.hardware import arm_file
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Direct, Joint
+from tests.hardware.joints import make_joint
 
 POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
 
@@ -28,11 +29,8 @@ def _joint(
     ratio: float = 1.0,
     lower: float = -2.0,
     upper: float = 2.0,
-) -> JointMap:
-    return JointMap("j", 1, "XM430-W350", mode, direction, zero_ticks, ratio, lower, upper, 1.0, 1.0)
-
-
-# ------------------------------------------------------------------------------------------- files
+) -> Joint:
+    return make_joint("j", 1, "XM430-W350", mode, direction, zero_ticks, lower, upper, gear=Direct(ratio))
 
 
 def test_a_correct_file(arm_config: ArmConfig, arm_path: Path) -> None:
@@ -41,15 +39,14 @@ def test_a_correct_file(arm_config: ArmConfig, arm_path: Path) -> None:
     assert (arm_config.watchdog_ms, arm_config.on_exit) == (200, "torque_off")
     assert arm_config.file == arm_path
     assert arm_config.names == tuple(f"joint{k}" for k in range(1, 7))
-    assert arm_config.ids == (1, 2, 3, 4, 5, 6)
-    assert arm_config.joints[3] == JointMap(
+    assert arm_config.servo_ids == (1, 2, 3, 4, 5, 6)
+    assert arm_config.joints[3] == make_joint(
         "joint4",
         4,
         "XL430-W250",
         EXTENDED,
         -1,
         3000,
-        1.0,
         -math.radians(160),
         math.radians(160),
         math.pi / 2,
@@ -118,7 +115,7 @@ def test_a_wrong_file_names_file_key_and_what_is_allowed(
 def test_a_file_that_is_much_too_long_is_not_even_parsed(arm_toml: str, monkeypatch) -> None:
     """100,000 joints: a parser takes a quarter of a minute for them."""
     head, joint = arm_toml.split("[[joints]]")[:2]
-    monkeypatch.setattr(config, "parse_toml", lambda text, file: pytest.fail("it was parsed"))
+    monkeypatch.setattr(arm_file, "parse_toml", lambda text, file: pytest.fail("it was parsed"))
     with pytest.raises(ConfigError, match="characters are no arm file; allowed: up to 1,000,000"):
         ArmConfig.parse(head + 100_000 * ("[[joints]]" + joint))
 
@@ -162,17 +159,14 @@ def test_saved_and_loaded_again(arm_config: ArmConfig, tmp_path: Path) -> None:
     arm_config.save(path)
     loaded = ArmConfig.load(path)
     assert loaded.lower == pytest.approx(arm_config.lower, abs=1e-13)
-    assert [(j.id, j.direction, j.zero_ticks, j.ratio) for j in loaded.joints] == [
-        (j.id, j.direction, j.zero_ticks, j.ratio) for j in arm_config.joints
+    assert [(j.servo.id, j.servo.direction, j.servo.zero_ticks, j.gear.ratio) for j in loaded.joints] == [
+        (j.servo.id, j.servo.direction, j.servo.zero_ticks, j.gear.ratio) for j in arm_config.joints
     ]
     assert tomllib.loads(path.read_text())["joints"][0]["upper_deg"] == 160.0
     assert [p.name for p in tmp_path.glob("*copy*")] == ["copy.toml"]
     with pytest.raises(OutputError):
         arm_config.save(tmp_path / "missing" / "arm.toml")
     assert not (tmp_path / "missing").exists()
-
-
-# --------------------------------------------------------------------------------- radians and ticks
 
 
 @pytest.mark.parametrize(
@@ -186,13 +180,13 @@ def test_saved_and_loaded_again(arm_config: ArmConfig, tmp_path: Path) -> None:
         (_joint(zero_ticks=0), -2 * math.pi, -4096),
     ],
 )
-def test_ticks_by_hand(joint: JointMap, q: float, ticks: int) -> None:
-    assert joint.to_ticks(q) == ticks
-    assert joint.to_radians(ticks) == pytest.approx(q, abs=1e-12)
+def test_ticks_by_hand(joint: Joint, q: float, ticks: int) -> None:
+    assert joint.nearest_ticks(q) == ticks
+    assert joint.value(ticks) == pytest.approx(q, abs=1e-12)
 
 
 @st.composite
-def joints(draw: st.DrawFn) -> JointMap:
+def joints(draw: st.DrawFn) -> Joint:
     """Joints whose range meets that of their mode."""
     mode = draw(st.sampled_from([POSITION, EXTENDED]))
     zero = draw(st.integers(0, 4095))
@@ -210,20 +204,20 @@ def joints(draw: st.DrawFn) -> JointMap:
 
 
 @given(joints(), st.floats(-10, 10))
-def test_there_and_back_is_half_a_tick(joint: JointMap, q: float) -> None:
-    assert abs(joint.to_radians(joint.to_ticks(q)) - q) <= joint.resolution * (0.5 + 1e-9)
-    assert joint.to_ticks(joint.to_radians(joint.to_ticks(q))) == joint.to_ticks(q)
+def test_there_and_back_is_half_a_tick(joint: Joint, q: float) -> None:
+    assert abs(joint.value(joint.nearest_ticks(q)) - q) <= joint.resolution * (0.5 + 1e-9)
+    assert joint.nearest_ticks(joint.value(joint.nearest_ticks(q))) == joint.nearest_ticks(q)
 
 
 @given(joints())
-def test_limits_are_cut_only_where_the_mode_ends(joint: JointMap) -> None:
+def test_limits_are_cut_only_where_the_mode_ends(joint: Joint) -> None:
     """Just outside the limits lies outside the file's range, or outside the servo's."""
-    ends = (0, 4095) if joint.mode == POSITION else (-1_048_575, 1_048_575)
+    ends = (0, 4095) if joint.servo.mode == POSITION else (-1_048_575, 1_048_575)
     low, high = joint.limits
     step = joint.resolution + 1e-9
     for q in (low - step, high + step):
         beyond_file = not joint.lower <= q <= joint.upper
-        beyond_servo = not ends[0] <= joint.to_ticks(q) <= ends[1]
+        beyond_servo = not ends[0] <= joint.nearest_ticks(q) <= ends[1]
         assert beyond_file or beyond_servo
 
 
@@ -233,7 +227,7 @@ def test_one_turn_mode_cuts_the_range(arm_toml: str) -> None:
     wide = wide.replace("upper_deg = 160.0", "upper_deg = 200.0", 1)
     assert np.degrees(ArmConfig.parse(wide).upper[0]) == pytest.approx(200.0)
     config = ArmConfig.parse(wide.replace('"extended_position"', '"position"', 1))
-    assert config.joints[0].ticks_range == (0, 4095)
+    assert config.joints[0].ticks_range() == (0, 4095)
     assert np.degrees(config.lower[0]) == pytest.approx(-180.0)
     assert np.degrees(config.upper[0]) == pytest.approx(2047 / 4096 * 360.0)
     # the reversed joint 2 with its zero at 1024
@@ -252,12 +246,9 @@ def test_a_range_that_the_mode_cannot_reach_at_all(arm_toml: str) -> None:
 
 
 def test_joints_by_name(arm_config: ArmConfig) -> None:
-    assert arm_config.joint("joint3").id == 3
+    assert arm_config.joint("joint3").servo.id == 3
     with pytest.raises(UnknownJointError, match="joint3"):
         arm_config.joint("jont3")
-
-
-# ----------------------------------------------------------------------------------------- generic
 
 
 def test_a_robot_without_an_arm_file_has_none_to_load() -> None:
@@ -267,17 +258,17 @@ def test_a_robot_without_an_arm_file_has_none_to_load() -> None:
 
 def test_generic_arm_for_any_robot() -> None:
     config = ArmConfig.generic("my arm", ["a", "b"], [-1.0, -math.inf], [1.0, math.inf], 2.0, [3.0, 4.0])
-    assert config.ids == (1, 2) and config.names == ("a", "b")
+    assert config.servo_ids == (1, 2) and config.names == ("a", "b")
     assert (config.lower[0], config.upper[0]) == (-1.0, 1.0)
-    assert config.joints[1].ticks_range == (-1_048_575, 1_048_575)
+    assert config.joints[1].ticks_range() == (-1_048_575, 1_048_575)
     assert np.isfinite(config.lower).all() and np.isfinite(config.upper).all()
     assert list(config.velocity) == [2.0, 2.0] and list(config.acceleration) == [3.0, 4.0]
-    assert ArmConfig.parse(config.to_toml()).joints[1].ticks_range == (-1_048_575, 1_048_575)
+    assert ArmConfig.parse(config.to_toml()).joints[1].ticks_range() == (-1_048_575, 1_048_575)
 
 
 def test_generic_arms_have_a_largest_size() -> None:
     names = [f"j{k}" for k in range(253)]
-    assert ArmConfig.generic("long", names[:252], [-1.0] * 252, [1.0] * 252).ids[-1] == 252
+    assert ArmConfig.generic("long", names[:252], [-1.0] * 252, [1.0] * 252).servo_ids[-1] == 252
     for count in (0, 253):
         with pytest.raises(ConfigError, match=r"1\.\.252"):
             ArmConfig.generic("long", names[:count], -1.0, 1.0)

@@ -7,19 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError
-from robot_ik.hardware.control_table import (
+from robot_ik.hardware.families.dynamixel_x_table import (
     ACCELERATION_UNIT,
     BAUD_RATES,
-    CONTROL_TABLES,
     HARDWARE_ERRORS,
-    RADIANS_PER_TICK,
     VELOCITY_UNIT,
-    OperatingMode,
-    Register,
-    control_table,
+    X_TABLES,
     hardware_error_names,
-    model_by_number,
 )
+from robot_ik.hardware.models import control_table, model_by_number
+from robot_ik.hardware.registers import RADIANS_PER_TICK, OperatingMode, Register
 
 # The manual's table, X series: address size name initial; s after the size: signed; r: read only; "-":
 # no fixed value.
@@ -75,7 +72,7 @@ def _manual() -> list[tuple[str, int, int, bool, bool, int | None]]:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_shared_registers_are_the_manual_s(model: str) -> None:
-    table = CONTROL_TABLES[model]
+    table = X_TABLES[model]
     for name, address, size, writable, signed, initial in _manual():
         register = table[name]
         assert (register.address, register.size, register.writable, register.signed) == (
@@ -96,7 +93,7 @@ def test_shared_registers_are_the_manual_s(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_what_differs_by_model_is_the_manual_s(model: str) -> None:
-    table = CONTROL_TABLES[model]
+    table = X_TABLES[model]
     assert table["moving_threshold"].initial == (20 if model == "XC430-W150" else 10)
     names = "model_number temperature_limit max_voltage_limit min_voltage_limit current_limit velocity_limit"
     names += " shutdown velocity_i_gain velocity_p_gain position_d_gain position_i_gain position_p_gain"
@@ -107,10 +104,10 @@ def test_what_differs_by_model_is_the_manual_s(model: str) -> None:
 
 
 def test_registers_only_some_models_have() -> None:
-    xl430, xm430, xl330 = (CONTROL_TABLES[m] for m in ("XL430-W250", "XM430-W350", "XL330-M288"))
+    xl430, xm430, xl330 = (X_TABLES[m] for m in ("XL430-W250", "XM430-W350", "XL330-M288"))
     assert "goal_current" not in xl430 and "current_limit" not in xl430
     assert xl430["present_load"].address == xm430["present_current"].address == 126
-    for table in CONTROL_TABLES.values():  # register 40, Acceleration Limit, went with firmware 42
+    for table in X_TABLES.values():  # register 40, Acceleration Limit, went with firmware 42
         assert not any(r.address <= 40 < r.end for r in table)
     assert xl330["pwm_slope"].initial == 140 and "pwm_slope" not in xm430
     for table, last, data in ((xl430, 56, 634 + 27), (xm430, 56, 634 + 27), (xl330, 20, 208 + 19)):
@@ -121,19 +118,19 @@ def test_registers_only_some_models_have() -> None:
 
 
 def test_every_model_of_the_manual_is_there_once() -> None:
-    assert set(CONTROL_TABLES) == set(MODELS)
-    numbers = [table.number for table in CONTROL_TABLES.values()]
+    assert set(X_TABLES) == set(MODELS)
+    numbers = [table.number for table in X_TABLES.values()]
     assert len(set(numbers)) == len(numbers)
-    ports = {name for name, table in CONTROL_TABLES.items() if "external_port_mode_1" in table}
+    ports = {name for name, table in X_TABLES.items() if "external_port_mode_1" in table}
     assert ports == {"XH540-W150", "XM540-W150", "XM540-W270"}
-    without_current = {name for name, table in CONTROL_TABLES.items() if "present_load" in table}
+    without_current = {name for name, table in X_TABLES.items() if "present_load" in table}
     assert without_current == {"XL430-W250", "XC430-W150", "XC430-W240"}
-    assert all(OperatingMode.CURRENT_BASED_POSITION not in CONTROL_TABLES[n].modes for n in without_current)
+    assert all(OperatingMode.CURRENT_BASED_POSITION not in X_TABLES[n].modes for n in without_current)
 
 
-@pytest.mark.parametrize("model", CONTROL_TABLES)
+@pytest.mark.parametrize("model", X_TABLES)
 def test_limits_of_a_model_agree(model: str) -> None:
-    table = CONTROL_TABLES[model]
+    table = X_TABLES[model]
     for name in ("velocity", "pwm", "current"):
         if f"{name}_limit" in table:
             limit, goal = table[f"{name}_limit"], table[f"goal_{name}"]
@@ -167,10 +164,10 @@ def test_firmware_decides_what_is_there() -> None:
         control_table("XM430-W350", 0)
 
 
-@pytest.mark.parametrize("model", CONTROL_TABLES)
+@pytest.mark.parametrize("model", X_TABLES)
 def test_registers_do_not_overlap_and_start_within_their_range(model: str) -> None:
     end = 0
-    for register in CONTROL_TABLES[model]:
+    for register in X_TABLES[model]:
         assert register.address >= end, register.name
         end = register.end
         register.encode(register.minimum), register.encode(register.maximum)  # they fit
@@ -189,8 +186,8 @@ def test_the_manual_s_codes() -> None:
         6: 4000000,
         7: 4500000,
     }
-    assert 4_500_000 not in CONTROL_TABLES["XL330-M288"].baud_rates
-    assert 4_500_000 in CONTROL_TABLES["XM430-W350"].baud_rates
+    assert 4_500_000 not in X_TABLES["XL330-M288"].baud_rates
+    assert 4_500_000 in X_TABLES["XM430-W350"].baud_rates
     assert hardware_error_names(0) == ()
     assert hardware_error_names(0b100101) == ("input_voltage", "overheating", "overload")
     assert hardware_error_names(0b10) == ("bit1",)
@@ -235,14 +232,14 @@ def test_bytes_of_another_length_are_refused() -> None:
 
 def test_unknown_names_come_with_close_ones() -> None:
     with pytest.raises(KeyError, match="present_position"):
-        CONTROL_TABLES["XM430-W350"]["present_positon"]
+        X_TABLES["XM430-W350"]["present_positon"]
     with pytest.raises(ConfigError, match="XM430-W350"):
         control_table("XM430-W35")
     assert model_by_number(12) is None
 
 
 def test_tables_cannot_be_changed() -> None:
-    table = CONTROL_TABLES["XM430-W350"]
+    table = X_TABLES["XM430-W350"]
     with pytest.raises(TypeError):
         table.registers["id"] = table["led"]  # type: ignore[index]
     with pytest.raises(AttributeError):

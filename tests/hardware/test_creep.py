@@ -140,7 +140,7 @@ def test_a_joint_that_is_pushed_while_it_is_held_never_yields(arm_config, start,
         arm.enable()
         stream(arm, [start] * 3)
         arm.hold()
-        servo = arm.virtual_bus.servo(2)
+        servo = arm.bus.virtual_bus.servo(2)
         goal = servo.memory.values["goal_position"]
         servo.stuck = True
         there = servo.shaft.stuck_at
@@ -157,10 +157,10 @@ def test_a_joint_that_is_pushed_while_it_is_held_never_yields(arm_config, start,
 def test_a_joint_that_is_pushed_away_yields_when_holding_begins(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 3)
-    arm.virtual_bus.servo(2).stuck = True
+    arm.bus.virtual_bus.servo(2).stuck = True
     stream(arm, [start + 0.002 * k for k in range(80)])  # joint2 is kept 0.16 rad back
     arm.hold()
-    goals = {servo.name: servo.to_radians(arm._cycle.goals[servo.id]) for servo in arm.config.servos}
+    goals = {drive.name: drive.value(arm._cycle.goals[drive.id]) for drive in arm.config.drives}
     assert abs(goals["joint2"] - start[1]) < 0.02 and abs(goals["joint1"] - start[0] - 0.158) < 0.02
 
 

@@ -16,16 +16,16 @@ import pytest
 from serial.tools import list_ports
 
 from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusNotOpenError, BusTimeoutError
-from robot_ik.hardware import serial_port
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware import serial_bus
 from robot_ik.hardware.dynamixel import DynamixelBus
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.serial_port import describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import Parser, build_status
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 
-XM = CONTROL_TABLES["XM430-W350"]
+XM = X_TABLES["XM430-W350"]
 POSITION = XM["present_position"]
 pytestmark = pytest.mark.usefixtures("real_time")
 
@@ -228,27 +228,27 @@ def test_waiting_for_a_silent_servo_sleeps(bus):
 
 def test_one_dead_servo_slows_the_cycle_only_until_it_is_known(arm_config, served, bus):
     served.bus.servo(1).silent = True
-    first = bus.sync_read(arm_config.ids, POSITION)
+    first = bus.sync_read(arm_config.servo_ids, POSITION)
     assert [id for id, s in first.items() if s.data is None] == [1]
     retries = bus.counters.retries
     assert 1 <= retries <= 2  # bounded by number and by the time of a cycle
-    bus.sync_read(arm_config.ids, POSITION)
+    bus.sync_read(arm_config.servo_ids, POSITION)
     assert bus.counters.retries == retries
     served.bus.servo(1).silent = False
-    assert bus.sync_read(arm_config.ids, POSITION)[1].data is not None
+    assert bus.sync_read(arm_config.servo_ids, POSITION)[1].data is not None
 
 
 def test_a_pulled_cable_is_said_at_once_and_closing_is_quiet(served, bus, arm_config):
     bus.ping(1)
     served.close()
     with pytest.raises(BusDisconnectedError, match="went away"):
-        bus.sync_read(arm_config.ids, POSITION)
+        bus.sync_read(arm_config.servo_ids, POSITION)
     assert not bus.is_open
     bus.close()
 
 
 def test_a_cable_pulled_while_waiting_wakes_the_reader(monkeypatch):
-    monkeypatch.setattr(serial_port, "RESPONSE_TIME", 5.0)
+    monkeypatch.setattr(serial_bus, "RESPONSE_TIME", 5.0)
     master, slave = os.openpty()
     tty.setraw(slave)
     bus = DynamixelBus(os.ttyname(slave))
@@ -267,9 +267,7 @@ class Interrupt(BaseException):
     """As KeyboardInterrupt, but not taken by pytest for the user's."""
 
 
-@pytest.mark.parametrize(
-    "method", ["writePort", "readPort", "clearPort", "isPacketTimeout", "setPacketTimeout"]
-)
+@pytest.mark.parametrize("method", ["writePort", "receive", "clear"])
 def test_an_exception_anywhere_in_a_transaction_leaves_the_port_usable(bus, method, monkeypatch):
     handler = bus._handler
     original = getattr(handler, method)
@@ -296,6 +294,6 @@ def test_an_interrupted_read_does_not_answer_the_next_question(bus, served, monk
     served.bus.servo(1).memory.set("profile_velocity", 7)
     handler = bus._handler
     with monkeypatch.context() as cut, pytest.raises(Interrupt):
-        cut.setattr(handler, "readPort", lambda n: (_ for _ in ()).throw(Interrupt()))
+        cut.setattr(handler, "receive", lambda *a: (_ for _ in ()).throw(Interrupt()))
         bus.read(1, POSITION)
     assert bus.read(1, XM["profile_velocity"]).data == 7

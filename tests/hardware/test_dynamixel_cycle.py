@@ -7,8 +7,9 @@ import time
 import pytest
 
 from robot_ik.hardware import BUSES, open_bus
-from robot_ik.hardware.control_table import CONTROL_TABLES, Register
 from robot_ik.hardware.dynamixel import MAX_FAST_FAILURES, DynamixelBus
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
@@ -16,7 +17,7 @@ from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock, VirtualClock
 
-XM, XL = CONTROL_TABLES["XM430-W350"], CONTROL_TABLES["XL330-M288"]
+XM, XL = X_TABLES["XM430-W350"], X_TABLES["XL330-M288"]
 PRESENT, GOAL = XM["present_position"], XM["goal_position"]
 
 
@@ -214,7 +215,7 @@ def served(arm_config, real_time):
 
 def test_repetitions_stay_within_the_time_of_a_cycle(served, arm_config):
     port, bus = served
-    reads = dict.fromkeys(arm_config.ids, PRESENT)
+    reads = dict.fromkeys(arm_config.servo_ids, PRESENT)
     for _ in range(50):
         bus.exchange(GOAL, {}, reads)  # learns how quick these servos are
     begin = time.monotonic()
@@ -230,8 +231,8 @@ def test_repetitions_stay_within_the_time_of_a_cycle(served, arm_config):
 
 def test_a_single_question_after_a_miss_waits_for_what_may_still_come(served, arm_config):
     port, bus = served
-    bus.exchange(GOAL, {}, dict.fromkeys(arm_config.ids, PRESENT))
+    bus.exchange(GOAL, {}, dict.fromkeys(arm_config.servo_ids, PRESENT))
     port.bus.servo(3).silent = True
-    bus.exchange(GOAL, {}, dict.fromkeys(arm_config.ids, PRESENT))
+    bus.exchange(GOAL, {}, dict.fromkeys(arm_config.servo_ids, PRESENT))
     port.bus.servo(3).silent = False
-    assert bus.read(3, XM["model_number"]).data == arm_config.joints[2].table.number
+    assert bus.read(3, XM["model_number"]).data == arm_config.joints[2].servo.table.number

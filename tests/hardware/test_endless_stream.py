@@ -17,13 +17,13 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import packets
 from robot_ik.hardware.bus import BROADCAST_ID, Counters
-from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import CYCLE_TIME, DynamixelBus, listening_time
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.packets import FastParser, StatusParser
 from robot_ik.hardware.serial_port import LONGEST_DRAIN, RESPONSE_TIME, SleepingPortHandler
 from robot_ik.hardware.virtual.protocol import build_status
 
-XM = CONTROL_TABLES["XM430-W350"]
+XM = X_TABLES["XM430-W350"]
 POSITION, GOAL = XM["present_position"], XM["goal_position"]
 IDS = range(1, 7)
 

@@ -163,7 +163,7 @@ def record_goals(bus: VirtualBus, config) -> list[tuple[float, np.ndarray]]:
     """Times and rad of all goals that reach the servos together, from the packets themselves."""
     rows: list[tuple[float, np.ndarray]] = []
     parser, respond = Parser(), bus.respond
-    maps = {joint.id: joint for joint in config.joints}
+    maps = {joint.servo.id: joint for joint in config.joints}
 
     def recorded(data, baud=None):
         for packet in parser.feed(data, time.monotonic()):
@@ -174,12 +174,12 @@ def record_goals(bus: VirtualBus, config) -> list[tuple[float, np.ndarray]]:
                     address, size = (int.from_bytes(params[at + i : at + i + 2], "little") for i in (1, 3))
                     if address == 116:
                         ticks = int.from_bytes(params[at + 5 : at + 5 + size], "little", signed=True)
-                        q[params[at]] = maps[params[at]].to_radians(ticks)
+                        q[params[at]] = maps[params[at]].value(ticks)
                     at += 5 + size
             elif packet.instruction == 0x83 and packet.params[:2] == b"\x74\x00":  # Sync Write
                 for at in range(4, len(packet.params), 5):
                     ticks = int.from_bytes(packet.params[at + 1 : at + 5], "little", signed=True)
-                    q[packet.params[at]] = maps[packet.params[at]].to_radians(ticks)
+                    q[packet.params[at]] = maps[packet.params[at]].value(ticks)
             if len(q) == len(maps):
                 rows.append((time.monotonic(), np.array([q[id] for id in maps])))
         return respond(data, baud)

@@ -73,7 +73,7 @@ def test_row_17(lab):
         begin = arm.clock.now()
         lab.fault(arm, BusDisconnectedError, Fault("port_unplugged", for_s=0.05))
         assert arm.clock.now() - begin < 0.045  # three cycles before, one in which it was noticed
-        arm.virtual_bus.servo(2).memory.set("torque_enable", 0)
+        arm.bus.virtual_bus.servo(2).memory.set("torque_enable", 0)
         arm.reconnect()
         assert arm.state is ArmState.CONNECTED and not lab.torque(arm)[1]
 
@@ -98,7 +98,7 @@ def test_row_19(lab):
             number, arm = (signal.SIGINT, signal.SIGTERM)[k % 2], lab.arm()
             with pytest.raises((KeyboardInterrupt, SystemExit)), arm:
                 arm.enable()
-                schedule = arm.virtual_bus.schedule  # inside a transaction: between question and answer
+                schedule = arm.bus.virtual_bus.schedule  # inside a transaction: between question and answer
                 schedule.at_packet(schedule.upcoming + k, lambda n=number: os.kill(os.getpid(), n))
                 lab.drive(arm, 40)
             assert arm.exit_report.ok and not any(lab.torque(arm))
@@ -113,10 +113,10 @@ def test_row_20(lab):
         arm.enable()
         lab.stream(arm, lab.smooth(lab.start, lab.start + 0.4, 0.8)[:40])
         arm.clock.sleep_until(arm.clock.now() + 0.3)  # nobody says anything any more, as after a SIGKILL
-        here = arm.virtual_bus.true_angles(lab.config)
+        here = arm.bus.virtual_bus.true_angles(lab.config)
         arm.clock.sleep_until(arm.clock.now() + 5.0)
         assert lab.torque(arm) == [True] * 6 and lab.registers(arm, "bus_watchdog") == [-1] * 6
-        assert np.array_equal(arm.virtual_bus.true_angles(lab.config), here)
+        assert np.array_equal(arm.bus.virtual_bus.true_angles(lab.config), here)
 
 
 def test_row_21(lab):
@@ -128,15 +128,17 @@ def test_row_21(lab):
         with pytest.raises(UnsafeCommandError):
             arm.send(lab.start * np.nan, arm.clock.now())
         assert arm.bus.counters.bytes_sent == sent
-        before = arm.virtual_bus.true_angles(lab.config)
+        before = arm.bus.virtual_bus.true_angles(lab.config)
         for _ in range(30):
             lab.stream(arm, [lab.start + np.array([np.pi, 0, 0, 0, 0, 0])])
-            now = arm.virtual_bus.true_angles(lab.config)
+            now = arm.bus.virtual_bus.true_angles(lab.config)
             assert np.abs(now - before).max() <= 1.5 * lab.config.velocity.max() * 0.01 + 1e-3
             before = now
         assert arm.reports.capped["joint1"] > 0
         arm.clock.sleep_until(arm.clock.now() + 3.0)  # the program stops: held where it is
-        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(
+            lab.torque(arm)
+        )
 
 
 # ------------------------------------------------------------------------------- numbers and clocks
@@ -162,18 +164,20 @@ def test_row_22(lab):
 def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
     """The servo itself goes where its goal seems to be: the arm must not let it."""
     with lab.arm() as arm:
-        before = arm.virtual_bus.true_angles(lab.config)
+        before = arm.bus.virtual_bus.true_angles(lab.config)
         fault = lab.fault(arm, MotorFaultError, Fault("lost_turns", id=2, value=turns))
         assert (fault.joint, fault.status) == ("joint2", ("position_jump",))
         arm.clock.sleep_until(arm.clock.now() + 3.0)
-        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(
+            lab.torque(arm)
+        )
         with pytest.raises(HardwareError, match="joint 'joint2' was at"):
             arm.reset_fault()  # the angle is still wrong
-        arm.virtual_bus.servo(2).shaft.lose_revolutions(-turns)
+        arm.bus.virtual_bus.servo(2).shaft.lose_revolutions(-turns)
         arm.reset_fault()
         arm.enable()
         lab.stream(arm, lab.smooth(arm.read().q, lab.start, 1.0))
-        assert np.abs(arm.virtual_bus.true_angles(lab.config) - lab.start).max() < 0.05
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - lab.start).max() < 0.05
 
 
 def test_who_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
@@ -181,35 +185,37 @@ def test_who_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
         arm.enable()
         lab.drive(arm)
         arm.hold()
-        before = arm.virtual_bus.true_angles(lab.config)
-        arm.virtual_bus.inject(Fault("lost_turns", id=2, value=1))
+        before = arm.bus.virtual_bus.true_angles(lab.config)
+        arm.bus.virtual_bus.inject(Fault("lost_turns", id=2, value=1))
         arm.clock.sleep_until(arm.clock.now() + 0.02)
         with pytest.raises(MotorFaultError, match="position_jump"):
             arm.read()
         arm.clock.sleep_until(arm.clock.now() + 3.0)
-        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(
+            lab.torque(arm)
+        )
 
 
 def test_a_joint_that_presses_and_loses_count_is_held_too(lab, arm_toml):
     """What it grips keeps such a joint from its goal; here nothing would."""
     text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
     with lab.arm(config=ArmConfig.parse(text)) as arm:
-        before = arm.virtual_bus.true_angles(lab.config)
+        before = arm.bus.virtual_bus.true_angles(lab.config)
         fault = lab.fault(arm, MotorFaultError, Fault("lost_turns", id=1, value=1))
         assert fault.status == ("position_jump",)
         arm.clock.sleep_until(arm.clock.now() + 3.0)
-        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - before).max() < 0.1
 
 
 def test_an_arm_turned_by_hand_without_torque_has_not_jumped(lab):
     with lab.arm() as arm:
         arm.read()
-        arm.virtual_bus.servo(1).rotate_by_hand(-2100)
+        arm.bus.virtual_bus.servo(1).rotate_by_hand(-2100)
         arm.read()
-        arm.virtual_bus.servo(1).rotate_by_hand(2100)
+        arm.bus.virtual_bus.servo(1).rotate_by_hand(2100)
         arm.read()
         arm.reconnect()
-        arm.virtual_bus.servo(1).rotate_by_hand(-2100)
+        arm.bus.virtual_bus.servo(1).rotate_by_hand(-2100)
         arm.enable()
         lab.drive(arm)
 
@@ -218,7 +224,7 @@ def test_row_23(lab, real_time):
     """FF FF FD within data"""
     for on in ("sim", "pty"):
         with lab.arm(on=on) as arm:
-            offset = lab.config.joints[0].table["homing_offset"]
+            offset = lab.config.joints[0].servo.table["homing_offset"]
             for value in (-131_073, -513, -66_049):  # little end first: FF FF FD FF, FF FD FF FF, FF FD FE FF
                 arm.bus.write(1, offset, value)
                 assert arm.bus.read(1, offset).data == value
@@ -231,7 +237,7 @@ def test_row_24(lab):
     with lab.arm(Fault("watchdog_tripped")) as arm:
         arm.enable()
         lab.stream(arm, lab.smooth(lab.start, lab.start + 0.1, 0.5))
-        assert np.abs(arm.virtual_bus.true_angles(lab.config) - lab.start).min() > 0.05
+        assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - lab.start).min() > 0.05
         assert lab.registers(arm, "bus_watchdog") == [10] * 6
 
 

@@ -14,7 +14,7 @@ import pytest
 from robot_ik.errors import BusTimeoutError, MotorFaultError, ServoMismatchError, ServoRefusedError
 from robot_ik.hardware import discovery, open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
@@ -44,14 +44,14 @@ def test_row_01(lab):
     with lab.arm() as arm:
         arm.enable()
         lab.drive(arm)
-        arm.virtual_bus.inject(Fault("silent", id=3, for_s=0.005))
+        arm.bus.virtual_bus.inject(Fault("silent", id=3, for_s=0.005))
         lab.drive(arm, 1)
         lab.drive(arm, 5)
         assert arm.state is ArmState.ENABLED and arm.ages.max() == 0.0
-        arm.virtual_bus.servo(3).silent = True
+        arm.bus.virtual_bus.servo(3).silent = True
         lab.drive(arm, 1)
         assert arm.ages[2] > 0.0 and np.delete(arm.ages, 2).max() == 0.0  # the others' data are used
-        arm.virtual_bus.servo(3).silent = False
+        arm.bus.virtual_bus.servo(3).silent = False
 
 
 def test_row_02(lab):
@@ -112,7 +112,7 @@ def test_row_08(lab, real_time):
 
 def test_row_09(lab, real_time):
     """another baud rate"""
-    discovery.listening_time, waits = (lambda baud: 0.05), discovery.listening_time
+    discovery.SerialBus.listening_time, waits = 0.05, discovery.SerialBus.listening_time
     bus = VirtualBus.from_config(lab.config, RealClock())
     bus.inject(Fault("baud", id=3, value=57_600))
     try:
@@ -121,7 +121,7 @@ def test_row_09(lab, real_time):
             with pytest.raises(ServoMismatchError, match=r"3  joint3: XM430-W350  missing") as caught:
                 open_arm(lab.config, port.path).connect()
     finally:
-        discovery.listening_time = waits
+        discovery.SerialBus.listening_time = waits
     assert found == {1: 1_000_000, 2: 1_000_000, 3: 57_600, 4: 1_000_000, 5: 1_000_000, 6: 1_000_000}
     assert "servo scan" in caught.value.hint
 
@@ -152,10 +152,10 @@ def test_row_12(lab):
     """EEPROM written under torque"""
     with lab.arm() as arm:
         arm.enable()
-        packets = arm.virtual_bus.schedule.upcoming
+        packets = arm.bus.virtual_bus.schedule.upcoming
         with pytest.raises(ServoRefusedError) as caught:
-            arm.bus.write(1, lab.config.joints[0].table["homing_offset"], 5)
-        assert caught.value.code == 7 and arm.virtual_bus.schedule.upcoming == packets + 1  # not repeated
+            arm.bus.write(1, lab.config.joints[0].servo.table["homing_offset"], 5)
+        assert caught.value.code == 7 and arm.bus.virtual_bus.schedule.upcoming == packets + 1  # not repeated
 
 
 def test_row_13(lab, make_bench):
@@ -164,7 +164,7 @@ def test_row_13(lab, make_bench):
         arm.enable()
         lab.stream(arm, np.tile(lab.start + np.array([9, 0, 0, 0, 0, 0]), (200, 1)))
         assert arm.reports.clipped["joint1"] > 0
-        assert arm.virtual_bus.true_angles(lab.config)[0] <= lab.config.upper[0]
+        assert arm.bus.virtual_bus.true_angles(lab.config)[0] <= lab.config.upper[0]
     bench = make_bench(position_ticks=2000)
     bench.set(operating_mode=int(OperatingMode.POSITION), max_position_limit=3000)
     assert bench.write("goal_position", 3001) != 0 and bench.read("goal_position") <= 3000

@@ -9,18 +9,19 @@ import pytest
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.cycle import jump_fault
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Direct, Drive, Pinion
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import make_joint, with_servo
 
 
 def test_torque_switched_off_by_somebody_else_is_seen_in_the_same_cycle(any_arm, stream, start):
     any_arm.enable()
     stream(any_arm, [start] * 3)
-    any_arm.virtual_bus.servo(4).memory.set("torque_enable", 0)
+    any_arm.bus.virtual_bus.servo(4).memory.set("torque_enable", 0)
     with pytest.raises(MotorFaultError) as caught:
         stream(any_arm, [start])
     assert (caught.value.joint, caught.value.status) == ("joint4", ("torque_lost",))
@@ -30,7 +31,7 @@ def test_a_restart_at_rest_is_seen_in_the_same_cycle_and_its_zeros_are_not_belie
     arm.enable()
     stream(arm, [start] * 3)
     before = arm.read().q
-    arm.virtual_bus.servo(2).reboot()  # the shaft stays: nothing else would show
+    arm.bus.virtual_bus.servo(2).reboot()  # the shaft stays: nothing else would show
     arm.clock.sleep_until(arm.clock.now() + 0.01)
     with pytest.raises(MotorFaultError, match="joint2") as caught:
         arm.send(start, arm.clock.now())
@@ -53,7 +54,14 @@ def test_every_firmware_is_read_the_way_it_can_be(arm_config, stream, smooth, st
     clock = VirtualClock()
     config = arm_config
     servos = [
-        VirtualServo(j.model, j.id, clock, position_ticks=j.to_ticks(q), mode=j.mode, firmware=firmware)
+        VirtualServo(
+            j.servo.model,
+            j.servo.id,
+            clock,
+            position_ticks=j.nearest_ticks(q),
+            mode=j.servo.mode,
+            firmware=firmware,
+        )
         for j, q in zip(config.joints, start, strict=True)
     ]
     with open_arm(config, "sim", virtual_bus=VirtualBus(servos, clock)) as arm:
@@ -65,13 +73,13 @@ def test_every_firmware_is_read_the_way_it_can_be(arm_config, stream, smooth, st
 
 def test_models_whose_indirect_data_lie_elsewhere_share_a_cycle(arm_config, stream, smooth, start):
     joints = list(arm_config.joints)
-    joints[4] = dataclasses.replace(joints[4], model="XL330-M288")
+    joints[4] = with_servo(joints[4], model="XL330-M288")
     config = dataclasses.replace(arm_config, joints=tuple(joints))
     with open_arm(config, "sim", start=start) as arm:
         arm.enable()
         stream(arm, smooth(start, start + 0.2, 0.5))
         assert abs(arm.read().q - start - 0.2).max() < 0.01
-        arm.virtual_bus.servo(5).memory.set("torque_enable", 0)
+        arm.bus.virtual_bus.servo(5).memory.set("torque_enable", 0)
         with pytest.raises(MotorFaultError, match="joint5"):
             stream(arm, [start])
 
@@ -79,7 +87,7 @@ def test_models_whose_indirect_data_lie_elsewhere_share_a_cycle(arm_config, stre
 def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 2)
-    servo = arm.virtual_bus.servo(3)
+    servo = arm.bus.virtual_bus.servo(3)
     servo.memory.set("indirect_address_1", 65)  # its LED, which is off
     stream(arm, [start] * 3)
     assert arm.state is ArmState.ENABLED and servo.torque
@@ -94,7 +102,7 @@ def test_servos_read_plainly_are_all_seen_in_every_cycle(arm, stream, start):
     received = arm.bus.counters.bytes_received
     stream(arm, [start])
     assert arm.bus.counters.bytes_received - received == 8 + 6 * 4 + 3 * 5 + 3 * 83
-    arm.virtual_bus.servo(4).memory.set("torque_enable", 0)
+    arm.bus.virtual_bus.servo(4).memory.set("torque_enable", 0)
     with pytest.raises(MotorFaultError, match="joint4") as caught:
         stream(arm, [start])
     assert caught.value.status == ("torque_lost",)
@@ -106,10 +114,10 @@ def test_a_servo_read_plainly_at_rest_shows_its_lost_torque_in_the_same_cycle(
     arm_config, stream, start, model, loses
 ):
     joints = list(arm_config.joints)
-    joints[4] = dataclasses.replace(joints[4], model=model)
+    joints[4] = with_servo(joints[4], model=model)
     with open_arm(dataclasses.replace(arm_config, joints=tuple(joints)), "sim", start=start) as arm:
         arm.enable()
-        servo = arm.virtual_bus.servo(5)
+        servo = arm.bus.virtual_bus.servo(5)
         servo.memory.set("indirect_address_1", 65)  # its LED, which is off
         stream(arm, [start] * 100)
         assert arm.state is ArmState.ENABLED and arm.ages[4] <= 0.011
@@ -125,8 +133,8 @@ def test_a_servo_read_plainly_at_rest_shows_its_lost_torque_in_the_same_cycle(
 
 def test_a_slide_that_jumps_is_reported_in_millimetres():
     mode = OperatingMode.EXTENDED_POSITION
-    rack = JointMap("rack", 2, "XL330-M288", mode, 1, 0, 1.0, 0.0, 0.03, 0.05, 0.4, pinion=0.01)
-    assert "it read 0.0 mm, now 62.8 mm:" in (jump_fault(rack, 0, 4096).hint or "")
+    rack = make_joint("rack", 2, "XL330-M288", mode, 1, 0, 0.0, 0.03, 0.05, 0.4, gear=Pinion(0.01))
+    assert "it read 0.0 mm, now 62.8 mm:" in (jump_fault(Drive(rack, rack.servo), 0, 4096).hint or "")
     assert "it read 0.0 deg, now 360.0 deg:" in (
-        jump_fault(dataclasses.replace(rack, pinion=None), 0, 4096).hint or ""
+        jump_fault(Drive(dataclasses.replace(rack, gear=Direct()), rack.servo), 0, 4096).hint or ""
     )

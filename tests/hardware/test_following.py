@@ -14,13 +14,14 @@ from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.following import BEHIND_TICKS, Following
-from robot_ik.hardware.joint_map import GRIPPER
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import GRIPPER
 from robot_ik.hardware.virtual.bus import VirtualBus, home_of
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import with_servo
 
 WEAK = [
     ("goal_pwm", 0, r"joint2.*servo id 2.*0 % of its voltage \(Goal PWM 0, PWM Limit 885\)"),
@@ -66,17 +67,17 @@ def test_a_servo_that_restarts_at_any_packet_of_enable_is_seen(
 ) -> None:
     """The last look before torque is not the last packet: a servo may restart in between."""
     with open_arm(arm_config, "sim", start=start) as arm:
-        before = arm.virtual_bus.schedule.packets
+        before = arm.bus.virtual_bus.schedule.packets
         arm.enable()
-        packets = arm.virtual_bus.schedule.packets - before
+        packets = arm.bus.virtual_bus.schedule.packets - before
     assert packets > 10
     for packet in range(1, packets + 1):
         with open_arm(arm_config, "sim", start=start) as arm:
-            arm.virtual_bus.inject(Fault("reboot", id, at_packet=packet))
+            arm.bus.virtual_bus.inject(Fault("reboot", id, at_packet=packet))
             with pytest.raises(HardwareError, match="restarted"):
                 arm.enable()
                 stream(arm, [start] * 3)
-            assert not arm.virtual_bus.servo(2).torque
+            assert not arm.bus.virtual_bus.servo(2).torque
 
 
 # One lever, level at q = 0: about half of an XM430-W350's stall torque at the shoulder.
@@ -110,7 +111,7 @@ def test_a_joint_that_is_held_while_its_goal_goes_on_stops_the_arm(
 ) -> None:
     with open_arm(arm_config, "sim", start=start) as arm:
         arm.enable()
-        arm.virtual_bus.inject(Fault("stuck", 4))
+        arm.bus.virtual_bus.inject(Fault("stuck", 4))
         with pytest.raises(MotorFaultError, match="joint4 does not follow"):
             stream(arm, smooth(start, start + 1.2, 2.0))
 
@@ -149,14 +150,19 @@ def test_a_hand_or_a_wall_that_keeps_a_distance_is_left_to_the_servo(arm_config)
 
 
 @pytest.mark.parametrize(
-    "change", [{"group": GRIPPER}, {"mode": OperatingMode.CURRENT_BASED_POSITION}]
+    "changed",
+    [
+        lambda joint: dataclasses.replace(joint, group=GRIPPER),
+        lambda joint: with_servo(joint, mode=OperatingMode.CURRENT_BASED_POSITION),
+    ],
+    ids=["gripper", "presses"],
 )
-def test_fingers_that_close_on_something_are_no_fault(arm_config, start, stream, change) -> None:
-    joints = (*arm_config.joints[:5], dataclasses.replace(arm_config.joints[5], **change))
+def test_fingers_that_close_on_something_are_no_fault(arm_config, start, stream, changed) -> None:
+    joints = (*arm_config.joints[:5], changed(arm_config.joints[5]))
     config = dataclasses.replace(arm_config, joints=joints)
     with open_arm(config, "sim", start=start) as arm:
         arm.enable()
-        servo = arm.virtual_bus.servo(6)
+        servo = arm.bus.virtual_bus.servo(6)
         at = servo.shaft.reading
         servo.shaft.stops = (at - 50, at + 50)
         stream(arm, [start - np.eye(6)[5]] * 120)

@@ -7,7 +7,7 @@ from dynamixel_sdk import COMM_SUCCESS, Protocol2PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.packets import (
     FastParser,
     StatusParser,
@@ -18,7 +18,7 @@ from robot_ik.hardware.packets import (
 )
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
-XM, XL = CONTROL_TABLES["XM430-W350"], CONTROL_TABLES["XL330-M288"]
+XM, XL = X_TABLES["XM430-W350"], X_TABLES["XL330-M288"]
 GOAL, PRESENT = XM["goal_position"], XM["present_position"]
 INDIRECT = (XM["indirect_data_1"], XL["indirect_data_1"])
 

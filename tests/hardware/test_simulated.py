@@ -10,13 +10,13 @@ import pytest
 from robot_ik.errors import BusCorruptError, BusNotOpenError, BusTimeoutError, ServoRefusedError
 from robot_ik.hardware.bus import BROADCAST_ID, BusStatus, ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 PRESENT, GOAL, TORQUE = TABLE["present_position"], TABLE["goal_position"], TABLE["torque_enable"]
 
 
@@ -31,10 +31,12 @@ def test_simbus_moves_the_arm_on_virtual_time(
 ) -> None:
     goal = np.array([0.5, -0.5, 0.25, 1.0, -1.0, 0.1])
     assert sim.write(BROADCAST_ID, TORQUE, 1) == BusStatus(BROADCAST_ID, None)
-    sim.sync_write(GOAL, {j.id: j.to_ticks(q) for j, q in zip(arm_config.joints, goal, strict=True)})
+    sim.sync_write(
+        GOAL, {j.servo.id: j.nearest_ticks(q) for j, q in zip(arm_config.joints, goal, strict=True)}
+    )
     clock.sleep_until(10.0)
-    read = sim.sync_read(arm_config.ids, PRESENT)
-    q = [j.to_radians(read[j.id].data or 0) for j in arm_config.joints]
+    read = sim.sync_read(arm_config.servo_ids, PRESENT)
+    q = [j.value(read[j.servo.id].data or 0) for j in arm_config.joints]
     assert np.abs(q - goal).max() <= arm_config.resolution.max() / 2
     assert arm_bus.true_angles(arm_config) == pytest.approx(q)
 
@@ -85,8 +87,8 @@ def test_simbus_names_the_silent_and_the_refusing(
 
 def test_simbus_sync_read_keeps_who_answered(sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig) -> None:
     arm_bus.inject(Fault("silent", 2), Fault("overload", 5))
-    read = sim.sync_read(arm_config.ids, PRESENT)
-    assert list(read) == list(arm_config.ids)
+    read = sim.sync_read(arm_config.servo_ids, PRESENT)
+    assert list(read) == list(arm_config.servo_ids)
     assert read[2] == BusStatus(2, None)
     assert [id for id, status in read.items() if status.alert] == [5]
     assert read[5].data == 2048  # an alert is information: the data are good
@@ -100,7 +102,7 @@ def test_simbus_sync_read_carries_refusals(sim: SimBus) -> None:
 
 
 def test_simbus_reboot_clears_an_overload(sim: SimBus, arm_bus: VirtualBus) -> None:
-    sim.write(5, CONTROL_TABLES["XL430-W250"]["torque_enable"], 1)
+    sim.write(5, X_TABLES["XL430-W250"]["torque_enable"], 1)
     arm_bus.inject(Fault("overload", 5))
     assert sim.read(5, TABLE["hardware_error_status"]) == BusStatus(5, 32, 0, True)
     assert sim.read(5, TORQUE).data == 0
@@ -112,10 +114,10 @@ def test_simbus_reboot_clears_an_overload(sim: SimBus, arm_bus: VirtualBus) -> N
 def test_no_wrong_value_comes_through_a_bad_wire(
     sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig, fault: str
 ) -> None:
-    right = {id: status.data for id, status in sim.sync_read(arm_config.ids, PRESENT).items()}
+    right = {id: status.data for id, status in sim.sync_read(arm_config.servo_ids, PRESENT).items()}
     arm_bus.reseed(5)
     arm_bus.inject(Fault(fault, value=0.2))
-    seen = [sim.sync_read(arm_config.ids, PRESENT) for _ in range(200)]
+    seen = [sim.sync_read(arm_config.servo_ids, PRESENT) for _ in range(200)]
     values = [status.data for read in seen for status in read.values()]
     assert all(s.data in (None, right[id]) for read in seen for id, s in read.items())
     # Three tries at 0.2: 0.8 % stay without a reply; of 1200 that is about 10.

@@ -361,7 +361,7 @@ def test_another_thread_can_ask_and_a_reset_goes_on(arm, stream, smooth, start):
     thread.join()
     with pytest.raises(StopRequestedError, match="\nto go on give the command again; in a program reset"):
         stream(arm, [start] * 3)
-    assert arm.state is ArmState.FAULT and [s.torque for s in arm.virtual_bus.servos] == [True] * 6
+    assert arm.state is ArmState.FAULT and [s.torque for s in arm.bus.virtual_bus.servos] == [True] * 6
     with pytest.raises(StopRequestedError):
         arm.move_to(start)
     arm.reset_fault()

@@ -36,7 +36,7 @@ def make_arm(arm_config, start) -> Iterator[Callable[..., Arm]]:
 
     def make(config: ArmConfig = arm_config, **options: object) -> Arm:
         servos = VirtualBus.from_config(config, RealClock(), start=start)
-        arm = Arm(config, SimBus(servos), virtual_bus=servos, **options)
+        arm = Arm(config, SimBus(servos), **options)
         made.append(arm)
         return arm
 
@@ -46,11 +46,11 @@ def make_arm(arm_config, start) -> Iterator[Callable[..., Arm]]:
 
 
 def torque(arm: Arm) -> list[bool]:
-    return [servo.torque for servo in arm.virtual_bus.servos]
+    return [servo.torque for servo in arm.bus.virtual_bus.servos]
 
 
 def bring_into_fault(arm: Arm, start, id: int = 6) -> None:
-    arm.virtual_bus.servo(id).inject_error("overload")
+    arm.bus.virtual_bus.servo(id).inject_error("overload")
     with pytest.raises(MotorFaultError):
         for _ in range(3):
             arm.send(start, arm.clock.now())
@@ -199,7 +199,7 @@ arm = open_arm(ArmConfig.load(sys.argv[1]), "sim")
 arm.connect()
 arm.enable()
 home = arm.read().q
-arm.virtual_bus.servo(6).inject_error("overload")
+arm.bus.virtual_bus.servo(6).inject_error("overload")
 try:
     for _ in range(3):
         arm.send(home, arm.clock.now())
@@ -213,7 +213,7 @@ except StopRequestedError as error:
 arm.reset_fault()
 arm.enable()
 arm.send(home, arm.clock.now())
-print([int(servo.torque) for servo in arm.virtual_bus.servos], __debug__)
+print([int(servo.torque) for servo in arm.bus.virtual_bus.servos], __debug__)
 """
 
 
@@ -267,10 +267,10 @@ def moving_in_a_thread(arm: Arm, q) -> tuple[threading.Thread, list[BaseExceptio
         except BaseException as error:
             raised.append(error)
 
-    begin = arm.virtual_bus.true_angles(arm.config)[0]
+    begin = arm.bus.virtual_bus.true_angles(arm.config)[0]
     thread = threading.Thread(target=move)
     thread.start()
-    wait_for(lambda: abs(arm.virtual_bus.true_angles(arm.config)[0] - begin) > 0.05)
+    wait_for(lambda: abs(arm.bus.virtual_bus.true_angles(arm.config)[0] - begin) > 0.05)
     return thread, raised
 
 
@@ -287,14 +287,14 @@ def test_close_of_another_thread_ends_a_motion_and_reports_the_truth(
     thread, raised = moving_in_a_thread(arm, start + 1.5)
     arm.close()
     report = arm.exit_report
-    goals = [servo.memory.values["goal_position"] for servo in arm.virtual_bus.servos]
+    goals = [servo.memory.values["goal_position"] for servo in arm.bus.virtual_bus.servos]
     thread.join()
     assert [type(error) for error in raised] == [ArmStateError]
     assert report.ok and report.done == ("hold" if policy == "hold" else "torque_off")
     assert arm.exit_report is report and arm.state is ArmState.DISCONNECTED
     assert torque(arm) == [policy == "hold"] * 6
-    assert [servo.memory.values["goal_position"] for servo in arm.virtual_bus.servos] == goals
-    true = arm.virtual_bus.true_angles(arm.config)
+    assert [servo.memory.values["goal_position"] for servo in arm.bus.virtual_bus.servos] == goals
+    true = arm.bus.virtual_bus.true_angles(arm.config)
     if policy == "park":
         assert report.parked and np.allclose(true, start, atol=0.02)
     else:
@@ -314,7 +314,7 @@ def test_close_while_the_heartbeat_parks_the_arm_finishes_the_parking(
     wait_for(lambda: arm.state is ArmState.MOVING)
     arm.close()
     assert arm.exit_report.ok and arm.exit_report.parked
-    assert np.allclose(arm.virtual_bus.true_angles(arm.config), start, atol=0.02)
+    assert np.allclose(arm.bus.virtual_bus.true_angles(arm.config), start, atol=0.02)
 
 
 def test_close_of_another_thread_during_enable_leaves_no_torque_on(make_arm, arm_config):

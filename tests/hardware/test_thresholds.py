@@ -13,18 +13,21 @@ from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.feedback import LEAST_SAMPLES, SUSTAINED, Thresholds
-from robot_ik.hardware.joint_map import JointMap, StopAt
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Drive, StopAt
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import make_joint
 
 HOT = StopAt(temperature_c=60.0)
 
 
 def watching(config: ArmConfig, stops: dict[int, StopAt]) -> ArmConfig:
-    joints = [dataclasses.replace(joint, stop_at=stops.get(joint.id, StopAt())) for joint in config.joints]
+    joints = [
+        dataclasses.replace(joint, stop_at=stops.get(joint.servo.id, StopAt())) for joint in config.joints
+    ]
     return dataclasses.replace(config, joints=tuple(joints))
 
 
@@ -53,7 +56,7 @@ def test_a_servo_beyond_its_threshold_stops_the_arm_which_holds(
 ):
     with open_arm(watching(arm_config, {id: stop}), "sim", start=start) as arm:
         arm.enable()
-        servo = arm.virtual_bus.servo(id)
+        servo = arm.bus.virtual_bus.servo(id)
         fix(servo, register, within)
         stream(arm, [start] * 200)
         fix(servo, register, beyond)
@@ -63,7 +66,7 @@ def test_a_servo_beyond_its_threshold_stops_the_arm_which_holds(
         assert (caught.value.joint, caught.value.status) == (f"joint{id}", (status,))
         assert SUSTAINED <= arm.clock.now() - begin < SUSTAINED + 0.05
         assert arm.state is ArmState.FAULT
-        assert all(one.torque for one in arm.virtual_bus.servos)  # all hold, this one too
+        assert all(one.torque for one in arm.bus.virtual_bus.servos)  # all hold, this one too
         assert f"servo id {id}" in str(caught.value) and "reset-fault" in str(caught.value)
         fix(servo, register, within)
         arm.reset_fault()
@@ -81,18 +84,18 @@ def test_a_threshold_stops_the_arm_before_the_servo_shuts_down(
     """A motor that presses against something shuts down and lets go; with a threshold the arm is held."""
     with open_arm(watching(arm_config, {1: stop}), "sim", start=start) as arm:
         arm.enable()
-        arm.virtual_bus.servo(1).jammed = True
+        arm.bus.virtual_bus.servo(1).jammed = True
         away = start + np.array([0.2, 0, 0, 0, 0, 0])  # less than what stops the arm by itself
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [away] * 2000)
         assert (caught.value.joint, caught.value.status) == ("joint1", (status,))
-        assert arm.virtual_bus.servo(1).torque is torque
+        assert arm.bus.virtual_bus.servo(1).torque is torque
 
 
 def test_single_peaks_are_no_reason_to_stop(arm_config, stream, start):
     with open_arm(watching(arm_config, {1: HOT, 2: HOT}), "sim", start=start) as arm:
         arm.enable()
-        servo = arm.virtual_bus.servo(1)
+        servo = arm.bus.virtual_bus.servo(1)
         for _ in range(20):
             fix(servo, "present_temperature", 70)
             stream(arm, [start] * int(0.4 / 0.01))
@@ -122,7 +125,7 @@ def test_without_thresholds_nothing_changes_on_the_wire(arm_config, stream, star
         arm.enable()
         stream(arm, [start] * 2)
         assert arm._cycle.feedback.asked() is arm._cycle.feedback.registers
-        assert arm.virtual_bus.servo(1).memory.values["indirect_address_6"] == 229  # factory: itself
+        assert arm.bus.virtual_bus.servo(1).memory.values["indirect_address_6"] == 229  # factory: itself
         sent, received = arm.bus.counters.bytes_sent, arm.bus.counters.bytes_received
         stream(arm, [start])
         assert arm.bus.counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)
@@ -134,7 +137,14 @@ def test_servos_without_indirect_addresses_are_watched_as_well(arm_config, strea
     clock = VirtualClock()
     config = watching(arm_config, {1: HOT, 4: StopAt(load_percent=40.0)})
     servos = [
-        VirtualServo(j.model, j.id, clock, position_ticks=j.to_ticks(q), mode=j.mode, firmware=firmware)
+        VirtualServo(
+            j.servo.model,
+            j.servo.id,
+            clock,
+            position_ticks=j.nearest_ticks(q),
+            mode=j.servo.mode,
+            firmware=firmware,
+        )
         for j, q in zip(config.joints, start, strict=True)
     ]
     with open_arm(config, "sim", virtual_bus=VirtualBus(servos, clock)) as arm:
@@ -155,22 +165,22 @@ def test_torque_that_goes_is_seen_in_the_long_block_too(arm_config, stream, star
     with open_arm(config, "sim", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        arm.virtual_bus.servo(1).reboot()
+        arm.bus.virtual_bus.servo(1).reboot()
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [start])
         assert caught.value.status == ("torque_lost",)
 
 
-def _servo(stop: StopAt) -> JointMap:
-    mode = OperatingMode.POSITION
-    return JointMap("j", 1, "XM430-W350", mode, 1, 2048, 1.0, -1.0, 1.0, 1.0, 1.0, stop_at=stop)
+def _drive(stop: StopAt) -> Drive:
+    joint = make_joint(mode=OperatingMode.POSITION, lower=-1.0, upper=1.0, stop_at=stop)
+    return Drive(joint, joint.servo)
 
 
 @given(
     st.lists(st.tuples(st.floats(0.005, 0.3), st.integers(50, 70)), min_size=1, max_size=60),
 )
 def test_a_fault_comes_after_an_unbroken_run_of_samples_and_no_earlier(samples):
-    watch, now, run, since = Thresholds(_servo(HOT)), 0.0, 0, 0.0
+    watch, now, run, since = Thresholds(_drive(HOT)), 0.0, 0, 0.0
     for dt, celsius in samples:
         now += dt
         fault = watch.take({"present_temperature": celsius}, now)
@@ -184,7 +194,7 @@ def test_a_fault_comes_after_an_unbroken_run_of_samples_and_no_earlier(samples):
 
 
 def test_samples_from_before_a_pause_say_nothing():
-    watch = Thresholds(_servo(HOT))
+    watch = Thresholds(_drive(HOT))
     for now in (0.0, 0.1, 10.0, 10.1):
         assert watch.take({"present_temperature": 70}, now) is None
     assert watch.take({"present_temperature": 70}, 10.6) is not None

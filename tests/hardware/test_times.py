@@ -68,11 +68,14 @@ def _arm(config: ArmConfig, start: Any) -> Arm:
     servos = VirtualBus.from_config(config, clock, start=start)
 
     class WaitingBus(DynamixelBus):
+        real = False
+        virtual_bus = servos
+
         def _make_handler(self) -> WaitingPort:
             return WaitingPort(servos, clock, self.baud, self.counters)
 
     bus = WaitingBus("waiting", config.baud, clock=clock)
-    arm = Arm(config, bus, virtual_bus=servos)
+    arm = Arm(config, bus)
     arm.connect()
     arm.enable()
     return arm
@@ -90,7 +93,9 @@ def _seconds_to_fault(config: ArmConfig, start: Any, *, everyone: bool = False) 
     arm = _arm(config, start)
     _drive(arm, start, 20)
     last = arm.clock.now()
-    arm.virtual_bus.inject(*(Fault("silent", id=id) for id in (config.ids if everyone else config.ids[2:3])))
+    arm.bus.virtual_bus.inject(
+        *(Fault("silent", id=id) for id in (config.servo_ids if everyone else config.servo_ids[2:3]))
+    )
     looked: list[float] = []
     read = arm.bus.read
 
@@ -134,7 +139,7 @@ def test_in_process_silence_is_a_fault_when_the_docs_say(arm: Arm, start: Any) -
     arm.enable()
     _drive(arm, start, 20)
     last = arm.clock.now()
-    arm.virtual_bus.inject(Fault("silent", id=3))
+    arm.bus.virtual_bus.inject(Fault("silent", id=3))
     with pytest.raises(MotorFaultError):
         _drive(arm, start, 100)
     assert arm.clock.now() - last == pytest.approx(said, abs=0.011)  # a cycle is 0.01 s
@@ -145,7 +150,7 @@ def test_a_mute_bus_is_given_up_when_the_docs_say(arm_config: ArmConfig, start: 
     (said,) = _said("safety.md", r"leaving takes at most ([\d.]+) s")
     arm = _arm(dataclasses.replace(arm_config, on_exit=policy), start)
     _drive(arm, start, 20)
-    arm.virtual_bus.inject(*(Fault("silent", id=id) for id in arm_config.ids))
+    arm.bus.virtual_bus.inject(*(Fault("silent", id=id) for id in arm_config.servo_ids))
     begin = arm.clock.now()
     arm.close()
     assert said - 0.2 <= arm.clock.now() - begin <= said

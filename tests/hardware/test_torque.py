@@ -127,7 +127,7 @@ def test_an_arm_of_some_joints_never_writes_to_the_others(arm_config, servos, st
         servo.memory.set("torque_enable", 1)  # another program's
     for id in (5, 6):
         servos.servo(id).memory.set("torque_enable", 0)
-    with Arm(part, bus, virtual_bus=servos, on_exit=policy) as arm:
+    with Arm(part, bus, on_exit=policy) as arm:
         arm.enable()
         arm.move_to(start[4:] + 0.05)
     assert arm.exit_report.ok
@@ -140,7 +140,7 @@ def test_an_arm_of_some_joints_whose_enable_fails_leaves_the_others_alone(arm_co
     for servo in servos.servos[:4]:
         servo.memory.set("torque_enable", 1)
     bus = SpiedBus(servos)
-    arm = Arm(part, bus, virtual_bus=servos)
+    arm = Arm(part, bus)
     arm.connect()
     servos.servo(5).inject_error("overload")
     with pytest.raises(HardwareError):
@@ -246,13 +246,13 @@ def parked_with_signals(arm_config, start, stream, smooth, signals: int) -> Arm:
 def test_one_signal_during_the_parking_lets_it_finish(arm_config, start, stream, smooth):
     arm = parked_with_signals(arm_config, start, stream, smooth, 1)
     assert arm.exit_report.parked and arm.exit_report.ok
-    assert np.allclose(arm.virtual_bus.true_angles(arm_config), start, atol=0.01)
+    assert np.allclose(arm.bus.virtual_bus.true_angles(arm_config), start, atol=0.01)
 
 
 def test_the_second_signal_ends_the_parking(arm_config, start, stream, smooth):
     arm = parked_with_signals(arm_config, start, stream, smooth, 2)
     assert not arm.exit_report.parked and arm.exit_report.ok
-    assert np.abs(arm.virtual_bus.true_angles(arm_config) - start).max() > 0.1
+    assert np.abs(arm.bus.virtual_bus.true_angles(arm_config) - start).max() > 0.1
 
 
 def test_a_signal_in_motion_parks_and_does_not_shorten_it(arm_config, start, stream, smooth):
@@ -261,7 +261,7 @@ def test_a_signal_in_motion_parks_and_does_not_shorten_it(arm_config, start, str
         stream(arm, smooth(start, start + 0.4, 1.0))
         signal.raise_signal(signal.SIGTERM)
     assert arm.exit_report.parked
-    assert np.allclose(arm.virtual_bus.true_angles(arm_config), start, atol=0.01)
+    assert np.allclose(arm.bus.virtual_bus.true_angles(arm_config), start, atol=0.01)
 
 
 # ------------------------------------------------------------------------- (e) the next program
@@ -276,9 +276,9 @@ def test_bus_watchdogs_are_disarmed_with_the_torque_so_that_the_next_goals_are_t
         stream(arm, [start] * 3)
     assert [servo.memory.values["bus_watchdog"] for servo in servos.servos] == [0] * 6
     servos.clock.sleep_until(servos.clock.now() + 5.0)
-    bus = SimBus(servos)
+    bus = SimBus(servos, real=True)
     bus.open()
-    table = arm_config.joints[0].table
+    table = arm_config.joints[0].servo.table
     bus.write(1, table["torque_enable"], 1)
     bus.write(1, table["goal_position"], 2100)  # refused by a watchdog that has tripped
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
 import time
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from robot_ik.errors import HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.watchdogs import Heartbeat
+from robot_ik.hardware.watchdogs import SIGNALS, Heartbeat
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")
@@ -24,8 +25,10 @@ def arm(arm_config, start):
 
 
 def bus_watchdogs(arm):
-    assert all(servo.torque for servo in arm.virtual_bus.servos)  # a servo sees the time when it is looked at
-    return [servo.memory.values["bus_watchdog"] for servo in arm.virtual_bus.servos]
+    assert all(
+        servo.torque for servo in arm.bus.virtual_bus.servos
+    )  # a servo sees the time when it is looked at
+    return [servo.memory.values["bus_watchdog"] for servo in arm.bus.virtual_bus.servos]
 
 
 def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(arm, stream, smooth, start):
@@ -56,7 +59,7 @@ def test_a_program_that_says_nothing_but_nan_is_stale(arm_config, stream, smooth
 def test_a_fault_in_the_meantime_is_raised_by_the_next_command(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 3)
-    arm.virtual_bus.servo(2).inject_error("overheating")
+    arm.bus.virtual_bus.servo(2).inject_error("overheating")
     wait_for(lambda: arm.state is ArmState.FAULT)
     with pytest.raises(MotorFaultError, match=r"joint2.*overheating"):
         arm.send(start, 0.0)
@@ -72,8 +75,8 @@ def test_a_program_that_hangs_is_replaced_by_the_policy_of_the_file(
         arm.enable()
         stream(arm, smooth(start, start + 0.2, 0.4))
         wait_for(lambda: arm.state is ArmState.FAULT)
-        assert not any(servo.torque for servo in arm.virtual_bus.servos)
-        off = np.abs(arm.virtual_bus.true_angles(config) - start).max()
+        assert not any(servo.torque for servo in arm.bus.virtual_bus.servos)
+        off = np.abs(arm.bus.virtual_bus.true_angles(config) - start).max()
         assert off < 0.02 if policy == "park" else off > 0.1
         with pytest.raises(HardwareError, match="no command came"):
             arm.send(start, 0.0)
@@ -86,7 +89,7 @@ def test_an_arm_told_to_hold_holds_for_ever(arm_config, stream, start, monkeypat
         stream(arm, [start] * 3)
         arm.hold()
         time.sleep(0.8)
-        assert arm.state is ArmState.HOLD and all(servo.torque for servo in arm.virtual_bus.servos)
+        assert arm.state is ArmState.HOLD and all(servo.torque for servo in arm.bus.virtual_bus.servos)
 
 
 def test_it_can_be_switched_off(arm_config, stream, start):
@@ -121,3 +124,12 @@ def test_one_that_is_dismissed_can_be_started_at_once():
     beat.start()
     wait_for(lambda: len(looks) >= 2)
     beat.stop()
+
+
+def test_a_host_program_keeps_its_own_signal_handlers(arm_config):
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with open_arm(arm_config, "sim") as arm:
+        arm.enable(handle_signals=False)
+        assert [signal.getsignal(number) for number in SIGNALS] == before
+        arm.send(arm.read().q, arm.clock.now())
+    assert arm.exit_report.ok and arm.exit_report.done == "torque_off"

@@ -32,18 +32,18 @@ def arm_file(tmp_path: Path) -> Path:
     path = tmp_path / "mine.toml"
     config.save(path)
     rows = []
-    for joint in config.whole.joints:
-        first, last = joint.ticks_range
+    for joint in config.joints:
+        first, last = joint.ticks_range()
         row = JointCalibration(
             joint.name,
-            joint.id,
-            joint.model,
+            joint.servo.id,
+            joint.servo.model,
             drive_mode=0,
             homing_offset=0,
             range_min=first,
             range_max=last,
-            direction=joint.direction,
-            zero_ticks=joint.zero_ticks,
+            direction=joint.servo.direction,
+            zero_ticks=joint.servo.zero_ticks,
             urdf_lower=0.5 * math.degrees(joint.lower),
             urdf_upper=0.5 * math.degrees(joint.upper),
         )

@@ -64,8 +64,8 @@ def test_the_motion_is_timed_and_capped(healthy: ReachReport) -> None:
     np.testing.assert_allclose(run.measured[-1], run.commanded[-1], atol=setup.resolution.max())
     assert healthy.counters["cycles"] >= len(run.times) and healthy.counters["timeouts"] == 0
     np.testing.assert_allclose(setup.shown, healthy.q_end, atol=setup.resolution.max())
-    assert setup.arm is not None and setup.arm.virtual_bus is not None
-    assert not any(servo.torque for servo in setup.arm.virtual_bus.servos)  # left without torque
+    assert setup.arm is not None and setup.arm.bus.virtual_bus is not None
+    assert not any(servo.torque for servo in setup.arm.bus.virtual_bus.servos)  # left without torque
 
 
 @pytest.mark.parametrize(("joint", "degrees"), list(zip(JOINTS, [2.0, -2.0] * 3, strict=True)))

@@ -113,8 +113,8 @@ def test_faults_are_for_simulated_servos(bus: str) -> None:
 
 def test_torque_is_on_from_enable_torque_to_the_end_whatever_ends_it() -> None:
     setup = prepare_robot(ReachRequest(bus="sim"))
-    assert setup.arm is not None and setup.arm.virtual_bus is not None
-    servos = setup.arm.virtual_bus.servos
+    assert setup.arm is not None and setup.arm.bus.virtual_bus is not None
+    servos = setup.arm.bus.virtual_bus.servos
     with pytest.raises(RuntimeError), setup.connected():
         assert not any(servo.torque for servo in servos)
         setup.enable_torque()

@@ -50,17 +50,24 @@ def pair(leader: str, follower: str, starts: tuple[Array | None, Array | None]) 
 
 def guide(arm: Arm, q: Array) -> None:
     """A person turns the limp shafts of an arm to q (n,)."""
-    assert arm.virtual_bus is not None
-    here = dict(zip(arm.joints, arm.virtual_bus.true_angles(arm.config), strict=False))
-    for servo in arm.config.servos:
-        if servo.name in arm.joints:
-            way = servo.position(float(q[arm.joints.index(servo.name)])) - servo.position(here[servo.name])
-            arm.virtual_bus.servo(servo.id).rotate_by_hand(way)
+    assert arm.bus.virtual_bus is not None
+    here = dict(zip(arm.joints, arm.bus.virtual_bus.true_angles(arm.config), strict=True))
+    names = arm.joints if len(q) == len(arm.joints) else arm.config.chain.names
+    goal = dict(zip(names, np.asarray(q).tolist(), strict=True))
+    for drive in arm.config.drives:
+        if drive.name in goal:
+            way = drive.position(goal[drive.name]) - drive.position(here[drive.name])
+            arm.bus.virtual_bus.servo(drive.id).rotate_by_hand(way)
+
+
+def chain_q(arm: Arm) -> Array:
+    """The measured joints that carry the tool."""
+    return arm.read().q[[arm.joints.index(name) for name in arm.config.chain.names]]
 
 
 def home(name: str) -> Array:
     robot = load_robot(name)
-    return robot.home[[robot.joints.index(joint) for joint in arm_file(name).names]]
+    return robot.home[[robot.joints.index(joint) for joint in arm_file(name).chain.names]]
 
 
 def each_tick(arm: Arm, tick: Callable[[float], object]) -> Callable[[], bool]:
@@ -96,8 +103,8 @@ def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows(
 
         def noted(command: dict[str, float], now: float) -> None:
             send(command, now)
-            sent.append([command[name] for name in follower.joints])
-            behind.append(np.abs(follower.read().q - sent[-1]).max())
+            sent.append([command[name] for name in follower.config.chain.names])
+            behind.append(np.abs(chain_q(follower) - sent[-1]).max())
 
         monkeypatch.setattr(follower, "send", noted)
         report = teleoperate(operator, follower, seconds=4.0, over=waved(begin, leader))
@@ -105,22 +112,23 @@ def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows(
         q = np.array(sent)
         assert np.abs(q[0] - apart).max() < 1e-3  # engaged where it stands
         steps = np.abs(np.diff(q, axis=0)) * follower.config.rate_hz
-        assert (steps <= follower.config.velocity).all()
+        assert (steps <= follower.config.chain.velocity).all()
         assert np.abs(q[-1] - begin - 0.15).max() < 0.01
-        assert np.abs(follower.read().q - begin - 0.15).max() < 0.02
+        assert np.abs(chain_q(follower) - begin - 0.15).max() < 0.02
         assert leader.state is ArmState.CONNECTED  # nobody gave it torque: no force feedback unless asked
 
 
 def test_hand_to_hand_between_different_arms() -> None:
     begin, other = home("tabletop_puma"), home("wx250s")
     with pair("tabletop_puma", "wx250s", (begin, other)) as (leader, follower):
-        one, two = load_robot("tabletop_puma"), load_robot("wx250s", joints=follower.joints)
+        one, two = load_robot("tabletop_puma"), load_robot("wx250s", joints=follower.config.chain.names)
         operator = LeaderArm(leader, follower.config, "hand", 0.5, 0.0)
         report = teleoperate(operator, follower, seconds=2.5, over=waved(begin, leader))
         assert report.engaged == 1
-        led = one.forward(leader.read().q).position - one.forward(begin).position
+        led = one.forward(chain_q(leader)).position - one.forward(begin).position
         follower_q = np.array([follower.positions()[n] for n in two.joints])
-        start_q = np.array([dict(zip(follower.joints, other, strict=True))[n] for n in two.joints])
+        start = dict(zip(follower.config.chain.names, other, strict=True))
+        start_q = np.array([start[n] for n in two.joints])
         moved = two.forward(follower_q).position - two.forward(start_q).position
         assert np.linalg.norm(led) > 0.03
         assert np.linalg.norm(moved - 0.5 * led) < 0.005
@@ -129,18 +137,18 @@ def test_hand_to_hand_between_different_arms() -> None:
 def test_ranges_are_laid_onto_each_other_and_names_must_agree() -> None:
     koch, puma = arm_file("koch_v11"), arm_file("tabletop_puma")
     same = JointCoupling(koch, koch)
-    angles = {joint.name: 0.3 * sum(joint.limits) for joint in koch.whole.joints}
+    angles = {joint.name: 0.3 * sum(joint.limits) for joint in koch.joints}
     assert same.follower(angles) == pytest.approx(angles) and "gripper" in same.names
-    ends = {joint.name: 9.0 for joint in koch.whole.joints}
-    assert same.follower(ends) == pytest.approx({j.name: j.limits[1] for j in koch.whole.joints})
+    ends = {joint.name: 9.0 for joint in koch.joints}
+    assert same.follower(ends) == pytest.approx({j.name: j.limits[1] for j in koch.joints})
     assert same.leader(same.follower(angles)) == pytest.approx(angles)
     with pytest.raises(ConfigError, match="--by hand"):
         JointCoupling(koch, puma)
 
 
 def silence(arm: Arm, on: bool) -> None:
-    assert arm.virtual_bus is not None
-    for servo in arm.virtual_bus.servos:
+    assert arm.bus.virtual_bus is not None
+    for servo in arm.bus.virtual_bus.servos:
         servo.silent = on
 
 
@@ -169,7 +177,7 @@ def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
         report = teleoperate(operator, follower, seconds=3.0, over=each_tick(follower, tick))
         assert report.lost == 1 and report.engaged == 2
         assert ArmState.HOLD in states
-        assert np.abs(follower.read().q - begin - 0.2).max() < 0.02
+        assert np.abs(chain_q(follower) - begin - 0.2).max() < 0.02
 
 
 def test_a_leader_that_stays_away_ends_it_and_the_follower_holds() -> None:
@@ -211,7 +219,7 @@ def keyed(text: str, hand: bool, seconds: float = 1.5) -> tuple[Array, Array, Ar
     keys = KeyboardJog(follower.config, lambda: waiting.pop(0) if waiting else "", hand=hand)
     with follower:
         teleoperate(keys, follower, seconds=seconds, over=lambda: keys.over)
-        return begin, follower.read().q, follower
+        return begin, chain_q(follower), follower
 
 
 def test_keys_jog_joints_within_their_limits() -> None:

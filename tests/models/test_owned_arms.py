@@ -179,8 +179,8 @@ def test_the_tool_looks_along_the_approach_and_the_fingers_open_along_y(arm: Own
     fingers = rik.load_robot(arm.name, joints="gripper")
     names = [n for n in ("left_finger_link", "finger_link1", "gripper_moving_finger") if n in fingers.frames]
     data, wide = (arm.posed(np.zeros(arm.robot.nq)) for _ in range(2))
-    joint = arm.config.auxiliary[0]
-    low, high = sorted(joint.limits, key=lambda end: abs(end - joint.to_radians(2048)))
+    joint = arm.config.group("gripper")[0]
+    low, high = sorted(joint.limits, key=lambda end: abs(end - joint.value(2048)))
     for d, q in ((data, low), (wide, high)):
         d.joint(joint.name).qpos[:] = q
         mujoco.mj_forward(arm.model, d)
@@ -192,7 +192,7 @@ def test_the_tool_looks_along_the_approach_and_the_fingers_open_along_y(arm: Own
 
 def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     table = {name: ends for name, _, _, ends in arm.chain if ends is not None}
-    robot, config = arm.robot, arm.config
+    robot, config = arm.robot, arm.config.chain
     assert tuple(table) == robot.joints == config.names
     spans = np.radians(list(table.values()))
     np.testing.assert_allclose(np.stack([robot.lower, robot.upper], axis=1), spans, atol=2e-6)
@@ -202,28 +202,26 @@ def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     assert np.all(config.velocity >= robot.velocity_limits)
     assert np.all(config.acceleration >= robot.acceleration_limits)
     for joint in config.joints:
-        servos = 1 if joint.twin is None else 2
-        motor = joint.table.motor
+        servos = len(joint.servos)
+        motor = joint.servo.table.motor
         assert arm.model.actuator(joint.name).forcerange[1] == pytest.approx(servos * motor.stall_torque)
         assert joint.velocity <= 0.5 * motor.no_load_speed, joint.name
 
 
 def test_the_servos_of_the_readme_are_those_of_the_arm_file(arm: OwnedArm) -> None:
     rows = {row[0]: row[1:3] for row in arm.rows("| joint | id | servo |")}
-    assert list(rows) == [joint.name for joint in arm.config.whole.joints]
-    for joint in arm.config.whole.joints:
+    assert list(rows) == [joint.name for joint in arm.config.joints]
+    for joint in arm.config.joints:
         ids, model = rows[joint.name]
         reported = [int(number) for number in re.findall(r"\d+", ids)]
-        assert (reported, model) == ([servo.id for servo in joint.servos], joint.model)
+        assert (reported, model) == ([servo.id for servo in joint.servos], joint.servo.model)
 
 
 @pytest.mark.parametrize("name", SIX)
 def test_drive_modes_of_the_readme_are_those_of_the_arm_file(name: str) -> None:
-    for joint, row in zip(
-        ARMS[name].config.whole.joints, ARMS[name].rows("| joint | id | servo |"), strict=True
-    ):
+    for joint, row in zip(ARMS[name].config.joints, ARMS[name].rows("| joint | id | servo |"), strict=True):
         bits = [bool(int(number)) for number in re.findall(r"\d+", row[3])]
-        assert bits == [joint.reverse] + ([] if joint.twin is None else [joint.twin.reverse])
+        assert bits == [servo.reverse for servo in joint.servos]
 
 
 def test_masses_are_those_of_the_readme_and_inertias_those_of_bodies(arm: OwnedArm) -> None:
@@ -267,7 +265,7 @@ def test_its_own_actuators_hold_the_home_pose(arm: OwnedArm) -> None:
 @pytest.mark.parametrize("name", ["omx_f", "vx300s", "wx250s"])
 def test_the_second_finger_follows_the_first_the_other_way_round(name: str) -> None:
     fingers = rik.load_robot(name, joints="gripper")
-    low, high = ARMS[name].config.auxiliary[0].limits
+    low, high = ARMS[name].config.group("gripper")[0].limits
     wanted = 0.25 * low + 0.75 * high
     np.testing.assert_allclose(fingers.apply_couplings([wanted, 0.0]), [wanted, -wanted])
 

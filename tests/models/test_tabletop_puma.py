@@ -113,7 +113,7 @@ def test_lengths_are_the_pumas_scaled() -> None:
 
 def test_limits_are_those_of_the_readme_and_of_the_arm_file() -> None:
     ranges = np.radians([row[3:] for row in dh_table()])
-    assert robot().joints == JOINTS == arm().names and arm().ids == (1, 2, 3, 4, 5, 6)
+    assert robot().joints == JOINTS == arm().names and arm().servo_ids == (1, 2, 3, 4, 5, 6)
     np.testing.assert_allclose(np.stack([robot().lower, robot().upper], axis=1), ranges, atol=1e-12)
     np.testing.assert_allclose(np.stack([arm().lower, arm().upper], axis=1), ranges, atol=1e-12)
     for joint in arm().joints:  # inside one turn of the servo, with room for a wrong zero
@@ -130,12 +130,12 @@ def test_masses_are_those_of_the_readme_and_servos_weigh_what_the_maker_says() -
     inertia = model.body_inertia[model.body_mass > 0]
     assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) > 2 * inertia.max(axis=1))
     for joint in arm().joints:
-        body = model.body(model.geom(f"servo{joint.id}").bodyid[0])
-        assert body.mass[0] > SERVO_MASS[joint.model]
-        table = next(row for row in rows("| servo | mass") if row[0] == joint.model)
-        assert float(table[1]) / 1000 == SERVO_MASS[joint.model]
+        body = model.body(model.geom(f"servo{joint.servo.id}").bodyid[0])
+        assert body.mass[0] > SERVO_MASS[joint.servo.model]
+        table = next(row for row in rows("| servo | mass") if row[0] == joint.servo.model)
+        assert float(table[1]) / 1000 == SERVO_MASS[joint.servo.model]
         size = sorted(float(edge) for edge in re.findall(r"[\d.]+", table[2]))
-        assert sorted(2000 * model.geom(f"servo{joint.id}").size) == pytest.approx(size)
+        assert sorted(2000 * model.geom(f"servo{joint.servo.id}").size) == pytest.approx(size)
 
 
 def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
@@ -146,15 +146,15 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
     }
     for joint, speed in zip(arm().joints, robot().velocity_limits, strict=True):
         servo, ratio, free, used = reported[joint.name.removeprefix("joint")]
-        assert (joint.model, joint.ratio) == (servo, ratio)
+        assert (joint.servo.model, joint.gear.ratio) == (servo, ratio)
         assert math.degrees(speed) == pytest.approx(used)
-        assert math.degrees(joint.table.motor.no_load_speed) / ratio == pytest.approx(free, abs=0.6)
+        assert math.degrees(joint.servo.table.motor.no_load_speed) / ratio == pytest.approx(free, abs=0.6)
         assert used <= free / 2
         row = next(row for row in rows("| servo | mass") if row[0] == servo)
-        assert float(row[3].split()[0]) == joint.table.motor.stall_torque
-        assert float(row[4].split()[0]) == joint.table.motor.no_load_rpm
+        assert float(row[3].split()[0]) == joint.servo.table.motor.stall_torque
+        assert float(row[4].split()[0]) == joint.servo.table.motor.no_load_rpm
         force = load().actuator(joint.name).forcerange[1]
-        assert force == pytest.approx(joint.table.motor.stall_torque * ratio)
+        assert force == pytest.approx(joint.servo.table.motor.stall_torque * ratio)
         assert joint.velocity >= speed
     assert np.all(arm().acceleration >= robot().acceleration_limits)
 

@@ -1,4 +1,4 @@
-"""Other people's Dynamixel clients, unmodified, on the virtual bus: `make strangers`.
+"""Other people's servo clients, unmodified, on the virtual bus: `make strangers`.
 
 Each runs in its own process with its own interpreter (.venv-strangers), against a port served by
 ``robot-ik sim-bus``.  A client that could not be installed is skipped, with pip's reason.
@@ -50,7 +50,7 @@ def serve(tmp_path: Path) -> Serve:
     ) -> Iterator[Path]:
         arm, link = tmp_path / "arm.toml", tmp_path / "port"
         joints = [_JOINT.format(id=k, model=m, mode=mode) for k, m in enumerate(models, 1)]
-        head = f'schema = 1\nname = "strangers"\nrobot = "none"\n[bus]\nbaud = {baud}\n'
+        head = f'schema = 1\nname = "strangers"\nrobot = "none"\n[bus]\nbaud = {baud}\nwatchdog_ms = 0\n'
         arm.write_text(head + "".join(joints))
         command = [sys.executable, "-m", "robot_ik", "sim-bus", "--arm", str(arm), "--link", str(link)]
         if faults:
@@ -71,7 +71,15 @@ def serve(tmp_path: Path) -> Serve:
 def run(client: str, *arguments: object) -> str:
     """Runs a client; its package may be missing, its checks may not fail."""
     missing = (PYTHON.parents[1] / "missing.txt").read_text()
-    package = {"sdk": "dynamixel-sdk", "lerobot_bus": "lerobot", "lerobot_setup": "lerobot"}
+    package = {
+        "sdk": "dynamixel-sdk",
+        "feetech_sdk": "feetech-servo-sdk",
+        "rustypot_sts_client": "rustypot",
+        "lerobot_bus": "lerobot",
+        "lerobot_setup": "lerobot",
+        "lerobot_feetech": "lerobot",
+        "lerobot_feetech_setup": "lerobot",
+    }
     name = package.get(client, client.removesuffix("_client").replace("_", "-"))
     for line in missing.splitlines():
         if line.startswith(name):
@@ -115,3 +123,32 @@ def test_lerobot_calibrates_and_drives(serve: Serve) -> None:
     models = ["XL430-W250", "XL430-W250", "XL330-M288", "XL330-M288", "XL330-M288", "XL330-M288"]
     with serve(models, faults="schema = 1\n" + "".join(turns), mode="extended_position") as link:
         assert "good" in run("lerobot_bus", link)
+
+
+def hand_turns() -> str:
+    """Return a file of faults: a hand turns every joint there and back for 20 s."""
+    ways = (60.0, -120.0, 60.0)
+    turns = []
+    for k in range(200):
+        turns.append(f'[[faults]]\nkind = "turn"\nvalue = {ways[k % 3]}\nat_s = {0.1 * k:.2f}\n')
+    return "schema = 1\n" + "".join(turns)
+
+
+def test_feetech_sdk(serve: Serve) -> None:
+    with serve(["STS3215"] * 3, "--match-baud") as link:
+        assert "good" in run("feetech_sdk", link)
+
+
+def test_rustypot_with_feetech_servos(serve: Serve) -> None:
+    with serve(["STS3215"] * 3, "--match-baud") as link:
+        assert "good" in run("rustypot_sts_client", link)
+
+
+def test_lerobot_sets_a_fresh_feetech_motor_up(serve: Serve) -> None:
+    with serve(["STS3215"], "--match-baud") as link:
+        assert "good" in run("lerobot_feetech_setup", link)
+
+
+def test_lerobot_calibrates_and_drives_feetech_motors(serve: Serve) -> None:
+    with serve(["STS3215"] * 6, faults=hand_turns()) as link:
+        assert "good" in run("lerobot_feetech", link)

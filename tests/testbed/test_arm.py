@@ -160,8 +160,8 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
     until(session, lambda v: link.recording and v.arm and v.arm.recorded > 0.1, "nothing was recorded")
     assert begin is not None and shown is not None and link.recording is not None
     assert np.abs(link.recording.q[-1] - shown).max() < 0.03  # so far it may still have been from its goal
-    for servo in link._arm.config.servos:  # somewhere else meanwhile
-        link._arm.virtual_bus.servo(servo.id).rotate_by_hand(100.0)  # type: ignore[union-attr]
+    for servo in link._arm.config.drives:  # somewhere else meanwhile
+        link._arm.bus.virtual_bus.servo(servo.id).rotate_by_hand(100.0)  # type: ignore[union-attr]
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
     until(session, lambda v: v.arm and v.arm.mode == "hold", "it does not end")
@@ -169,7 +169,7 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
 
 
 def test_stop_ends_a_replay(session: Session, link: ArmLink) -> None:
-    shown = Trajectory([0.0, 5.0], 0.1 * np.ones((2, 6)), link._arm.joints)
+    shown = Trajectory([0.0, 5.0], 0.1 * np.ones((2, 6)), link._opened.robot.joints)
     link.recording = shown
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")

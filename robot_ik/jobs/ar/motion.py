@@ -14,14 +14,14 @@ from robot_ik.config import read_text, read_toml
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal
-from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.inverse_kinematics import solve
-from robot_ik.jobs.robot_setup import check_calibrated_model, robot_named_in
+from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
 from robot_ik.robot import Robot
+from robot_ik.robot_arm import open_robot
 
 # ------------------------------------------------------------------------------------------
 # A script's motion for the drawn robot: the script runs on simulated servos, their shafts are kept.
@@ -204,10 +204,9 @@ def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.E
 def _live_arm(path: Path, bus: str, robot: Robot, stack: contextlib.ExitStack) -> JointSource:
     """A connected arm, whose servos get no torque: it is only looked at."""
     config = ArmConfig.load(path)
-    if tuple(joint.name for joint in config.joints) != tuple(robot.joints):
+    if set(config.chain.names) != set(robot.joints):
         raise ConfigError(
-            f"is of an arm with the joints {', '.join(joint.name for joint in config.joints)}",
+            f"is of an arm with the joints {', '.join(config.chain.names)}",
             file=path, allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
         )  # fmt: skip
-    check_calibrated_model(robot, config)
-    return stack.enter_context(open_arm(config, bus))
+    return stack.enter_context(open_robot(robot, config, bus))

@@ -110,7 +110,7 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
     """
     if request.camera != "synthetic":
         return _real(request, setup, stack)
-    if setup.arm is not None and setup.arm.virtual_bus is None:
+    if setup.has_real_servos:
         raise ConfigError(
             "the synthetic camera cannot see real servos",
             file="command line", key="--camera", allowed="a camera's index, file or URL",
@@ -371,7 +371,7 @@ def visit_stations(
             progress(f"view {number + 1} of {count}", (number + min(1.0, tick.index / ticks)) / count)
 
         settle = 0.0 if setup.arm is None else _SETTLE_SECONDS
-        execute(trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show, settle=settle)
+        execute(trajectory, setup.sinks, source=setup.opened, clock=setup.clock, on_tick=show, settle=settle)
         before, still = _come_to_rest(setup)
         frame = scene.take()
         q = 0.5 * (before + setup.q)  # where the servos say that it is, before and after the picture

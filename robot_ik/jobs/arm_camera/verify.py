@@ -188,8 +188,8 @@ class VerifyReport(ArmCameraReport):
         """Servo -> zero of the arm file as it is, and as it should be, ticks; of those that are to change."""
         if self.config is None:
             return {}
-        pairs = zip(self.config.servos, zeros_moved(self.config, self.offsets()).servos, strict=True)
-        zeros = {was.name: (was.zero_ticks, new.zero_ticks) for was, new in pairs}
+        pairs = zip(self.config.drives, zeros_moved(self.config, self.offsets()).drives, strict=True)
+        zeros = {was.name: (was.servo.zero_ticks, new.servo.zero_ticks) for was, new in pairs}
         return {name: both for name, both in zeros.items() if both[0] != both[1]}
 
     def offsets(self) -> dict[str, float]:

@@ -11,6 +11,7 @@ import numpy as np
 from robot_ik import errors
 from robot_ik.errors import RobotIkError, distinct_texts
 from robot_ik.execution import START_TOLERANCE, execute
+from robot_ik.hardware import virtual_servos
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import Trajectory
 
@@ -99,20 +100,19 @@ class RunState:
     @property
     def simulated(self) -> bool:
         """Whether its servos are; else they are behind a real port."""
-        return self.arm.virtual_bus is not None
+        return not self.arm.bus.real
 
     @property
     def servos(self) -> VirtualBus:
         """The simulated servos; no step that wants them runs on a real port."""
-        if self.arm.virtual_bus is None:
+        servos = virtual_servos(self.arm.bus)
+        if servos is None:
             raise RuntimeError("this step needs simulated servos")
-        return self.arm.virtual_bus
+        return servos
 
     @property
     def config(self) -> ArmConfig:
-        if self.setup.config is None:
-            raise RuntimeError("a script runs with an arm file")
-        return self.setup.config
+        return self.arm.config
 
     def now(self) -> float:
         """Seconds since the run began."""
@@ -123,7 +123,7 @@ class RunState:
 
         From the last command, so that ticks of the servos and the time they take change no plan.
         """
-        measured, commanded = self.arm.read().q, self.setup.commanded
+        measured, commanded = self.setup.q, self.setup.commanded
         near = np.abs(measured - commanded).max() <= START_TOLERANCE
         return (commanded if near else measured).copy()
 
@@ -150,6 +150,8 @@ class RunState:
             if self.setup.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
                 raise StepFailed(f"not there after {allowed:.2f} s")
 
-        execute(trajectory, self.setup.sinks, source=self.arm, clock=self.setup.clock, on_tick=in_time)
+        execute(
+            trajectory, self.setup.sinks, source=self.setup.opened, clock=self.setup.clock, on_tick=in_time
+        )
         if not arrived():
             self.setup.repeat(end - self.setup.clock.now(), arrived)

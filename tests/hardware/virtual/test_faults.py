@@ -10,14 +10,14 @@ import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault, joint_offset, make_fault
 from robot_ik.hardware.virtual.protocol import Instruction, build
 from robot_ik.ports import VirtualClock
 
-PRESENT = CONTROL_TABLES["XM430-W350"]["present_position"]
+PRESENT = X_TABLES["XM430-W350"]["present_position"]
 
 
 def test_zero_offset_is_seen_by_nobody_on_the_bus(make_bench: Callable[..., Any]) -> None:
@@ -51,11 +51,11 @@ def test_from_config_stands_at_the_start(arm_config: ArmConfig, clock: VirtualCl
     start = np.array([0.3, -0.2, 0.1, 1.0, -1.0, 0.5])
     bus = VirtualBus.from_config(arm_config, clock, start)
     for joint, q, servo in zip(arm_config.joints, start, bus.servos, strict=True):
-        assert servo.id == joint.id and servo.table.model == joint.model
-        assert servo.memory.values["operating_mode"] == joint.mode
+        assert servo.id == joint.servo.id and servo.table.model == joint.servo.model
+        assert servo.memory.values["operating_mode"] == joint.servo.mode
         assert servo.baud == arm_config.baud
         assert not servo.torque
-        assert servo.shaft.reading == joint.to_ticks(q)
+        assert servo.shaft.reading == joint.nearest_ticks(q)
     assert np.abs(bus.true_angles(arm_config) - start).max() <= arm_config.resolution.max() / 2
     with pytest.raises(ConfigError):
         VirtualBus.from_config(arm_config, clock, [0.0])
@@ -66,12 +66,12 @@ def test_from_config_stands_at_the_start(arm_config: ArmConfig, clock: VirtualCl
 def test_zero_offset_by_joint_moves_the_truth_only(
     arm_config: ArmConfig, arm_bus: VirtualBus, sim: SimBus
 ) -> None:
-    before = sim.sync_read(arm_config.ids, PRESENT)
+    before = sim.sync_read(arm_config.servo_ids, PRESENT)
     honest = arm_bus.true_angles(arm_config)
     # joint2 is reversed, joint3 is geared: the offset is one of the joint all the same
     offsets = {"joint2": 2.0, "joint3": -1.0}
     arm_bus.inject(*(joint_offset(arm_config.joint(name), degrees) for name, degrees in offsets.items()))
-    assert sim.sync_read(arm_config.ids, PRESENT) == before
+    assert sim.sync_read(arm_config.servo_ids, PRESENT) == before
     moved = np.degrees(arm_bus.true_angles(arm_config) - honest)
     assert moved == pytest.approx([0, 2, -1, 0, 0, 0], abs=1e-9)
     arm_bus.clear()
@@ -92,7 +92,7 @@ def test_faults_name_what_exists(arm_config: ArmConfig, arm_bus: VirtualBus) -> 
 
 
 def test_a_fault_names_its_servo_by_id_or_joint(arm_config: ArmConfig, arm_bus: VirtualBus) -> None:
-    arm_bus.inject(Fault("silent", joint="joint2"), Fault("silent", arm_config.joint("joint4").id))
+    arm_bus.inject(Fault("silent", joint="joint2"), Fault("silent", arm_config.joint("joint4").servo.id))
     assert [servo.id for servo in arm_bus.servos if servo.silent] == [2, 4]
 
 

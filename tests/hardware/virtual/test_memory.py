@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode, Register
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import OperatingMode, Register
 from robot_ik.hardware.virtual.protocol import ErrorCode
 
 EXTENDED = OperatingMode.EXTENDED_POSITION
@@ -22,7 +23,7 @@ def fits(register: Register, value: int) -> bool:
     return True
 
 
-@pytest.mark.parametrize("model", CONTROL_TABLES)
+@pytest.mark.parametrize("model", X_TABLES)
 def test_every_register_starts_as_the_manual_says(model: str, make_bench: Callable[..., Any]) -> None:
     bench = make_bench(model)
     own = {"id", "baud_rate", "operating_mode"}
@@ -32,7 +33,7 @@ def test_every_register_starts_as_the_manual_says(model: str, make_bench: Callab
     assert bench.read("goal_position") == bench.read("present_position") == 2048
 
 
-@pytest.mark.parametrize("model", CONTROL_TABLES)
+@pytest.mark.parametrize("model", X_TABLES)
 def test_every_register_keeps_its_range_and_access(model: str, make_bench: Callable[..., Any]) -> None:
     bench = make_bench(model)
     for register in bench.servo.table:
@@ -101,7 +102,7 @@ def test_reads_of_nothing_are_refused(address: int, length: int, make_bench: Cal
     assert data == b"" and error != ErrorCode.NONE
 
 
-@pytest.mark.parametrize("model", CONTROL_TABLES)
+@pytest.mark.parametrize("model", X_TABLES)
 def test_indirect_data_are_other_registers(model: str, make_bench: Callable[..., Any]) -> None:
     bench = make_bench(model)
     present, goal = bench.servo.table["present_position"], bench.servo.table["goal_position"]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.memory import Memory
 from robot_ik.hardware.virtual.protocol import ErrorCode, Instruction, build, build_status
@@ -100,12 +100,12 @@ def test_old_firmware_knows_no_backup_and_no_fast_read() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(
-    model=st.sampled_from(sorted(CONTROL_TABLES)),
+    model=st.sampled_from(sorted(X_TABLES)),
     writes=st.lists(st.tuples(st.integers(0, 670), st.binary(max_size=8)), max_size=25),
 )
 def test_memory_is_bytes_with_rules(model: str, writes: list[tuple[int, bytes]]) -> None:
     """Against a plain array of bytes: what was accepted is there, what was refused changed nothing."""
-    table = CONTROL_TABLES[model]
+    table = X_TABLES[model]
     memory = Memory(table)
     plain = {r.name: r.initial or 0 for r in table}
     for address, data in writes:

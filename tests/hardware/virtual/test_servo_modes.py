@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.virtual.motor import Load
 from robot_ik.hardware.virtual.protocol import ErrorCode
 
@@ -59,7 +60,7 @@ def test_the_xc330_measures_at_its_supply(make_bench: Make) -> None:
     """Less than what flows through the motor, which gets only a share of the supply voltage."""
     found = {}
     for model in ("XC330-M288", "XL330-M288"):
-        motor = CONTROL_TABLES[model].motor
+        motor = X_TABLES[model].motor
         bench = make_bench(model, load=Load(gravity=0.5 * motor.stall_torque))
         bench.set(torque_enable=1)
         found[model] = bench.read("present_current") / (1000.0 * motor.stall_current)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.virtual.motor import ProfileKind
 
 EXTENDED = OperatingMode.EXTENDED_POSITION

@@ -8,14 +8,14 @@ import pytest
 
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.ports import VirtualClock
 
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 
 
 @pytest.mark.soak
@@ -28,7 +28,7 @@ def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     sim = SimBus(bus)
     sim.open()
     while not all(servo.torque for servo in bus.servos):
-        for id in config.ids:
+        for id in config.servo_ids:
             try:
                 sim.write(id, TABLE["torque_enable"], 1)
             except HardwareError:
@@ -37,8 +37,8 @@ def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     tracemalloc.start()
     for k in range(60_000):
         clock.sleep_until(0.01 * k)
-        sim.sync_write(TABLE["goal_position"], dict.fromkeys(config.ids, 2048 + k % 200))
-        for id, status in sim.sync_read(config.ids, TABLE["present_position"]).items():
+        sim.sync_write(TABLE["goal_position"], dict.fromkeys(config.servo_ids, 2048 + k % 200))
+        for id, status in sim.sync_read(config.servo_ids, TABLE["present_position"]).items():
             missing += status.data is None
             assert status.data in (None, round(bus.servo(id).shaft.reading))
         if k % 10_000 == 9_999:

@@ -12,15 +12,17 @@ import pytest
 from robot_ik.errors import UnknownJointError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import CONTROL_TABLES, OperatingMode
-from robot_ik.hardware.joint_map import Twin
+from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.registers import OperatingMode
+from robot_ik.hardware.servo import Direct
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.world import World
 from robot_ik.ports import VirtualClock
+from tests.hardware.joints import Twin, with_servo, with_twin
 
-TABLE = CONTROL_TABLES["XM430-W350"]
+TABLE = X_TABLES["XM430-W350"]
 NM_PER_COUNT = 2.69e-3 * 4.1 / 2.3
 
 # Two levers in a vertical plane; q = 0 is level, positive lifts.
@@ -55,8 +57,8 @@ class Rig:
         self, mass: float = 0.3, start: tuple[float, float] = (0.0, 0.0), twin: Twin | None = None
     ) -> None:
         plain = ArmConfig.generic("levers", ["shoulder", "elbow"], [-3, -3], [3, 3])
-        elbow = dataclasses.replace(plain.joints[1], direction=-1, ratio=2.0)
-        shoulder = dataclasses.replace(plain.joints[0], twin=twin)
+        elbow = dataclasses.replace(with_servo(plain.joints[1], direction=-1), gear=Direct(2.0))
+        shoulder = with_twin(plain.joints[0], twin)
         self.config = dataclasses.replace(plain, joints=(shoulder, elbow))
         self.model = mujoco.MjModel.from_xml_string(ARM.format(mass=mass))
         self.clock = VirtualClock()
@@ -64,7 +66,7 @@ class Rig:
         if twin is not None and twin.shadow:  # mounted the other way round, and the file says so
             self.bus.servo(twin.id).memory.set("secondary_id", 1)
             self.bus.servo(twin.id).memory.set("drive_mode", 1)
-            self.bus.servo(twin.id).shaft.rotate_by(-2 * (shoulder.to_ticks(start[0])))
+            self.bus.servo(twin.id).shaft.rotate_by(-2 * (shoulder.nearest_ticks(start[0])))
         self.world = World(self.model, self.config, self.bus)
         self.sim = SimBus(self.bus)
         self.sim.open()
@@ -73,11 +75,11 @@ class Rig:
         self.clock.sleep_until(self.clock.now() + seconds)
 
     def write(self, name: str, value: int, *ids: int) -> None:
-        for id in ids or self.config.ids:
+        for id in ids or self.config.servo_ids:
             self.sim.write(id, TABLE[name], value)
 
     def read(self, name: str) -> list[int]:
-        return [self.sim.read(id, TABLE[name]).data or 0 for id in self.config.ids]
+        return [self.sim.read(id, TABLE[name]).data or 0 for id in self.config.servo_ids]
 
     def q(self) -> np.ndarray:
         self.bus.advance()
@@ -110,12 +112,12 @@ def test_a_move_arrives_and_both_sides_agree(rig: Callable[..., Rig]) -> None:
     it.write("torque_enable", 1)
     wanted = np.array([0.5, -0.7])
     for joint, angle in zip(it.config.joints, wanted, strict=True):
-        it.write("goal_position", joint.to_ticks(float(angle)), joint.id)
+        it.write("goal_position", joint.nearest_ticks(float(angle)), joint.servo.id)
     it.wait(0.3)
     assert it.read("moving") == [1, 1]
     it.wait(3.0)
     assert it.q() == pytest.approx(wanted, abs=0.02)
-    measured = [j.to_radians(t) for j, t in zip(it.config.joints, it.read("present_position"), strict=True)]
+    measured = [j.value(t) for j, t in zip(it.config.joints, it.read("present_position"), strict=True)]
     assert measured == pytest.approx(it.q(), abs=0.002)
 
 
@@ -254,6 +256,6 @@ def test_two_servos_move_their_joint_as_one(rig: Callable[..., Rig]) -> None:
             arm.clock.sleep_until(arm.clock.now() + 0.01)
             arm.send(begin + min(1.0, k / 80) * (np.array([0.2, 0.0]) - begin), arm.clock.now())
         assert arm.read().q[0] == pytest.approx(0.2, abs=0.03)
-        first, second = it.config.servos[0], it.config.servos[2]
-        shown = [s.to_radians(it.bus.servo(s.id).shaft.reading) for s in (first, second)]
+        first, second = it.config.drives[0], it.config.drives[2]
+        shown = [s.value(it.bus.servo(s.id).shaft.reading) for s in (first, second)]
         assert shown[0] == pytest.approx(shown[1], abs=1e-6) == pytest.approx(it.q()[0], abs=1e-6)

@@ -99,9 +99,9 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
     assert report.better and not report.samples.by_arm and report.unsure == ()
     # With the new zeros the servos' registers mean the joints' true angles, to a tick.
     now = zeros_moved(report.config, report.offsets())
-    said = np.array([joint.to_radians(joint.to_ticks(0.3)) for joint in report.config.joints])
-    ticks = [joint.to_ticks(0.3) for joint in report.config.joints]
-    corrected = np.array([joint.to_radians(t) for joint, t in zip(now.joints, ticks, strict=True)])
+    said = np.array([joint.value(joint.nearest_ticks(0.3)) for joint in report.config.joints])
+    ticks = [joint.nearest_ticks(0.3) for joint in report.config.joints]
+    corrected = np.array([joint.value(t) for joint, t in zip(now.joints, ticks, strict=True)])
     np.testing.assert_allclose(corrected - said, truth, atol=np.deg2rad(0.15))
     assert isinstance(now, ArmConfig)
 

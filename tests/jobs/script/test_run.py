@@ -257,7 +257,8 @@ def test_the_same_script_in_process_and_on_a_wire(
 
     def spied(self: SafetyLimiter, state: object, command: object, dt: float) -> object:
         made = step(self, state, command, dt)  # type: ignore[arg-type]
-        ticks.setdefault(np.asarray(command)[:6].tobytes(), (made[1], bool(made[2])))  # but the finger
+        commanded = np.asarray(command)[:6].tobytes()  # without the finger
+        ticks.setdefault(commanded, (np.array(made[0].q), bool(made[1])))
         return made
 
     monkeypatch.setattr(SafetyLimiter, "step", spied)

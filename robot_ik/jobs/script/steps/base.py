@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Field
 from robot_ik.config import KeyProblem, Pair, Positive, Table, Word
 from robot_ik.errors import distinct_texts
 from robot_ik.hardware import SIMULATED
-from robot_ik.hardware.joint_map import GRIPPER, JointMap
+from robot_ik.hardware.servo import GRIPPER, Joint
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult, error_classes
 from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
@@ -252,7 +252,7 @@ def gripper_joints(robot: Robot) -> list[str]:
     return [name for name in robot.file.groups.get(GRIPPER, ()) if name in robot.joints]
 
 
-def fingers_on(robot: Robot, joint: JointMap) -> int:
+def fingers_on(robot: Robot, joint: Joint) -> int:
     """How many fingers one servo moves: its own, and those that a coupling of the model makes follow it."""
     model = robot.model
     leader = next((k for k in range(model.njnt) if model.joint(k).name == joint.name), -1)
@@ -266,13 +266,13 @@ def width_mm(now: RunState) -> float:
     return sum(1e3 * at[joint.name] * fingers_on(now.robot, joint) for joint in joints)
 
 
-def current_for(joint: JointMap, newtons: float, fingers: int) -> float:
+def current_for(joint: Joint, newtons: float, fingers: int) -> float:
     """mA with which each finger presses so hard, friction not counted; at most ``current_ma``.
 
     Where a horn is near a dead centre a torque presses harder: nowhere harder than asked.
     """
-    torque = newtons * fingers * joint.levers[0] / joint.ratio
-    wanted = 1e3 * torque / joint.table.motor.torque_per_ampere
+    torque = newtons * fingers * joint.levers[0]
+    wanted = 1e3 * torque / joint.servo.table.motor.torque_per_ampere
     return wanted if joint.current is None else min(wanted, joint.current)
 
 

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from robot_ik.config import Word
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.joint_map import ServoId
+from robot_ik.hardware.servo import ServoId
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep

@@ -110,7 +110,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
         jointwise = any(key is not None for key in (self.joints_deg, self.joints_mm, self.keyframe))
         if not placed and not jointwise:
             return
-        q = now.setup.true_q() if self.shafts else now.arm.read().q
+        q = now.setup.true_q() if self.shafts else now.setup.q
         if placed:
             yield from self._pose(now.robot, q)
         if jointwise:

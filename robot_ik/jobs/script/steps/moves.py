@@ -15,7 +15,7 @@ from robot_ik.errors import distinct_texts
 from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.hardware.joint_map import GRIPPER, JointMap
+from robot_ik.hardware.servo import GRIPPER, Joint
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import (
     Action,
@@ -76,7 +76,7 @@ class Move(Tolerant, Action):
         """Judges by MuJoCo where the goal's frame is."""
 
         def judge() -> list[Finding]:
-            metres, radians = goal.error(now.robot, now.arm.read().q)
+            metres, radians = goal.error(now.robot, now.setup.q)
             what = goal.frame or now.robot.tool
             found = [near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")]
             if goal.weights[1] > 0.0:
@@ -95,7 +95,7 @@ class Move(Tolerant, Action):
         """Straight in joint space; judged by the joint that is farthest off."""
 
         def judge() -> list[Finding]:
-            return [self.farthest(now.robot, now.arm.read().q, q)]
+            return [self.farthest(now.robot, now.setup.q, q)]
 
         return joint_move(now.robot, start, q, **self.caps(now)), judge
 
@@ -286,7 +286,7 @@ class GripStep(GripperWidth, Move):
         if self.held is not None and self.held != result.numbers["held"]:
             raise StepFailed(result.found)
 
-    def _move(self, now: RunState, joint: JointMap, of: int, result: StepResult) -> None:
+    def _move(self, now: RunState, joint: Joint, of: int, result: StepResult) -> None:
         """One of so many joints."""
         fingers = fingers_on(now.robot, joint)
         lower, upper = joint.limits
@@ -370,13 +370,13 @@ class FollowStep(Framed, Action):
             report = follow(
                 now.robot, goals, sinks=setup.sinks, solver=now.solver, rate=setup.rate,
                 clock=setup.clock, duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
-                speed=self.speed or now.script.speed, source=now.arm, on_tick=note,
+                speed=self.speed or now.script.speed, source=now.setup.opened, on_tick=note,
             )  # fmt: skip
         self._judge(now, report, behind, result)
         if not self.needs_camera:
             return
         setup.repeat(_ARRIVE)
-        off = 1e3 * float(np.linalg.norm(now.robot.measure(now.arm.read().q).position - _marked_place(now)))
+        off = 1e3 * float(np.linalg.norm(now.robot.measure(now.setup.q).position - _marked_place(now)))
         result.numbers["off_mm"] = round(off, 4)
         result.found += f"; {off:.2f} mm from where it truly lies"
         if off > self.tolerance_mm:

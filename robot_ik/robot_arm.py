@@ -1,0 +1,194 @@
+"""The front door to a robot with servos: a model, an arm file and a bus that fit together."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import ConfigError, UnknownJointError
+from robot_ik.hardware import bus_row, open_arm, virtual_servos
+from robot_ik.hardware.arm_part import ArmPart
+from robot_ik.hardware.calibration import check_model
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.ports import Array, Clock, Closing, JointReading
+from robot_ik.robot import Robot, load_robot
+from robot_ik.robot_file import catalogue
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.virtual.bus import VirtualBus
+
+
+@dataclass(frozen=True)
+class RobotArm(Closing):
+    """A robot model and the arm of servos that moves it: a ``JointSink`` and a ``JointSource``.
+
+    Vectors are those of the robot.  The arm may have more joints, such as a gripper, which keep
+    their last command.  Used in a ``with`` block: entering connects the arm, leaving applies the
+    exit policy.
+
+    Attributes:
+        robot: Model with the joints that carry the tool, limited to what the servos reach.
+        arm: Servos; disconnected until the ``with`` block.
+    """
+
+    robot: Robot
+    arm: Arm
+
+    @property
+    def config(self) -> ArmConfig:
+        """Arm file, with every joint."""
+        return self.arm.config
+
+    @cached_property
+    def part(self) -> ArmPart:
+        """The joints of the robot, in the robot's order."""
+        return ArmPart(self.arm, self.robot.joints)
+
+    @property
+    def chain(self) -> ArmConfig:
+        """Arm file with the joints of the robot only, in the robot's order."""
+        return self.part.config
+
+    @property
+    def clock(self) -> Clock:
+        """Clock on which the arm runs; virtual on the bus ``sim``."""
+        return self.arm.clock
+
+    @property
+    def virtual_bus(self) -> VirtualBus | None:
+        """Simulated servos behind the bus; None if the servos are real."""
+        return virtual_servos(self.arm.bus)
+
+    def enable(self) -> None:
+        """Switch torque on at the present pose; see ``Arm.enable``."""
+        self.arm.enable()
+
+    def send(self, q: ArrayLike, now: float) -> Array:
+        """Send joint values to the servos; see ``Arm.send``.
+
+        Args:
+            q: (n,) joint values of the robot, rad or m.
+            now: Time for which ``q`` is meant, s.
+
+        Returns:
+            (n,) the joint values that were sent: ``q`` within limits and caps.
+        """
+        return self.part.send(q, now)
+
+    def read(self) -> JointReading:
+        """Return the measured joint values of the robot, (n,) rad or m; see ``Arm.read``."""
+        return self.part.read()
+
+    def true_q(self) -> Array | None:
+        """Return where a camera sees simulated joints, (n,) rad or m; None if servos are real."""
+        servos = self.virtual_bus
+        return None if servos is None else servos.true_angles(self.chain)
+
+    def __enter__(self) -> Self:
+        self.arm.__enter__()
+        return self
+
+    def close(self) -> None:
+        """Leave the arm as its exit policy says, and close the bus."""
+        self.arm.close()
+
+
+def open_robot(
+    name: str | os.PathLike[str] | Robot,
+    arm: Path | str | ArmConfig | None = None,
+    bus: str = "sim",
+    *,
+    on_exit: str | None = None,
+    start: ArrayLike | Mapping[str, float] | None = None,
+    virtual_bus: VirtualBus | None = None,
+) -> RobotArm:
+    """Return a robot and its arm on a bus.  Nothing is connected and no torque changes.
+
+    If a calibration stands beside the arm file, the model must be the one that was calibrated.
+    This check cannot be skipped.
+
+    Args:
+        name: Robot of the catalogue, path of a model, or a loaded robot.
+        arm: Arm file or its content.  None: the arm file beside the model.
+        bus: ``"sim"``, ``"pty"`` or a serial port such as ``"/dev/ttyUSB0"``.
+        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``.  None: as the arm file says.
+        start: (n,) initial values of the robot's joints, or joint name -> value, for simulated
+            servos.  None: home of the robot.
+        virtual_bus: Simulated servos to use instead of new ones.
+
+    Raises:
+        ConfigError: There is no arm file, or it does not fit the model.
+        CalibrationMismatchError: The model is not the one of the calibration.
+        ModelError: The model cannot be read.
+    """
+    robot = name if isinstance(name, Robot) else load_robot(name)
+    config = arm if isinstance(arm, ArmConfig) else ArmConfig.load(arm or _arm_file_beside(robot))
+    source = robot.path if isinstance(name, Robot) else name
+    robot = robot_of_arm(robot, config, source)
+    check_model(config, _model_limits(robot))
+    chain = config.only(robot.joints)
+    robot = robot.with_limits(chain.lower, chain.upper)
+    if start is None and virtual_bus is None and bus_row(bus).virtual:
+        start = robot.home
+    if start is not None and not isinstance(start, Mapping):
+        start = dict(zip(robot.joints, np.asarray(start, dtype=float).tolist(), strict=True))
+    opened = open_arm(config, bus, on_exit=on_exit, virtual_bus=virtual_bus, start=start)
+    return RobotArm(robot, opened)
+
+
+def robot_of_arm(robot: Robot, config: ArmConfig, source: str | os.PathLike[str]) -> Robot:
+    """Return the robot with exactly the joints of an arm that carry the tool, in its own order.
+
+    Args:
+        robot: Robot with any of its joints.
+        config: Arm.
+        source: Name or path from which the robot was loaded.
+
+    Raises:
+        ConfigError: The model has not these joints.
+    """
+    names = config.chain.names
+    if set(names) != set(robot.joints):
+        with contextlib.suppress(UnknownJointError):
+            robot = load_robot(source, joints=names)
+    _require_joints(robot, names, config)
+    return robot
+
+
+def _arm_file_beside(robot: Robot) -> Path:
+    if robot.arm_file is not None:
+        return robot.arm_file
+    robots = [name for name, folder in catalogue().items() if (folder / "arm.toml").is_file()]
+    raise ConfigError(
+        "comes without an arm file",
+        file=robot.name,
+        allowed=f"--arm FILE, or a robot that has one: {', '.join(robots)}",
+    )
+
+
+def _require_joints(robot: Robot, names: Sequence[str], config: ArmConfig) -> None:
+    unknown = [name for name in names if name not in robot.joints]
+    if unknown:
+        raise ConfigError(
+            f"{robot.name} has no joint {', '.join(map(repr, unknown))}",
+            file=config.file or config.name,
+            key="joints",
+            allowed=", ".join(robot.joints),
+        )
+
+
+def _model_limits(robot: Robot) -> dict[str, tuple[float, float]]:
+    """Return joint -> limits of the model, rad or m."""
+    return {
+        joint: (float(robot.lower[v]), float(robot.upper[v]))
+        for joint, v in zip(robot.joints, robot.tree.vadr.tolist(), strict=True)
+    }
