@@ -43,7 +43,7 @@ _VIEWS = 20
 _HIDDEN = np.deg2rad(2.0)
 # Standard deviation of a servo's angle, rad: half a tick of 12 bits.
 _SERVO = np.deg2rad(0.044)
-# Height of the camera above the board at home, metres.
+# Distance of the camera in front of the board at home, metres.
 _DISTANCE = 0.8
 # Largest distance of a joint from home in a view, rad.
 _BEND = 1.2

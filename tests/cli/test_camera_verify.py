@@ -39,13 +39,21 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     assert robot.arm_file is not None
     path = tmp_path / "mine.toml"
     path.write_bytes(robot.arm_file.read_bytes())
-    config, rng = ArmConfig.load(path), np.random.default_rng(0)
+    config = ArmConfig.load(path)
+    rng = np.random.default_rng(0)
     robot = load_robot("tabletop_puma", joints=config.names)
     exact = KnownPose.within(Pose(), 1e-4, 1e-4)
     samples = VerifySamples(
-        "tabletop_puma", robot.joints, "flange", "eye_to_hand", STANDARD_CAMERA,
-        camera=KnownPose.within(CAMERA, 1e-4, 1e-4), board=exact, by_arm=False, true_offsets=HIDDEN,
-    )  # fmt: skip
+        "tabletop_puma",
+        robot.joints,
+        "flange",
+        "eye_to_hand",
+        STANDARD_CAMERA,
+        camera=KnownPose.within(CAMERA, 1e-4, 1e-4),
+        board=exact,
+        by_arm=False,
+        true_offsets=HIDDEN,
+    )
     for _ in range(8):
         q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
         seen = CAMERA.inverse().compose(robot.forward(q + HIDDEN, "flange"))
@@ -73,11 +81,15 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik: Any, arm: Path) -> None:
+def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(
+    robot_ik: Any, arm: Path
+) -> None:
     interrupted = ("camera", "verify", "--fit", "--seed", INTERRUPTED, "--out", "some.json")
     run = robot_ik(*interrupted, "--views", "7")
     assert run.code == 130 and run.out == "", run
-    assert "after 7 views" in run.err and "robot-ik camera verify --fit --samples some.json" in run.err
+    assert (
+        "after 7 views" in run.err and "robot-ik camera verify --fit --samples some.json" in run.err
+    )
     kept = json.loads(Path("some.json").read_text())
     assert len(kept["samples"]) == 7 and kept["job"] == "verify"
     # the same fit, and the question whether to write: nothing of it moves an arm
@@ -102,7 +114,9 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik
 
 
 def test_samples_of_something_else_are_reported(robot_ik: Any, arm: Path) -> None:
-    SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(Path("hand.json"))
+    SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(
+        Path("hand.json")
+    )
     run = robot_ik("camera", "verify", "--samples", "hand.json")
     run.assert_one_screen_error()
     assert "which does not know the camera's pose" in run.err
@@ -125,8 +139,12 @@ def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> No
         assert words in run.out
     assert "ahead by" not in run.out
     poses = run.out.split("the arm as it is")[0].splitlines()
-    numbers = [int(line.split()[0]) for line in poses if line.split()[:1] and line.split()[0].isdigit()]
-    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], "rows are numbered as the stations that were planned"
+    numbers = [
+        int(line.split()[0]) for line in poses if line.split()[:1] and line.split()[0].isdigit()
+    ]
+    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], (
+        "rows are numbered as the stations that were planned"
+    )
     assert robot_ik("camera", "verify", "--allowed-mm", "60").code == 0
     said = json.loads(robot_ik("camera", "verify", "--json").out)
     assert said["passed"] is False and "fit" not in said
@@ -154,8 +172,11 @@ def test_zeros_are_written_after_a_yes_and_only_then(
     assert "zero_ticks: joint1 2048 -> 2025" in run.err
     assert "joint zeros" in run.out and "with these zeros" in run.out
     assert (arm.parent / "mine.toml.1.bak").read_bytes() == before
-    old, new = ArmConfig.parse(before.decode()), ArmConfig.load(arm)
-    moved = [b.to_radians(2000) - a.to_radians(2000) for a, b in zip(old.joints, new.joints, strict=True)]
+    old = ArmConfig.parse(before.decode())
+    new = ArmConfig.load(arm)
+    moved = [
+        b.to_radians(2000) - a.to_radians(2000) for a, b in zip(old.joints, new.joints, strict=True)
+    ]
     np.testing.assert_allclose(moved, HIDDEN, atol=np.deg2rad(0.1))
 
 
@@ -181,7 +202,10 @@ def test_zeros_that_explain_nothing_new_are_not_written(
 
 def test_what_is_held_is_said(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--fit", "--board-sigma", "1", "3")
-    assert "the offset of joint6 and the rotation of the board about z of flange look the same" in run.out
+    assert (
+        "the offset of joint6 and the rotation of the board about z of flange look the same"
+        in run.out
+    )
     assert "joint6 is held" in run.out and "joint6" not in run.err
 
 
