@@ -1,4 +1,4 @@
-"""What the drawn robot does: stands, waves, replays a trajectory, follows a marker, mirrors a live arm."""
+"""Motions of the drawn robot: home, wave, trajectory, script, following a marker, live arm."""
 
 from __future__ import annotations
 
@@ -23,15 +23,24 @@ from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# A script's motion for the drawn robot: the script runs on simulated servos, their shafts are kept.
+# A wave goes this share of the way to each joint's limits.
+_WAVE_SHARE = 0.25
+# Largest amplitude of a wave, rad: for joints with wide limits or none.
+_WAVE_MOST = 0.45
+# Period of a wave, s.
+_WAVE_PERIOD = 4.0
+# Share of the distance to the marker that the drawn tool covers in one picture. It smooths the
+# motion.
+_CHASE = 0.35
 
 
 class _RecordingClock:
     """A clock that records the joints after each wait."""
 
     def __init__(self, clock: Clock, run: ScriptRun, recorder: RecorderSink) -> None:
-        self._clock, self._run, self._recorder = clock, run, recorder
+        self._clock = clock
+        self._run = run
+        self._recorder = recorder
 
     def now(self) -> float:
         return self._clock.now()
@@ -42,7 +51,7 @@ class _RecordingClock:
 
 
 def is_script(text: str) -> bool:
-    """Whether this is a script: the name of one that comes along, or a TOML file with steps."""
+    """Return whether this is the name of a bundled script, or a TOML file with steps."""
     if text in shipped():
         return True
     path = Path(text).expanduser()
@@ -53,10 +62,10 @@ def is_script(text: str) -> bool:
 
 
 def robot_of(text: str) -> str:
-    """The robot that a motion is made for: a script's or an arm file's; empty where it is for any.
+    """Return the robot of a script or an arm file. Empty for motions of any robot.
 
     Raises:
-        ConfigError: The script or the arm file is wrong.
+        ConfigError: The script or the arm file is invalid.
     """
     if is_script(text):
         script = load_script(text)
@@ -69,24 +78,31 @@ def robot_of(text: str) -> str:
 
 
 def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
-    """Runs it; how the joints moved, where the shafts truly were, and what went wrong in one line.
+    """Run a script on simulated servos.
 
     Joints that the script's servos do not turn stay at home.
 
+    Returns:
+        The true motion of the joints, and what failed, in one line. Empty if nothing failed.
+
     Raises:
-        ConfigError: The script is of another robot, or it is wrong.
-        RobotIkError: Of the simulated arm.
+        ConfigError: The script is for another robot, or it is invalid.
+        RobotIkError: The simulated arm fails.
     """
     script = load_script(text)
     run = ScriptRun(script, ScriptRequest())
-    setup, report = run.setup, run.report
+    setup = run.setup
+    report = run.report
     if report.robot != robot.name:
         raise ConfigError(
             f"is a script of {report.robot}, and {robot.name} is drawn",
-            file=script.file, key="robot", allowed=f"--robot {report.robot}",
-        )  # fmt: skip
+            file=script.file,
+            key="robot",
+            allowed=f"--robot {report.robot}",
+        )
     recorder = RecorderSink(setup.robot.joints)
-    recorder.send(setup.true_q(), setup.clock.now())  # of a script that waits nowhere, this is all
+    # A script that never waits has only this configuration.
+    recorder.send(setup.true_q(), setup.clock.now())
     setup.clock = _RecordingClock(setup.clock, run, recorder)
     run.run()
     moved = recorder.trajectory()
@@ -98,21 +114,15 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
     return Trajectory(moved.times, q, robot.joints), notice
 
 
-# A wave goes this part of the way to each joint's limits, at most so far, in so many seconds.
-_WAVE_SHARE, _WAVE_MOST, _WAVE_PERIOD = 0.25, 0.45, 4.0
-# The drawn tool covers at most this part of what is left of its way in one picture.
-_CHASE = 0.35
-
-
 @dataclass(frozen=True, eq=False)
 class DrawnMotion:
-    """What the drawn robot does.
+    """Motion of the drawn robot.
 
     Attributes:
         q: Returns (nq,) at a time, s since the first picture. The second argument is
             ``pose_board_marker`` of the marker to follow; None if it is not visible.
-        seconds: Of a trajectory that is played over and over; 0: it has no end.
-        notice: What the user should know of it, in one line.
+        seconds: Length of a trajectory that is repeated, s. 0 for a motion without an end.
+        notice: What the user should know about it, in one line.
     """
 
     q: Callable[[float, Pose | None], Array]
@@ -121,32 +131,39 @@ class DrawnMotion:
 
 
 def standing(robot: Robot) -> DrawnMotion:
-    """Stays at home."""
-    return DrawnMotion(lambda time, marker: robot.home)
+    """Return a robot that stays at home."""
+    return DrawnMotion(lambda _time, _marker: robot.home)
 
 
 def waving(robot: Robot) -> DrawnMotion:
-    """Swings each joint about home, inside its limits; robots with ball or free joints stay at home."""
+    """Return a motion of each joint about home, inside its limits.
+
+    Robots with ball or free joints stay at home.
+    """
     if robot.nq != robot.nv:
         return standing(robot)
     margin = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
     swing = np.clip(np.nan_to_num(_WAVE_SHARE * margin, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
     pace = 2.0 * np.pi / _WAVE_PERIOD * (1.0 + 0.5 * (np.arange(robot.nq) % 2))
-    return DrawnMotion(lambda time, marker: np.asarray(robot.home + swing * np.sin(pace * time)))
+    return DrawnMotion(lambda time, _marker: np.asarray(robot.home + swing * np.sin(pace * time)))
 
 
 def replay(trajectory: Trajectory, notice: str = "") -> DrawnMotion:
-    """Plays a trajectory over and over."""
-    begin, length = float(trajectory.times[0]), trajectory.duration
-    part = (lambda time: time % length) if length > 0 else (lambda time: 0.0)
-    return DrawnMotion(lambda time, marker: trajectory.at(begin + part(time)), length, notice)
+    """Return a motion that repeats a trajectory."""
+    begin = float(trajectory.times[0])
+    length = trajectory.duration
+
+    def q(time: float, _marker: Pose | None) -> Array:
+        return trajectory.at(begin + time % length if length > 0.0 else begin)
+
+    return DrawnMotion(q, length, notice)
 
 
 def following(robot: Robot, figure: DrawnRobot) -> DrawnMotion:
-    """Reaches for the other marker with the tool; holds still while the marker is not seen."""
+    """Return a motion that reaches for a marker and holds still while it is not visible."""
     last = np.array(robot.home)
 
-    def q(time: float, marker: Pose | None) -> Array:
+    def q(_time: float, marker: Pose | None) -> Array:
         if marker is not None:
             wanted = marker_from_base(marker, figure)
             here = robot.forward(last).position
@@ -158,19 +175,21 @@ def following(robot: Robot, figure: DrawnRobot) -> DrawnMotion:
 
 
 def marker_from_base(pose_board_marker: Pose, figure: DrawnRobot) -> Array:
-    """Return the marker's position (3,) seen from the base of the drawn robot, in its own metres."""
+    """Return the marker's position (3,) in the base of the drawn robot, in its own metres."""
     pose_base_marker = figure.pose_board_base.inverse().compose(pose_board_marker)
     return np.asarray(pose_base_marker.position / figure.scale)
 
 
-def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack) -> DrawnMotion:
-    """The motion of ``robot``, drawn as ``figure``, that ``text`` names; ``stack`` closes what it opens.
+def make_motion(
+    text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack
+) -> DrawnMotion:
+    """Return the motion of ``robot``, drawn as ``figure``, that ``text`` names.
 
-    ``text`` is ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of one that
-    comes along), or ``FILE.toml[@BUS]`` of an arm.
+    ``text`` is ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of
+    a bundled script), or ``FILE.toml[@BUS]`` of an arm.
 
     Raises:
-        ConfigError: It means nothing, or the file does not fit the robot.
+        ConfigError: ``text`` is no motion, or the file does not fit the robot.
     """
     if text == "home":
         return standing(robot)
@@ -187,27 +206,32 @@ def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.E
         if tuple(trajectory.joints) != tuple(robot.joints):
             raise ConfigError(
                 f"has the joints {', '.join(trajectory.joints)}",
-                file=path, key="line 1", allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
-            )  # fmt: skip
+                file=path,
+                key="line 1",
+                allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
+            )
         return replay(trajectory)
     if path.suffix == ".toml":
         read_text(path, "the script or arm file")
         arm = _live_arm(path, bus or "sim", robot, stack)
-        return DrawnMotion(lambda time, marker: arm.read().q)
+        return DrawnMotion(lambda _time, _marker: arm.read().q)
     raise ConfigError(
-        f"{text!r} is no motion", file="command line", key="--motion",
+        f"{text!r} is no motion",
+        file="command line",
+        key="--motion",
         allowed="home, wave, follow, a trajectory (FILE.csv), a script (FILE.toml or "
         f"{', '.join(shipped())}), or an arm (FILE.toml@PORT)",
-    )  # fmt: skip
+    )
 
 
 def _live_arm(path: Path, bus: str, robot: Robot, stack: contextlib.ExitStack) -> JointSource:
-    """A connected arm, whose servos get no torque: it is only looked at."""
+    """Return a connected arm. It is only read: its servos get no torque."""
     config = ArmConfig.load(path)
     if tuple(joint.name for joint in config.joints) != tuple(robot.joints):
         raise ConfigError(
             f"is of an arm with the joints {', '.join(joint.name for joint in config.joints)}",
-            file=path, allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
-        )  # fmt: skip
+            file=path,
+            allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
+        )
     check_calibrated_model(robot, config)
     return stack.enter_context(open_arm(config, bus))
