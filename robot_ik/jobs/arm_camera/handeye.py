@@ -32,42 +32,62 @@ from robot_ik.motion.trajectory import joint_move
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# Camera and board of a hand-eye calibration: real ones, or simulated ones with a truth to compare with.
-
-
-# What is planned with is wrong by this much on purpose: before calibration a camera's pose is known roughly.
-_WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
-# The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
-_BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
-# Sides of the tool to carry it on, rad, and how far it must see ahead, in reaches: past the tool.
-_SIDES, _VIEW_DEPTH = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
-# The simulated board on the table: columns, rows, first id, and parts of the scene's marker.
-_GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
-# Servos may take this long to arrive after the last command, and then to come to rest.
-_SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
-# Two readings that differ by no more than this many ticks are of an arm at rest.
+# Error of the simulated guesses of camera and board, m and rad: real guesses are rough, too.
+_GUESS_ERROR = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
+# Distance of the simulated camera on the hand to the side of the tool, in reaches of the robot.
+_BESIDE = 0.12
+# Its distance behind the tool, in reaches.
+_BEHIND = 0.08
+# Its rotation towards the tool's axis, rad.
+_INWARDS = 0.2
+# Its rotation about the optical axis, rad: the picture is not aligned with the tool.
+_ROLL = 0.4
+# Sides of the tool that are tried for it, rad about the tool's axis.
+_SIDES = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi)
+# Distance ahead of the camera at which the arm must not hide the view, in reaches: past the tool.
+_VIEW_DEPTH = 0.12
+# Columns and rows of the simulated board on the table.
+_GRID = (3, 2)
+# Least marker id on that board.
+_FIRST_ID = 30
+# Side of its markers over the side of the scene's marker.
+_MARKER_PART = 0.6
+# Gap between its markers over the side of the scene's marker.
+_GAP_PART = 0.2
+# Time for the servos to arrive after the last command, s.
+_SETTLE_SECONDS = 0.3
+# Time between two readings that check whether the arm rests, s.
+_REST_CHECK_SECONDS = 0.1
+# Number of such checks before the station counts as missed.
+_REST_CHECKS = 20
+# Largest difference of two readings of an arm at rest, ticks.
 _STILL_TICKS = 1.01
-# A camera's pictures that are on their way when the arm comes to rest are thrown away.
+# Pictures of a real camera that are dropped: they may have begun before the arm came to rest.
 _STALE_FRAMES = 3
-# A sound arm's own error stays below these, each axis: a part of its reach, and rad.  Servo ticks alone give
-# up to 0.0004 of the reach and 0.09 deg (8 views and more), twice the ticks 0.0007 and 0.13 deg, a second
-# joint that is off by 1.5 deg 0.0015 and 0.23 deg.  One view or a tenth may be spoilt by the picture.
-_SOUND_POSITION, _SOUND_ANGLE, _SOUND_REJECTED = 8e-4, float(np.deg2rad(0.15)), 0.1
+# Limits of a sound arm's own error, each axis. Servo ticks alone give up to 0.0004 of the reach and
+# 0.09 deg (8 views and more). Twice the ticks give 0.0007 and 0.13 deg. A second joint that is off
+# by 1.5 deg gives 0.0015 and 0.23 deg.
+# Largest position error over the reach of the robot.
+_SOUND_POSITION = 8e-4
+# Largest angle error, rad.
+_SOUND_ANGLE = float(np.deg2rad(0.15))
+# Largest share of rejected views. One view is always allowed: its picture may be bad.
+_SOUND_REJECTED = 0.1
 
 
 @dataclass(frozen=True)
 class HandEyeRequest(ArmRequest):
-    """An arm, a camera, a board, and how many pictures to take of it.
+    """An arm, a camera, a board, and the number of pictures.
 
     Attributes:
         mounting: ``eye_in_hand`` or ``eye_to_hand``.
-        camera: ``synthetic``, or what ``open_source`` opens.
-        intrinsics: Calibration file; needed for a real camera.
-        board: None: the simulated one.
-        pose_parent_camera, pose_other_board: Where they are, roughly; None: as in the scene.
-        views: How many pictures.
-        dry_run: Plan only; nothing moves.
+        camera: ``synthetic``, or a source for ``open_source``.
+        intrinsics: Calibration file. A real camera needs one.
+        board: None for the simulated one.
+        pose_parent_camera: Rough pose of the camera. None for the one of the scene.
+        pose_other_board: Rough pose of the board. None for the one of the scene.
+        views: Number of pictures.
+        dry_run: Only plan the views, without moving.
     """
 
     mounting: Mounting = "eye_to_hand"
@@ -84,8 +104,12 @@ class HandEyeRequest(ArmRequest):
 class HandEyeScene:
     """The camera and the board of the job.
 
-    ``task`` is for planning; ``truth``, where camera and board really are, None where it is unknown; so many
-    ``stale`` pictures are thrown away before one counts.
+    Attributes:
+        task: Rough poses, for planning.
+        board: Board to detect.
+        source: Where the pictures come from.
+        truth: True poses of camera and board. None if they are unknown.
+        stale: Number of pictures to drop before each picture that counts.
     """
 
     task: ViewTask
@@ -95,69 +119,95 @@ class HandEyeScene:
     stale: int = 0
 
     def take(self) -> Frame:
-        """A picture that was begun after the arm came to rest; without its truth."""
+        """Return a picture that begins after the arm came to rest, without its truth."""
         for _ in range(self.stale):
             self.source.read()
         return self.source.read().without_truth()
 
 
-def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
-    """Camera and board of a request.
+def open_scene(
+    request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack
+) -> HandEyeScene:
+    """Open the camera and the board of a request. ``stack`` closes the camera.
 
     Raises:
-        CameraError, CalibrationError, ConfigError: It cannot be opened, something is not given, or the
-            simulated camera is asked to look at real servos.
+        CameraError: The camera cannot be opened, or the board is not given.
+        CalibrationError: The camera needs a calibration.
+        ConfigError: The camera cannot see the arm or the board of the request.
     """
     if request.camera != "synthetic":
         return _real(request, setup, stack)
     if setup.arm is not None and setup.arm.virtual_bus is None:
         raise ConfigError(
             "the synthetic camera cannot see real servos",
-            file="command line", key="--camera", allowed="a camera's index, file or URL",
-        )  # fmt: skip
+            file="command line",
+            key="--camera",
+            allowed="a camera's index, file or URL",
+        )
     if request.board is not None:
         raise ConfigError(
             "the synthetic camera looks at a board of its own",
-            file="command line", key="--board", allowed="only with a real camera",
-        )  # fmt: skip
-    scene, frame = scene_for(setup.robot, setup.frame), setup.frame
+            file="command line",
+            key="--board",
+            allowed="only with a real camera",
+        )
+    scene = scene_for(setup.robot, setup.frame)
+    frame = setup.frame
     if request.mounting == "eye_in_hand":
         truth, squares, synthetic = _carried_camera(setup, scene)
-    else:  # the scene's camera looks at the markers on the tool
+    else:
+        # The camera of the scene looks at the markers on the tool.
         truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
-        frame, squares, synthetic = scene.cube_frame, dict(scene.cube), scene.synthetic(setup.robot)
+        frame = scene.cube_frame
+        squares = dict(scene.cube)
+        synthetic = scene.synthetic(setup.robot)
     source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
     stack.enter_context(source)
-    camera = request.pose_parent_camera or truth.pose_parent_camera.plus(_WRONG)
-    board = request.pose_other_board or truth.pose_other_board.plus(0.5 * _WRONG)
+    camera = request.pose_parent_camera or truth.pose_parent_camera.plus(_GUESS_ERROR)
+    board = request.pose_other_board or truth.pose_other_board.plus(0.5 * _GUESS_ERROR)
     roughly = Mount(camera, board, truth.mounting)
     task = ViewTask(roughly, frame, squares, synthetic.intrinsics, scene.table)
     return HandEyeScene(task, MarkerTarget(squares, scene.dictionary), source, truth)
 
 
 def _carried_camera(setup: RobotSetup, scene: Scene) -> tuple[Mount, Squares, SyntheticScene]:
-    """A camera beside the tool looks at a board of markers on the table."""
-    truth = Mount(_beside_the_tool(setup.robot, setup.frame), scene.pose_world_marker, "eye_in_hand")
+    """Return a camera beside the tool that looks at a board of markers on the table."""
+    truth = Mount(
+        _beside_the_tool(setup.robot, setup.frame), scene.pose_world_marker, "eye_in_hand"
+    )
     gap = _GAP_PART * scene.marker_size
     squares = marker_grid(*_GRID, _MARKER_PART * scene.marker_size, gap, _FIRST_ID).markers
     marker = partial(SyntheticMarker, dictionary=scene.dictionary, margin=0.5 * gap)
-    markers = (marker(id, side, truth.pose_other_board @ pose) for id, (side, pose) in squares.items())
-    return truth, squares, SyntheticScene(
-        setup.robot, STANDARD_CAMERA, truth.pose_parent_camera, tuple(markers), table=scene.table,
-        camera_frame=setup.frame,
-    )  # fmt: skip
+    markers = (
+        marker(id, side, truth.pose_other_board @ pose) for id, (side, pose) in squares.items()
+    )
+    return (
+        truth,
+        squares,
+        SyntheticScene(
+            setup.robot,
+            STANDARD_CAMERA,
+            truth.pose_parent_camera,
+            tuple(markers),
+            table=scene.table,
+            camera_frame=setup.frame,
+        ),
+    )
 
 
 def _beside_the_tool(robot: Robot, frame: str) -> Pose:
-    """Where the hand carries its camera: on the first side from which nothing of the arm hides the view."""
+    """Return the pose of a camera on the hand, on the first side with a free view."""
     ball = robot.reach(frame)
     reach = 1.0 if ball is None else ball[1]
-    beside = Pose((_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])).compose(
-        Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
-    )
-    clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
+    beside = Pose(
+        (_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])
+    ).compose(Pose(wxyz=rotation_exp([0.0, 0.0, _ROLL])))
+    clearance = Clearance(robot, robot.home)
+    hand = robot.forward(robot.home, frame)
     view_points = (
-        _VIEW_DEPTH * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
+        _VIEW_DEPTH
+        * reach
+        * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
     )
     for angle in _SIDES if reach > 0.0 else ():
         side = Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside)
@@ -181,27 +231,28 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
     if not source.live:
         raise ConfigError(
             "recorded pictures do not show this arm where it goes",
-            file="command line", key="--camera", allowed="a camera or a stream, or --samples FILE",
-        )  # fmt: skip
+            file="command line",
+            key="--camera",
+            allowed="a camera or a stream, or --samples FILE",
+        )
     scene = scene_for(setup.robot, setup.frame)
     camera = request.pose_parent_camera or (Pose() if carried else scene.pose_world_camera)
     board = request.pose_other_board or (scene.pose_world_marker if carried else Pose())
     squares = request.board.squares
-    task = ViewTask(Mount(camera, board, request.mounting), setup.frame, squares, intrinsics, scene.table)
+    task = ViewTask(
+        Mount(camera, board, request.mounting), setup.frame, squares, intrinsics, scene.table
+    )
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
-
-
-# ------------------------------------------------------------------------------------------
-# The phases, and what came of them.
 
 
 @dataclass(eq=False, kw_only=True)
 class ArmCameraReport:
-    """What an arm was seen to do.
+    """Measurements of an arm.
 
     Attributes:
         stations: (nq,) planned, in order.
-        unseen: Numbers, from 0, of those where the board was not found or the arm did not come to rest.
+        unseen: Numbers, from 0, of those where the board was not found or the arm did not come to
+            rest.
     """
 
     samples: SampleSet
@@ -211,12 +262,12 @@ class ArmCameraReport:
 
 @dataclass(eq=False, kw_only=True)
 class HandEyeReport(ArmCameraReport):
-    """What came out.
+    """Result of the hand-eye job.
 
     Attributes:
-        truth: Where camera and board really are; None where it is unknown.
+        truth: True poses of camera and board. None if they are unknown.
         result: None for a dry run.
-        doubt: Why the result may be wrong by more than it states; empty: nothing speaks against it.
+        doubt: Why the error may exceed the stated uncertainty. Empty if there is no reason.
     """
 
     truth: Mount | None = None
@@ -225,25 +276,29 @@ class HandEyeReport(ArmCameraReport):
 
     @property
     def parent(self) -> str:
-        """What the camera's pose is seen from."""
+        """Name of the frame of the camera's pose."""
         return self.samples.frame if self.samples.mounting == "eye_in_hand" else "world"
 
     @property
     def true_error(self) -> tuple[float, float] | None:
-        """Distance from the truth in metres and rad, where it is known."""
+        """Error of the camera's pose, metres and rad. None if the truth is unknown."""
         if self.truth is None or self.result is None:
             return None
         return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
 
     def solve(self, robot: Robot) -> None:
-        """Finds the camera by the samples, of ``robot``, and judges the arm; nothing moves.
+        """Solve for the camera's pose and check the arm, without moving.
 
         Raises:
-            CalibrationError: The views cannot tell where the camera is.
+            CalibrationError: The views do not determine the pose.
         """
         samples = self.samples
-        self.result = solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
-        stations = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+        self.result = solve_handeye(
+            samples.samples(robot), samples.intrinsics, mounting=samples.mounting
+        )
+        stations = [
+            CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)
+        ]
         zeros = doubted_zeros(stations, robot, samples.frame, samples.intrinsics, self.result)
         self.doubt = self_contradiction(self.result, robot.reach(samples.frame), zeros)
 
@@ -252,32 +307,43 @@ class HandEyeReport(ArmCameraReport):
         if result is None:
             raise CalibrationError("the samples have not been solved: a dry run has no result")
         return CameraExtrinsics(
-            result.pose_parent_camera, self.parent, result.covariance[:6, :6],
-            result.residual_px, result.residual_mm, today(), self.samples.intrinsics.digest,
-            method=f"handeye, {result.mounting.replace('_', ' ')}", views=len(self.samples),
+            result.pose_parent_camera,
+            self.parent,
+            result.covariance[:6, :6],
+            result.residual_px,
+            result.residual_mm,
+            today(),
+            self.samples.intrinsics.digest,
+            method=f"handeye, {result.mounting.replace('_', ' ')}",
+            views=len(self.samples),
             doubt=self.doubt,
-        )  # fmt: skip
+        )
 
 
 def run_handeye(
     request: HandEyeRequest,
     *,
-    keep: Callable[[SampleSet], None] = lambda samples: None,
-    progress: Progress = lambda phase, share: None,
+    keep: Callable[[SampleSet], None] = lambda _samples: None,
+    progress: Progress = lambda _phase, _share: None,
 ) -> HandEyeReport:
-    """Plans, moves, looks, solves.
+    """Plan the views, visit them and solve for the camera's pose.
 
-    ``keep`` is handed the samples after each station, so that an interruption loses none.
+    Args:
+        request: Arm, camera and board.
+        keep: Called with all samples after each station, so that an interruption loses none.
+        progress: Called with the phase and its finished share.
 
     Raises:
         MarkerNotFoundError: The board was seen at fewer than four stations.
-        RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
+        RobotIkError: Wrong input or environment, or views that do not determine the pose.
     """
     with contextlib.ExitStack() as stack:
         setup = prepare_robot(request)
         scene = open_scene(request, setup, stack)
         task = scene.task
-        samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
+        samples = SampleSet(
+            request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics
+        )
         report = HandEyeReport(samples=samples, truth=scene.truth)
         stack.enter_context(setup.connected())
         visit_stations(report, request, setup, scene, keep, progress)
@@ -289,11 +355,18 @@ def run_handeye(
     return report
 
 
-def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
-    """Solves again what was measured before, also with newer ``intrinsics`` of the same camera.
+def handeye_from_samples(
+    samples: SampleSet, intrinsics: CameraIntrinsics | None = None
+) -> HandEyeReport:
+    """Solve for the camera's pose from saved samples, without moving.
+
+    Args:
+        samples: The samples.
+        intrinsics: Newer intrinsics of the same camera.
 
     Raises:
-        CalibrationError: For another picture size, or views that cannot tell where the camera is.
+        CalibrationError: The intrinsics are for another picture size, or the views do not determine
+            the pose.
     """
     if intrinsics is not None:
         intrinsics.require_size(*samples.intrinsics.size)
@@ -306,15 +379,19 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
 def self_contradiction(
     found: HandEye, ball: tuple[Array, float] | None, zeros: Mapping[str, tuple[float, float]]
 ) -> str:
-    """What a sound arm would not do: err more, have views at odds, or zeros that are off; empty: it is sound.
+    """Return what contradicts a sound arm, in one sentence. Empty if nothing does.
 
-    ``ball`` is the robot's reach; None where it is not known, and the position is not judged then.  ``zeros``
-    are those of ``doubted_zeros``.
+    Args:
+        found: Result of the calibration.
+        ball: Reach of the robot. None if it is unknown: then the position is not checked.
+        zeros: Joints whose zero is off, see ``doubted_zeros``.
     """
-    views, rejected = len(found.residuals), len(found.outliers)
+    views = len(found.residuals)
+    rejected = len(found.outliers)
     position = np.inf if ball is None else _SOUND_POSITION * ball[1]
     reasons = [
-        f"the zero of {name} seems to be off by {np.degrees(offset):.2f} ± {np.degrees(sigma):.2f} deg"
+        f"the zero of {name} seems to be off by "
+        f"{np.degrees(offset):.2f} ± {np.degrees(sigma):.2f} deg"
         for name, (offset, sigma) in zeros.items()
     ]
     if (
@@ -327,19 +404,19 @@ def self_contradiction(
         if ball is not None:
             sound = f"{1e3 * position:.2f} mm and {sound}"
         reasons.append(
-            f"its own error is {own} (a sound arm: below {sound}) and {rejected} of {views} views are not "
-            "believed"
+            f"its own error is {own} (a sound arm: below {sound}) "
+            f"and {rejected} of {views} views are not believed"
         )
     if not reasons:
         return ""
     return (
-        f"the arm contradicts itself: {'; '.join(reasons)}; so the pose may be wrong by far more than is "
-        "stated; check the joints' zeros: robot-ik camera verify --fit"
+        f"the arm contradicts itself: {'; '.join(reasons)}; so the pose may be wrong by far more "
+        "than is stated; check the joints' zeros: robot-ik camera verify --fit"
     )
 
 
 def samples_path(out: Path) -> Path:
-    """Where the samples of a result go: beside it."""
+    """Return the path of the samples of a result: beside it."""
     return out.with_name(f"{out.stem}.samples.json")
 
 
@@ -351,16 +428,19 @@ def visit_stations(
     keep: Callable[[SampleSet], None],
     progress: Progress,
 ) -> None:
-    """Plans stations; unless that is all, goes to them with torque and looks at the board.
+    """Plan stations, visit them and write the observations of the board into ``report``.
 
-    The report has what came of it, and its samples are handed to ``keep`` after each.
+    A dry run only plans. ``keep`` is called with the samples after each station.
 
     Raises:
-        HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
+        HardwareError: The arm fails.
+        TrajectoryError: A station cannot be reached.
+        CameraError: The camera fails, or too few stations are found.
     """
     progress("planning", 0.0)
     planned = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
-    report.stations, count = tuple(planned), len(planned)
+    report.stations = tuple(planned)
+    count = len(planned)
     if request.dry_run:
         return
     setup.enable_torque()
@@ -368,13 +448,22 @@ def visit_stations(
         trajectory = joint_move(setup.robot, setup.q, asked, **setup.caps(request.speed))
 
         def show(tick: Any, number: int = number, ticks: int = max(1, len(trajectory))) -> None:
-            progress(f"view {number + 1} of {count}", (number + min(1.0, tick.index / ticks)) / count)
+            share = (number + min(1.0, tick.index / ticks)) / count
+            progress(f"view {number + 1} of {count}", share)
 
         settle = 0.0 if setup.arm is None else _SETTLE_SECONDS
-        execute(trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show, settle=settle)
+        execute(
+            trajectory,
+            setup.sinks,
+            source=setup.arm,
+            clock=setup.clock,
+            on_tick=show,
+            settle=settle,
+        )
         before, still = _come_to_rest(setup)
         frame = scene.take()
-        q = 0.5 * (before + setup.q)  # where the servos say that it is, before and after the picture
+        # Mean of the readings before and after the picture.
+        q = 0.5 * (before + setup.q)
         view = scene.board.find(frame, scene.task.intrinsics) if still else None
         if view is None:
             report.unseen += (number,)
@@ -384,7 +473,7 @@ def visit_stations(
 
 
 def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
-    """Reads until two readings agree: the last one (nq,), and whether they did."""
+    """Read the servos until two readings agree. Return the last (nq,) and whether they agree."""
     last = setup.q
     if setup.arm is None:
         setup.shown = last.copy()
