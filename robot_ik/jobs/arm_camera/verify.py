@@ -1,6 +1,7 @@
-"""An arm checked by a camera: where a board that it carries really is, and by how much zeros are off.
+"""Verify an arm with a camera: errors of a carried board, and offsets of the joint zeros.
 
-The camera's pose must come from elsewhere than the arm: a board on the table (``robot-ik camera locate``).
+The camera's pose must not come from the arm. It comes from a board on the table (``robot-ik camera
+locate``).
 """
 
 from __future__ import annotations
@@ -46,18 +47,38 @@ from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# The sums of an error map: over all poses, and over the halves of the space they were in.
-
-
 _AXES = "xyz"
+#: Default standard deviation of the board's pose on the arm, each axis, metres and rad.
+BOARD_SIGMA = (2e-4, float(np.deg2rad(0.1)))
+# Pictures of the marker on the table that locate the simulated camera.
+_LOCATE_PICTURES = 5
+# Standard deviation of a camera's pose that was found by moving the arm, metres and rad. It has the
+# errors of the arm.
+_BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
+# A view with more than this multiple of the median standard deviation is not counted.
+_UNSURE = 5.0
+# Least covariance of a known pose, m and rad, squared. It keeps the covariance regular.
+_LEAST = 1e-12 * np.eye(6)
+# Resolution of the picture of errors, dots per inch.
+_DPI = 100
+# Title of each view of the picture, and the world axes across and up.
+_VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
+# Length of the longest arrow over the extent of the poses.
+_LONGEST = 0.25
 
 
 @dataclass(frozen=True)
 class Region:
-    """Some of the poses: RMS, median and largest of the distances; RMS of the angles.
+    """Summary of the errors of some poses.
 
-    ``sigma_m`` is the RMS of the stated standard deviations.
+    Attributes:
+        name: Which poses.
+        poses: Number of poses.
+        rms_m: RMS of the distances, metres.
+        median_m: Median of the distances, metres.
+        largest_m: Largest distance, metres.
+        rms_rad: RMS of the angles, rad.
+        sigma_m: RMS of the stated standard deviations, metres.
     """
 
     name: str
@@ -70,18 +91,21 @@ class Region:
 
 
 def summary(errors: Sequence[PoseError], name: str = "all") -> Region:
-    """Over some poses; at least one."""
+    """Return the summary of at least one pose."""
     distances = np.array([one.distance for one in errors])
     return Region(
-        name, len(errors),
-        float(np.sqrt(np.mean(distances**2))), float(np.median(distances)), float(distances.max()),
+        name,
+        len(errors),
+        float(np.sqrt(np.mean(distances**2))),
+        float(np.median(distances)),
+        float(distances.max()),
         float(np.sqrt(np.mean([one.angle**2 for one in errors]))),
         float(np.sqrt(np.mean([one.sigma**2 for one in errors]))),
-    )  # fmt: skip
+    )
 
 
 def regions(errors: Sequence[PoseError]) -> tuple[Region, ...]:
-    """All poses, then the lower and the upper half along each axis of the world, split in the middle."""
+    """Return the summaries of all poses, and of the lower and upper half along each world axis."""
     positions = np.array([one.position for one in errors])
     found = [summary(errors)]
     for k, axis in enumerate(_AXES):
@@ -93,21 +117,15 @@ def regions(errors: Sequence[PoseError]) -> tuple[Region, ...]:
     return tuple(found)
 
 
-# ------------------------------------------------------------------------------------------
-# What ``run_verify`` shall do.
-
-
-#: How well the board's pose on the arm is known unless said otherwise, each axis: metres, rad.
-BOARD_SIGMA = (2e-4, float(np.deg2rad(0.1)))
-
-
 @dataclass(frozen=True)
 class VerifyRequest(HandEyeRequest):
-    """An arm that carries a board (``pose_other_board``) before a standing camera.
+    """An arm that carries a board (``pose_other_board``) in view of a camera that does not move.
 
     Attributes:
-        extrinsics: File of the camera's pose; needed for a real camera, the simulated one is located first.
-        board_sigma: How well the board's pose is known, each axis: metres, rad.
+        views: Number of pictures.
+        extrinsics: File of the camera's pose. A real camera needs one. The simulated camera is
+            located first.
+        board_sigma: Standard deviation of the board's pose, each axis, metres and rad.
         fit: Whether to estimate the joints' zero offsets.
     """
 
@@ -117,23 +135,17 @@ class VerifyRequest(HandEyeRequest):
     fit: bool = False
 
 
-# Pictures of the marker on the table by which the simulated camera is located.
-_LOCATE_PICTURES = 5
-# A camera's pose found by moving the arm has the arm's errors in it: it is worth so little, metres and rad.
-_BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
-# A view that is so many times less sure than the middle one does not count.
-_UNSURE = 5.0
-# No pose is known better than this (m and rad, squared): keeps its covariance regular.
-_LEAST = 1e-12 * np.eye(6)
-
-
 @dataclass(eq=False, kw_only=True)
 class VerifyReport(ArmCameraReport):
-    """What came out.
+    """Result of the verification.
 
     Attributes:
-        errors: Of each view, with the joints as the servos say; empty for a dry run.
-        fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
+        samples: The measurements.
+        robot: The robot.
+        config: The arm file. None for a simulated arm without one.
+        errors: Error of each view by the angles of the servos. Empty for a dry run.
+        fit: Offsets of the joints. Its ``errors`` are of views that were left out of the fit. None
+            if it was not requested.
     """
 
     samples: VerifySamples
@@ -143,18 +155,21 @@ class VerifyReport(ArmCameraReport):
     fit: ZeroOffsets | None = None
 
     def compare(self, *, fit: bool) -> None:
-        """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
+        """Compute the errors and, if requested, fit the offsets of the joints, without moving.
 
         Raises:
             MarkerNotFoundError: The board was seen at too few of the stations.
         """
         samples = self.samples
         samples.require(len(self.stations), "where camera and board are said to be")
-        views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+        views = [
+            CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)
+        ]
         known = samples.camera, samples.board
         model = ArmModel(self.robot, samples.frame, samples.intrinsics, views, *known)
         if samples.by_arm:
-            # The pose as the arm's views have it: what is left are the errors that change from view to view.
+            # The camera's pose fits the arm's views, so only errors that change from view to view
+            # are left.
             self.errors = fit_zero_offsets(model, self.robot.joints).errors
         else:
             self.errors = measure_errors(model)
@@ -162,38 +177,40 @@ class VerifyReport(ArmCameraReport):
 
     @property
     def unsure(self) -> tuple[int, ...]:
-        """Numbers of the views that tell far less than the others, or contradict them: they do not count."""
+        """Indices of the views that are far less accurate than the others or contradict them."""
         limit = _UNSURE * float(np.median([one.sigma for one in self.errors]))
         wrong = () if self.fit is None else self.fit.outliers
         return tuple(k for k, one in enumerate(self.errors) if one.sigma > limit or k in wrong)
 
     def judged(self, *, corrected: bool) -> tuple[PoseError, ...]:
-        """What a verdict is about: the arm as it is or, if fitted, corrected; without the unsure views."""
+        """Return the errors of the arm, as it is or corrected by the fit, without unsure views."""
         errors = self.fit.errors if corrected and self.fit is not None else self.errors
         unsure = self.unsure
         return tuple(one for k, one in enumerate(errors) if k not in unsure)
 
     def passed(self, allowed: float, *, corrected: bool = False) -> bool:
-        """Whether no pose is farther off than ``allowed`` metres."""
+        """Return whether no error is larger than ``allowed``, metres."""
         return summary(self.judged(corrected=corrected)).largest_m <= allowed
 
     @property
     def better(self) -> bool:
-        """Whether the zeros that were found explain poses that they were not found from."""
+        """Whether the fitted zeros reduce the errors of views that were left out of the fit."""
         return self.fit is not None and (
             summary(self.judged(corrected=True)).rms_m < summary(self.judged(corrected=False)).rms_m
         )
 
     def zero_ticks(self) -> dict[str, tuple[int, int]]:
-        """Servo -> zero of the arm file as it is, and as it should be, ticks; of those that are to change."""
+        """Return by servo the present and the fitted zero, ticks, of servos whose zero changes."""
         if self.config is None:
             return {}
-        pairs = zip(self.config.servos, zeros_moved(self.config, self.offsets()).servos, strict=True)
+        pairs = zip(
+            self.config.servos, zeros_moved(self.config, self.offsets()).servos, strict=True
+        )
         zeros = {was.name: (was.zero_ticks, new.zero_ticks) for was, new in pairs}
         return {name: both for name, both in zeros.items() if both[0] != both[1]}
 
     def offsets(self) -> dict[str, float]:
-        """Joint -> rad, of those that could be determined."""
+        """Return by joint the fitted offset, rad, of joints whose offset is determined."""
         if self.fit is None:
             return {}
         return {
@@ -206,25 +223,35 @@ class VerifyReport(ArmCameraReport):
 def run_verify(
     request: VerifyRequest,
     *,
-    keep: Callable[[SampleSet], None] = lambda samples: None,
-    progress: Progress = lambda phase, share: None,
+    keep: Callable[[SampleSet], None] = lambda _samples: None,
+    progress: Progress = lambda _phase, _share: None,
 ) -> VerifyReport:
-    """Locates the camera, plans, moves, looks, compares; ``keep`` as in ``run_handeye``.
+    """Locate the camera, plan the views, visit them and compute the errors.
+
+    Args:
+        request: Arm, camera and board.
+        keep: Called with all samples after each station.
+        progress: Called with the phase and its finished share.
 
     Raises:
-        RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
+        RobotIkError: Wrong input or environment. The board was seen at too few stations, or the
+            marker on the table was not seen.
     """
     if request.rehearsal.zero_offset_deg and request.camera != "synthetic":
         raise ConfigError(
             "a zero offset can be rehearsed before the synthetic camera only",
-            file="command line", key="--rehearse-zero-offset", allowed=f"--camera synthetic, {SIMULATED}",
-        )  # fmt: skip
+            file="command line",
+            key="--rehearse-zero-offset",
+            allowed=f"--camera synthetic, {SIMULATED}",
+        )
     with contextlib.ExitStack() as stack:
         setup = prepare_robot(request)
         if request.camera != "synthetic" and request.extrinsics is None:
             raise CalibrationError(
-                f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
-                hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
+                f"where the camera {request.camera!r} stands is not known, "
+                "so it cannot judge the arm",
+                hint="lay a board on the table, find it (robot-ik camera locate), "
+                "give --camera-extrinsics",
             )
         scene = open_scene(request, setup, stack)
         extrinsics = _given_extrinsics(request, scene.task.intrinsics)
@@ -241,11 +268,16 @@ def run_verify(
     return report
 
 
-def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
-    """Judges again what was measured before.
+def verify_from_samples(
+    samples: VerifySamples, request: VerifyRequest, *, board_sigma: bool
+) -> VerifyReport:
+    """Compute the errors from saved samples, without moving.
 
-    Of the request count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics`` and
-    ``pose_other_board``; with ``board_sigma`` its ``board_sigma``, too.
+    Args:
+        samples: The samples.
+        request: Only ``fit``, ``arm_file``, ``intrinsics``, ``extrinsics``, ``pose_other_board``
+            and ``board_sigma`` are used.
+        board_sigma: Whether to use ``board_sigma`` of the request instead of the saved covariance.
 
     Raises:
         ConfigError: The arm file is not the one the joints were read with.
@@ -266,13 +298,16 @@ def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board
     if board_sigma:
         board = KnownPose.within(board.pose, *request.board_sigma)
     config = None if request.arm_file is None else samples.arm(request.arm_file)
-    samples, robot = replace(samples, board=board, **camera), samples.load_robot()
+    robot = samples.load_robot()
+    samples = replace(samples, board=board, **camera)
     report = VerifyReport(robot=robot, config=config, samples=samples, stations=tuple(samples.q))
     report.compare(fit=request.fit)
     return report
 
 
-def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
+def _given_extrinsics(
+    request: VerifyRequest, intrinsics: CameraIntrinsics
+) -> CameraExtrinsics | None:
     if request.extrinsics is None:
         return None
     extrinsics = CameraExtrinsics.load(request.extrinsics, intrinsics)
@@ -287,59 +322,59 @@ def _locate(
     extrinsics: CameraExtrinsics | None,
     progress: Progress,
 ) -> VerifySamples:
-    """What is known before the first sample; without extrinsics the camera is located here."""
+    """Return samples with the prior knowledge only. Without extrinsics, locate the camera."""
     if extrinsics is None:
         progress("locating the camera", 0.0)
         extrinsics = _located(setup, scene)
-    task, config, truth, joints = scene.task, setup.config, scene.truth, setup.robot.joints
+    task = scene.task
+    config = setup.config
+    truth = scene.truth
+    joints = setup.robot.joints
     pose = request.pose_other_board
     if pose is None:
         pose = Pose() if truth is None else truth.pose_other_board
     offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
     return VerifySamples(
-        request.robot, joints, task.frame, "eye_to_hand", task.intrinsics,
+        request.robot,
+        joints,
+        task.frame,
+        "eye_to_hand",
+        task.intrinsics,
         **_known_camera(extrinsics),
         board=KnownPose.within(pose, *request.board_sigma),
         true_offsets=None if truth is None else np.deg2rad(offsets_deg),
         servos=() if config is None else tuple(map(plain, config.joints)),
-    )  # fmt: skip
+    )
 
 
 def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
-    """The simulated camera is located by the marker on the table, as a person would have it done."""
-    around, lens = scene_for(setup.robot, setup.frame), scene.task.intrinsics
+    """Locate the simulated camera by the marker on the table, as ``robot-ik camera locate``."""
+    around = scene_for(setup.robot, setup.frame)
+    lens = scene.task.intrinsics
     sheet = marker(around.marker_id, around.marker_size, around.dictionary)
     views = [sheet.find(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
     seen = [view for view in views if view is not None]
     if not seen:
         raise MarkerNotFoundError(
-            "the marker on the table is hidden, so the simulated camera does not know where it stands",
+            "the marker on the table is hidden, "
+            "so the simulated camera does not know where it stands",
             hint="give where it is: --camera-extrinsics FILE",
         )
     return locate_camera(seen, around.pose_world_marker, lens)
 
 
 def _known_camera(extrinsics: CameraExtrinsics) -> dict[str, Any]:
-    """What samples know of the camera: ``camera`` and ``by_arm``."""
+    """Return the fields ``camera`` and ``by_arm`` of ``VerifySamples``."""
     pose = extrinsics.pose_parent_camera
     if extrinsics.method.startswith("handeye"):
         return {"camera": KnownPose.within(pose, *_BY_THE_ARM), "by_arm": True}
     return {"camera": KnownPose(pose, extrinsics.covariance + _LEAST), "by_arm": False}
 
 
-# ------------------------------------------------------------------------------------------
-# The error map as a picture: from above and from the side, as it is and corrected.
-
-
-_DPI = 100
-# World axes across and up of each view.
-_VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
-# The longest arrow, as a share of the space that the poses take.
-_LONGEST = 0.25
-
-
 def error_picture(report: VerifyReport) -> bytes:
-    """PNG: an arrow for each pose, in each row of the same scale and colours; no OpenGL.
+    """Return a PNG with an arrow for the error of each pose.
+
+    All arrows of a row have the same scale and colours.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -366,13 +401,23 @@ def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple
     length = np.linalg.norm(vectors, axis=1)
     scale = _LONGEST * float(np.ptp(positions, axis=0).max()) / max(float(length.max()), 1e-9)
     arrows = axes.quiver(
-        positions[:, across], positions[:, up], vectors[:, across], vectors[:, up], length,
-        angles="xy", scale_units="xy", scale=1.0 / max(scale, 1e-9), cmap="viridis", width=0.005,
-    )  # fmt: skip
+        positions[:, across],
+        positions[:, up],
+        vectors[:, across],
+        vectors[:, up],
+        length,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0 / max(scale, 1e-9),
+        cmap="viridis",
+        width=0.005,
+    )
     arrows.set_clim(0.0, float(length.max()))
     axes.plot(positions[:, across], positions[:, up], ".", color="#999999", markersize=4, zorder=0)
-    axes.plot(0.0, 0.0, "s", color="#444444", markersize=8)  # the origin of the world: the arm's base
-    tips = positions + scale * vectors  # arrows do not count for the limits of themselves
+    # The origin of the world: the base of the arm.
+    axes.plot(0.0, 0.0, "s", color="#444444", markersize=8)
+    # matplotlib ignores the tips of arrows when it chooses the limits.
+    tips = positions + scale * vectors
     axes.update_datalim(tips[:, (across, up)])
     axes.autoscale_view()
     axes.set_xlabel(f"{'xyz'[across]}, mm")
