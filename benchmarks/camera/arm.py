@@ -1,8 +1,9 @@
-"""An arm before a camera: is what locate, hand-eye and ``verify --fit`` find as near as it says?
+"""Accuracy and consistency of locate, hand-eye and ``verify --fit``, and the gain of prediction.
 
-Nothing is known that a person could not know: the camera's pose comes from one picture of a sheet on the
-table, or from the arm's own views; where the board sits in the hand, from the drawing of its mount, which is
-made with errors, or from those views.  The job that moves servos and takes pictures is the row ``zeros``.
+The rows use only what a user can know. The pose of the camera comes from one picture of a sheet on
+the table or from the views of the arm. The pose of the board in the hand comes from the drawing of
+its mount, which has manufacturing errors, or from these views. The row ``zeros`` runs the whole
+job, which moves servos and takes pictures.
 """
 
 from __future__ import annotations
@@ -33,34 +34,73 @@ from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
-_ROBOT, _SEEDS, _VIEWS = "puma560", 20, 20
-# Hidden offsets up to so much; scatter of a servo (half a tick of twelve bits).
-_HIDDEN, _SERVO = np.deg2rad(2.0), np.deg2rad(0.044)
-_DISTANCE, _BEND, _STEEPEST = 0.8, 1.2, 0.4
-# So far inside the picture, px, is a board that is observed.
+_ROBOT = "puma560"
+# Arms with different offsets in a full run.
+_SEEDS = 20
+# Views of each arm.
+_VIEWS = 20
+# Largest hidden offset of a joint, rad.
+_HIDDEN = np.deg2rad(2.0)
+# Standard deviation of a servo's angle, rad: half a tick of 12 bits.
+_SERVO = np.deg2rad(0.044)
+# Distance of the camera in front of the board at home, metres.
+_DISTANCE = 0.8
+# Largest distance of a joint from home in a view, rad.
+_BEND = 1.2
+# Least cosine between the normal of the board and the direction to the camera.
+_STEEPEST = 0.4
+# Least distance of the camera's image plane to a board in a view, metres.
+_NEAREST = 0.3
+# Least distance of a board's corners from the edge of the picture, px.
 _EDGE = 6.0
-# On the tool, a board of 2×2, where the drawing of its mount has it; on the table, a sheet of A4, seen at 45
-# degrees, 0.9 m away.
+# Pose of the board on the tool by the drawing of its mount.
 _DRAWN = Pose((0.0, 0.0, 0.03))
+# Board on the tool: 2×2 markers.
 _CARRIED = marker_grid(2, 2, 0.05, 0.012, dictionary=DICTIONARY)
+# Sheet of A4 on the table.
 _SHEET = marker_grid(4, 3, 0.05, 0.0125, dictionary=DICTIONARY)
+# Pose of the sheet in the camera's frame: 0.9 m away, tilted by 45 degrees.
 _SHEET_SEEN = Pose((0.0, 0.05, 0.9), rotation_exp([0.75 * np.pi, 0.0, 0.0]))
-# How far the board in its mount is from its drawing, each axis, m and rad.
+# Standard deviation of the board in its mount from the drawing, each axis, m and rad.
 _MOUNTED = (1e-4, float(np.deg2rad(0.03)))
-# What is known beforehand, and how many of six joints are observable then.
+# Prior knowledge, and how many of the six joints are observable with it.
 _CASES = {
     "camera and board anywhere": 4,
     "camera located, board anywhere": 5,
     "camera located, board in a mount": 6,
 }
-# Mean squared error over the stated one.
+# Accepted range of the squared error over the stated variance. A consistent estimate has 1.
 _NEES_RANGE = (0.3, 3.0)
+# Ages of the last picture for which the pose of a hand is predicted, s.
+DELAYS = (0.0, 0.033, 0.066, 0.1, 0.15)
+# Pictures per second of the hand.
+_RATE_HZ = 30.0
+# Standard deviation of a measured position, each axis, metres.
+_NOISE_M = 3e-4
+# Standard deviation of a measured orientation, each axis, rad.
+_NOISE_RAD = 2e-3
+# RMS speed of a waving hand, m/s.
+_SPEED = 0.196
+# Lowest frequency in its motion, Hz.
+_SLOWEST = 0.3
+# Highest frequency in its motion, Hz.
+_QUICKEST = 1.5
+# Number of waves along each axis.
+_WAVES = 6
+# Pictures before the errors count: the filter needs them to converge.
+_RUN_IN = 30
+_VERIFIED_ROBOT = "tabletop_puma"
+# Views of the whole job.
+_VERIFIED_VIEWS = 30
+# Largest hidden offset of a joint in the whole job, degrees.
+_LARGEST_DEG = 3.0
 
 
 def consistency(effort: Effort) -> Iterator[Quantity]:
-    """The camera's pose and the zeros of six joints by the pictures of a webcam that stands.
+    """Yield the consistency of the camera's pose and of the zeros of six joints.
 
-    Each seed has an arm with hidden offsets, a camera, and a 2×2 board in the hand.
+    Each seed has an arm with hidden offsets, a webcam that does not move, and a 2×2 board in the
+    hand.
     """
     robot = load_robot(_ROBOT)
     seen = robot.forward(robot.home).compose(_DRAWN)
@@ -73,12 +113,14 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
         board = _mounted(_DRAWN, rng)
         views = [_view(robot, eye, board, hidden, rng) for _ in range(_VIEWS)]
         camera = _located(eye, rng)
-        # The same pictures by an arm whose zeros are right: the camera's pose by its views alone.
+        # With the true zeros, the same pictures give the camera's pose without the arm's errors.
         right = _handeye(robot, views, hidden)
         for errors, found, covariance in zip(
-            cameras.values(), (camera.pose, right.pose_parent_camera),
-            (camera.covariance, right.covariance[:6, :6]), strict=True,
-        ):  # fmt: skip
+            cameras.values(),
+            (camera.pose, right.pose_parent_camera),
+            (camera.covariance, right.covariance[:6, :6]),
+            strict=True,
+        ):
             errors.append(_nees(found.minus(eye), covariance))
         start = _handeye(robot, views, np.zeros(robot.nv))
         anywhere = KnownPose.within(start.pose_parent_camera, *ANYWHERE)
@@ -106,23 +148,23 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
 
 
 def _mounted(drawn: Pose, rng: np.random.Generator) -> Pose:
-    """Where a board really sits: off its drawing by what its mount is made to."""
+    """Return the pose of a board in its mount: the drawing with a manufacturing error."""
     return drawn.plus(rng.normal(0.0, 1.0, 6) * np.repeat(_MOUNTED, 3))
 
 
 def _handeye(robot: Robot, views: Sequence[CalibrationStation], offsets: Array) -> HandEye:
-    """The camera's pose, and the board's in the hand, by views of an arm that believes these offsets."""
+    """Return the poses of the camera and of the board in the hand, for assumed joint offsets."""
     samples = [HandEyeSample(robot.forward(one.q + offsets), one.view) for one in views]
     return solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
 
 def _nees(off: Array, covariance: Array) -> float:
-    """Squared error (n,) over the stated one: 1 on average for a consistent one."""
+    """Return the squared error ``off`` (n,) over the ``covariance`` (n, n), divided by n."""
     return float(off @ np.linalg.solve(covariance, off)) / len(off)
 
 
 def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
-    """The camera's pose by one picture of the sheet on the table, which lies where the world begins."""
+    """Return the camera's pose by one picture of the sheet on the table."""
     sheet = _photographed(_SHEET_SEEN, _SHEET, rng)
     if sheet is None:
         raise RuntimeError("the sheet of the bench was not found")
@@ -131,20 +173,20 @@ def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
 
 
 def _photographed(pose: Pose, board: MarkerTarget, rng: np.random.Generator) -> Observation | None:
-    """A board at ``pose`` (camera frame) as it is seen in a picture of a webcam."""
+    """Return the observation of a board at ``pose``, camera frame, in a picture of a webcam."""
     return board.find(board_frame(pose, board, rng), STANDARD_CAMERA)
 
 
 def _view(
     robot: Robot, eye: Pose, board: Pose, hidden: Array, rng: np.random.Generator
 ) -> CalibrationStation:
-    """What the servos say and the camera sees, at a random pose that shows the board."""
+    """Return the servos' angles and the observed board, at a random pose that shows the board."""
     while True:
         q = robot.clip(robot.home + rng.uniform(-_BEND, _BEND, robot.nq))
         true = q + hidden + rng.normal(0.0, _SERVO, robot.nv)
         there = eye.inverse().compose(robot.forward(true)).compose(board)
         direction = -there.position / np.linalg.norm(there.position)
-        if there.position[2] < 0.3 or there.rotation[:, 2] @ direction < _STEEPEST:
+        if there.position[2] < _NEAREST or there.rotation[:, 2] @ direction < _STEEPEST:
             continue
         corners = _CARRIED.points(_CARRIED.markers).reshape(-1, 3)
         pixels = STANDARD_CAMERA.project(there.apply(corners))
@@ -154,20 +196,8 @@ def _view(
                 return CalibrationStation(q, seen)
 
 
-# ------------------------------------------------------------------------------------------
-# What prediction gains: a hand that moves, seen late, by different filters.
-
-
-DELAYS = (0.0, 0.033, 0.066, 0.1, 0.15)
-_RATE_HZ, _NOISE_M, _NOISE_RAD = 30.0, 3e-4, 2e-3
-# A hand that waves: root mean square of its speed (m/s), and the frequencies in it (Hz).
-_SPEED, _SLOWEST, _QUICKEST, _WAVES = 0.196, 0.3, 1.5, 6
-# Pictures before the figures count.
-_RUN_IN = 30
-
-
 def hand(rng: np.random.Generator) -> Callable[[float], Array]:
-    """Position (3,) in metres of a waving hand, by time: a few waves along each axis."""
+    """Return a waving hand: its position (3,), metres, by time. It has waves along each axis."""
     frequency = rng.uniform(_SLOWEST, _QUICKEST, (_WAVES, 3))
     phase = rng.uniform(0.0, 2.0 * np.pi, (_WAVES, 3))
     size = rng.uniform(0.5, 1.0, (_WAVES, 3)) / frequency
@@ -177,20 +207,26 @@ def hand(rng: np.random.Generator) -> Callable[[float], Array]:
 
 
 def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tuple[Array, Array]:
-    """RMS errors of a moving and of a resting hand, each (delays, 3), metres.
+    """Compare the last observation with the prediction of the motion filter.
 
-    At each of ``DELAYS``: of the last observation and of the motion filter.  30 pictures a second,
-    noise of 0.3 mm along each axis; so many ``hands``, that is motions, of so many ``seconds``.
+    Args:
+        hands: Number of motions.
+        seconds: Length of each motion.
+        seed: Of the motions and of the noise.
+
+    Returns:
+        RMS errors of moving hands and of resting hands, metres, each (delays, 2): a row for each
+        of ``DELAYS``, with the error of the last observation and of the prediction.
     """
     rng = np.random.default_rng(seed)
     moving = [_errors(hand(rng), seconds, rng) for _ in range(hands)]
-    resting = [_errors(lambda t: np.zeros(3), seconds, rng) for _ in range(hands)]
+    resting = [_errors(lambda _time: np.zeros(3), seconds, rng) for _ in range(hands)]
     means = [np.mean(np.concatenate(errors) ** 2, axis=0) for errors in (moving, resting)]
     return np.sqrt(means[0]), np.sqrt(means[1])
 
 
 def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Generator) -> Array:
-    """(n, delays, 2) errors in metres of holding and predicting."""
+    """Return the errors (n, delays, 2) of the last observation and of the prediction, metres."""
     tracked = MotionFilter()
     covariance = np.diag([_NOISE_M**2] * 3 + [_NOISE_RAD**2] * 3)
     rows = []
@@ -214,7 +250,7 @@ def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Gener
 
 
 def prediction(effort: Effort) -> Iterator[Quantity]:
-    """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
+    """Yield the errors of a hand at 0.2 m/s, seen 66 ms ago, and the noise of a hand at rest."""
     hands = 1 if effort.quick else 6
     moving, resting = compare_filters(hands, 10.0 if effort.quick else 20.0, effort.seed)
     held, predicted = moving[DELAYS.index(0.066)].tolist()
@@ -227,18 +263,10 @@ def prediction(effort: Effort) -> Iterator[Quantity]:
     )
 
 
-# ------------------------------------------------------------------------------------------
-# Joint zero offsets hidden in simulated servos, and found again: a row of ``robot-ik bench camera``.
-
-
-_VERIFIED_ROBOT, _VERIFIED_VIEWS = "tabletop_puma", 30
-# Hidden: up to so many degrees in each joint.
-_LARGEST_DEG = 3.0
-
-
 def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
-    """The whole job on the simulated arm."""
-    worst, largest = [], []
+    """Yield the errors of the joint zeros that the whole job finds on the simulated arm."""
+    worst = []
+    largest = []
     robot = load_robot(_VERIFIED_ROBOT, joints=[f"joint{k}" for k in range(1, 7)])
     scene = scene_for(robot, robot.tool)
     for trial in range(1 if effort.quick else 2):
@@ -246,12 +274,18 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         rng = np.random.default_rng(seed)
         hidden = rng.uniform(-_LARGEST_DEG, _LARGEST_DEG, robot.nv)
         offsets = dict(zip(robot.joints, hidden.tolist(), strict=True))
-        # What is known of the board is the drawing of its mount, off by what the mount is made to.
+        # The job knows the board by the drawing of its mount, with the manufacturing error.
         board = _mounted(scene.cube_offset, rng)
         request = VerifyRequest(
-            _VERIFIED_ROBOT, views=_VERIFIED_VIEWS, fit=True, seed=seed, rehearsal=Rehearsal(offsets),
-            frame=scene.cube_frame, pose_other_board=board, board_sigma=_MOUNTED,
-        )  # fmt: skip
+            _VERIFIED_ROBOT,
+            views=_VERIFIED_VIEWS,
+            fit=True,
+            seed=seed,
+            rehearsal=Rehearsal(offsets),
+            frame=scene.cube_frame,
+            pose_other_board=board,
+            board_sigma=_MOUNTED,
+        )
         report = run_verify(request)
         if report.fit is None or report.samples.true_offsets is None:
             raise RuntimeError("the rehearsal gave no fit, or no true offsets")

@@ -1,7 +1,8 @@
-"""Markers and boards seen by the cameras that people have: tone curves, sharpening, JPEG, glare, motion.
+"""Accuracy of markers and boards in pictures of common cameras.
 
-Every camera sees the same scenes: light drawn through the lens by ``synthetic.pictures``, then what
-``synthetic.sensor`` says that a camera makes of it.  Neither knows the model of an edge that is fitted.
+The cameras differ in tone curve, sharpening, exposure, glare and motion. All cameras see the same
+scenes: ``synthetic.pictures`` draws the light through the lens, and ``synthetic.sensor`` turns it
+into a picture. Neither uses the edge model that the corner fit uses.
 """
 
 from __future__ import annotations
@@ -29,18 +30,36 @@ from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array
 
 _BOARD_SIZE = 2 * STANDARD_SIZE + GAP
-# Scenes at each distance.
-_SINGLES, _BOARDS = 40, 20
-# Corner bias along the diagonals, px: of a usual camera, of a bad picture.  Mean squared error over the
-# stated one.
-_BIAS, _BIAS_HARSH, _NEES = 0.02, 0.04, (0.2, 2.0)
+# Scenes with one marker, at each distance.
+_SINGLES = 40
+# Scenes with a board, at each distance.
+_BOARDS = 20
+# Largest corner bias along the diagonals with a usual camera, px.
+_BIAS = 0.02
+# The same for pictures of poor quality, px.
+_BIAS_HARSH = 0.04
+# Accepted range of the squared error over the stated variance. A consistent estimate has 1.
+_NEES = (0.2, 2.0)
+# Largest position errors at the three distances, mm: of a marker with a usual tone curve.
+_TONED = (0.06, 0.25, 1.0)
+# The same of a board, mm.
+_TONED_BOARD = (0.03, 0.08, 0.25)
+# Largest position errors in pictures of poor quality, mm: of a marker.
+_HARSH = (0.1, 0.5, 1.6)
+# The same of a board, mm.
+_HARSH_BOARD = (0.05, 0.2, 0.6)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One camera, and the position errors wanted of it, mm at 0.3, 0.6 and 1.0 m: of one marker, and a board.
+    """One camera and the largest accepted errors.
 
-    ``board`` may be empty: not asked; ``bias`` is that of the corners, px.
+    Attributes:
+        name: Name of the camera in the results.
+        sensor: What the camera does to the light.
+        single: Position errors of one marker at 0.3, 0.6 and 1.0 m, mm.
+        board: Position errors of a board at these distances, mm. Empty: boards are not measured.
+        bias: Corner bias along the diagonals, px.
     """
 
     name: str
@@ -49,9 +68,6 @@ class Condition:
     board: tuple[float, ...]
     bias: float = _BIAS
 
-
-_TONED, _TONED_BOARD = (0.06, 0.25, 1.0), (0.03, 0.08, 0.25)
-_HARSH, _HARSH_BOARD = (0.1, 0.5, 1.6), (0.05, 0.2, 0.6)
 
 CONDITIONS: tuple[Condition, ...] = (
     Condition("linear", replace(WEBCAM, tone="linear"), (0.05, 0.2, 0.8), (0.02, 0.05, 0.2)),
@@ -64,23 +80,31 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("ink bled by 0.05 mm", replace(WEBCAM, bleed=5e-5), _TONED, _TONED_BOARD),
     Condition("motion 2 px", replace(WEBCAM, motion=2.0), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
     Condition(
-        "sharpening 1.5", replace(WEBCAM, sharpening=1.5), (0.08, 0.4, 2.0), (0.05, 0.15, 0.5), _BIAS_HARSH
+        "sharpening 1.5",
+        replace(WEBCAM, sharpening=1.5),
+        (0.08, 0.4, 2.0),
+        (0.05, 0.15, 0.5),
+        _BIAS_HARSH,
     ),
     Condition("soft shadow", replace(WEBCAM, shadow=0.5), (0.15, 0.8, 2.5), (), _BIAS_HARSH),
-    # Not corrected: the light over a print is smooth in the model.  The result says how far off it may be.
-    Condition("hard shadow", replace(WEBCAM, shadow=0.5, shadow_edge=0.7), (0.4, 1.5, 4.0), (), 0.1),
-)  # fmt: skip
+    # The edge model assumes smooth light over a print, so a hard shadow is not corrected. The
+    # stated covariance covers the error.
+    Condition(
+        "hard shadow", replace(WEBCAM, shadow=0.5, shadow_edge=0.7), (0.4, 1.5, 4.0), (), 0.1
+    ),
+)
 
 
 @dataclass
 class Errors:
-    """What one camera got wrong, by distance.
+    """Errors of one camera.
 
     Attributes:
-        metres: Position errors.
-        nees: Squared position errors over the stated covariance, 1 on average for a consistent one.
-        outward: Mean error of the corners along the diagonals, px.
-        missed: Pictures in which nothing was found.
+        metres: Position errors by distance, metres.
+        nees: Squared position errors over the stated covariance. The mean of a consistent estimate
+            is 1.
+        outward: Mean errors of the corners along the diagonals, px.
+        missed: Number of pictures in which the target was not found.
     """
 
     metres: dict[float, list[float]] = field(default_factory=dict)
@@ -89,7 +113,7 @@ class Errors:
     missed: int = 0
 
     def add(self, distance: float, off: Array, covariance: Array) -> None:
-        """One pose: ``off`` (3,) metres, ``covariance`` (3, 3)."""
+        """Add a pose by its error ``off`` (3,), metres, and its stated ``covariance`` (3, 3)."""
         self.metres.setdefault(distance, []).append(float(np.linalg.norm(off)))
         self.nees.append(float(off @ np.linalg.solve(covariance, off)) / 3.0)
 
@@ -102,7 +126,7 @@ def measured(
     board: bool,
     distances: tuple[float, ...],
 ) -> dict[str, Errors]:
-    """Errors by the name of the camera, of markers or boards in ``count`` scenes at each distance."""
+    """Return the errors by camera, in ``count`` scenes of markers or boards at each distance."""
     target = BOARD if board else marker(MARKER, STANDARD_SIZE, DICTIONARY)
     result = {condition.name: Errors() for condition in conditions}
     for distance in distances:
@@ -112,13 +136,19 @@ def measured(
                 STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE
             )
             placed = {i: (side, pose.compose(on)) for i, (side, on) in target.markers.items()}
-            begun, lights = rng.bit_generator.state, {}
-            for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall
+            begun = rng.bit_generator.state
+            lights = {}
+            for bleed in {condition.sensor.bleed for condition in conditions}:
+                # The same random numbers give the same wall behind the print.
                 rng.bit_generator.state = begun
                 lights[bleed], centre = marker_light(
-                    STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=GAP / STANDARD_SIZE,
+                    STANDARD_CAMERA,
+                    placed,
+                    rng,
+                    dictionary=DICTIONARY,
+                    margin=GAP / STANDARD_SIZE,
                     sensor=replace(LINEAR, bleed=bleed),
-                )  # fmt: skip
+                )
             for condition in conditions:
                 noise = np.random.default_rng([seed, number, round(1e3 * distance)])
                 image = photograph(lights[condition.sensor.bleed], centre, noise, condition.sensor)
@@ -145,7 +175,7 @@ def _see(
 
 
 def cameras(effort: Effort) -> Iterator[Quantity]:
-    """Single markers and boards of four, by every camera at three distances."""
+    """Yield the errors of markers and 2×2 boards, of every camera at three distances."""
     for board, count in ((False, _SINGLES), (True, _BOARDS)):
         chosen = tuple(c for c in CONDITIONS if c.board or not board)
         found = measured(

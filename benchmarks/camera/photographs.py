@@ -1,4 +1,4 @@
-"""What synthetic pictures cannot show: photographs of your own, and the first command on a bare machine."""
+"""Accuracy in the user's own photographs, and the time of the first command after installation."""
 
 from __future__ import annotations
 
@@ -34,25 +34,32 @@ from robot_ik.jobs.pictures import MarkerFinder
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Image
 
-#: The boards that photographs may show: OpenCV's own chessboard has 9 × 6 inner corners; its ChArUco board,
-#: and that of ``robot-ik camera print charuco``.
+#: Chessboard of OpenCV's sample pictures: 9 × 6 inner corners.
 CHESSBOARD = ChessboardPattern(9, 6, 0.025)
+#: ChArUco boards of OpenCV's samples and of ``robot-ik camera print charuco``.
 CHARUCOS = (
     CharucoPattern(5, 7, 0.04, 0.02, "DICT_6X6_250", legacy=True),
     CharucoPattern(8, 6, 0.03, 0.022, "DICT_5X5_50"),
 )
-_LEAST_BOARDS, _LEAST_SADDLES = 6, 8
-# So many chessboards are searched for markers of all dictionaries: a second and more each.
+# Least number of chessboards of one picture size for a calibration.
+_LEAST_BOARDS = 6
+# Least number of saddle points of a ChArUco board for a homography.
+_LEAST_SADDLES = 8
+# Chessboards that are searched for markers of all dictionaries. Each takes more than a second.
 _ASKED = 3
+# When ``cv2.cornerSubPix`` stops: after 30 steps, or after a step of 0.01 px.
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
-_FIRST_SECONDS, _PATIENCE = 20.0, 300.0
+# Largest time of the first command, s.
+_FIRST_SECONDS = 20.0
+# Time after which the first command is stopped, s.
+_PATIENCE = 300.0
 
 
 def photographs(effort: Effort) -> Iterator[Quantity]:
-    """What the tests ask of OpenCV's samples, a user's folder: false finds, calibration, markers' positions.
+    """Yield false detections, calibration and marker errors in a folder of photographs.
 
     Raises:
-        CameraError: No folder is given, or it holds no pictures.
+        CameraError: The folder is not given, or it holds no pictures.
     """
     if not effort.photographs:
         raise CameraError("it needs photographs of yours: --photographs FOLDER")
@@ -83,7 +90,10 @@ def any_finds(picture: Image) -> int:
 
 
 def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Quantity]:
-    """Reprojection beside OpenCV's; and the miss at every other corner, the lens by all other pictures."""
+    """Yield the reprojection error beside OpenCV's, and the error at corners that were left out.
+
+    The lens is calibrated by the other pictures, and every other corner of a picture is left out.
+    """
     size = max(
         (one.shape for one, _ in boards), key=[one.shape for one, _ in boards].count, default=(0, 0)
     )
@@ -103,8 +113,9 @@ def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Quanti
 
 
 def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
-    """Reprojection error, px, of ``cv2.calibrateCamera`` with OpenCV's own corners of the same pictures."""
-    points, pixels = [], []
+    """Return the error of ``cv2.calibrateCamera`` with OpenCV's corners of these pictures, px."""
+    points = []
+    pixels = []
     for gray, view in boards:
         seen, corners = cv2.findChessboardCorners(gray, (CHESSBOARD.columns, CHESSBOARD.rows))
         if seen:
@@ -115,7 +126,10 @@ def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
 
 
 def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Quantity]:
-    """Markers against the saddles of their board; where a camera file of that size lies in the folder."""
+    """Yield the errors of markers against the saddle points of their ChArUco board.
+
+    Only pictures are used for whose size the folder holds a camera file.
+    """
     lenses = {}
     for file in sorted((*folder.glob("*.yml"), *folder.glob("*.yaml"))):
         with contextlib.suppress(CalibrationError):
@@ -143,9 +157,18 @@ def outward_of_saddles(
     board: CharucoPattern,
     seen: Mapping[int, NDArray[np.float64]],
 ) -> list[float]:
-    """How far outwards, px, corners (4, 2) of markers, by id, lie of where the saddles round them say.
+    """Return how far outwards the corners of markers lie from their positions by the saddles, px.
 
-    Only markers with saddles on all sides are asked: beyond them homography and lens are only guessed.
+    Markers at the border of the board are left out: homography and lens would be extrapolated.
+
+    Args:
+        gray: Picture.
+        lens: Its intrinsics.
+        board: Board to look for.
+        seen: Corners (4, 2) of the detected markers by id, px.
+
+    Returns:
+        Mean of the four corners of each marker.
     """
     found = board.find(gray)
     if found is None or len(found.pixels) < _LEAST_SADDLES:
@@ -163,7 +186,7 @@ def outward_of_saddles(
 def _predicted(
     homography: NDArray[Any], board: CharucoPattern, column: int, row: int
 ) -> NDArray[np.float64]:
-    """Undistorted corners (4, 2) of the marker in a square of the board."""
+    """Return the undistorted corners (4, 2) of the marker in a square of the board."""
     middle = (np.array([column, row]) + 0.5) * board.square
     half = 0.5 * board.marker * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     there = np.column_stack([middle + half, np.ones(4)]) @ homography.T
@@ -185,8 +208,8 @@ def _unseen(
     return np.asarray((off**2).sum(axis=1), dtype=float)
 
 
-def first_command(effort: Effort) -> Iterator[Quantity]:
-    """A picture of a robot on a board, by a new process: nothing compiled before, no display, no camera."""
+def first_command(_effort: Effort) -> Iterator[Quantity]:
+    """Yield the time of ``robot-ik ar`` in a new process, with an empty cache, without display."""
     with tempfile.TemporaryDirectory() as folder:
         bare = {
             k: v
@@ -198,8 +221,12 @@ def first_command(effort: Effort) -> Iterator[Quantity]:
         began = time.monotonic()
         done = subprocess.run(
             [sys.executable, "-m", "robot_ik", *command],
-            env=bare, cwd=folder, capture_output=True, check=False, timeout=_PATIENCE,
-        )  # fmt: skip
+            env=bare,
+            cwd=folder,
+            capture_output=True,
+            check=False,
+            timeout=_PATIENCE,
+        )
         took = time.monotonic() - began
     yield Quantity(
         "first command (robot-ik ar), nothing compiled before", took, "s", _FIRST_SECONDS

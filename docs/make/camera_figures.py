@@ -1,11 +1,12 @@
-"""Writes what was measured of the camera into the pages.
+"""Write the measured figures of the camera into the documentation.
 
     make bench-camera ARGS="--json FILE"
-    python -m docs.make.camera_figures FILE    # FILE -> docs/camera.json -> the pages
-    python -m docs.make.camera_figures         # docs/camera.json, docs/performance.json -> the pages
+    python -m docs.make.camera_figures FILE    # FILE -> docs/camera.json -> pages
+    python -m docs.make.camera_figures         # docs/camera.json, docs/performance.json -> pages
 
-Rows of FILE take the place of those that were there; several files may be given.  A table stands between
-`<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
+Rows of FILE replace the rows of the same names in docs/camera.json. Several files may be given. A
+table stands between `<!-- measured: NAME -->` and `<!-- end -->`. The tests fail if a table is out
+of date.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from benchmarks.camera.rows import ROWS
 from robot_ik.jobs.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
-DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
+DATA = DOCS / "camera.json"
+OTHERS = DOCS / "performance.json"
 PAGES = (
     DOCS / "reference" / "camera_accuracy.md",
     DOCS / "theory" / "registration.md",
@@ -30,8 +32,9 @@ PAGES = (
 )
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
-#: The row with the same figures for every camera, and all that have tables of their own: where they are.
+#: Row with the same figures for every camera.
 BY_CAMERA = "cameras"
+#: Rows that have their own table, and where it is.
 TABLES_OF_ROWS = {
     BY_CAMERA: "[below](#other-cameras)",
     "latency": "[registration and delay](../theory/registration.md)",
@@ -51,7 +54,7 @@ _LATENCY_CASES = {
 
 
 def collect(data: Data, files: Sequence[Data]) -> Data:
-    """What the pages need: each row with its machine, and what is computed without a clock."""
+    """Return the content of docs/camera.json: each row with its machine, and the prediction."""
     rows = dict(data.get("rows", {}))
     for facts in files:
         machine = {key: facts["machine"][key] for key in ("processor", "cores", "load", "when")}
@@ -65,15 +68,17 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
 
 
 def figures(row: Data) -> list[Quantity]:
-    """Of a row of the data."""
+    """Return the figures of a row of the data."""
     return [
-        Quantity(**{key: value for key, value in one.items() if key != "passed"}) for one in row["figures"]
+        Quantity(**{key: value for key, value in one.items() if key != "passed"})
+        for one in row["figures"]
     ]
 
 
-def camera(data: Data, others: Data) -> str:
-    """Quantity, value and wanted of every figure under what it is of; then where and when."""
-    lines, places = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"], {}
+def camera(data: Data, _others: Data) -> str:
+    """Return a table of all figures: quantity, value and bound; then machine and date."""
+    lines = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"]
+    places = {}
     for row in ROWS:
         if row.name not in data["rows"]:
             lines.append(f"| **{row.about}** | not measured | |")
@@ -94,8 +99,8 @@ def camera(data: Data, others: Data) -> str:
     return "\n".join([*lines, ""])
 
 
-def other_cameras(data: Data, others: Data) -> str:
-    """A line for each camera and mark; what is wanted in brackets."""
+def other_cameras(data: Data, _others: Data) -> str:
+    """Return a table with a line for each camera and mark, and the bounds in brackets."""
     found: dict[tuple[str, str], dict[str, Quantity]] = {}
     for one in figures(data["rows"][BY_CAMERA]):
         camera, mark, what = one.quantity.split(", ", 2)
@@ -110,7 +115,7 @@ def other_cameras(data: Data, others: Data) -> str:
 
 
 def _with_bounds(one: Quantity | None) -> str:
-    """One value and what is wanted of it."""
+    """Return a value and its bounds."""
     if one is None:
         return ""
     bounds = one.wanted_text.removesuffix(one.unit).strip().replace(" ", "\N{NO-BREAK SPACE}")
@@ -118,45 +123,46 @@ def _with_bounds(one: Quantity | None) -> str:
     return f"{one.value:.3g} ({bounds}{missed})"
 
 
-def prediction(data: Data, others: Data) -> str:
-    """Errors of a waving hand by the age of its picture."""
+def prediction(data: Data, _others: Data) -> str:
+    """Return a table of the errors of a waving hand by the age of its picture."""
     lines = ["| age | as it was seen | predicted |", "| ---: | ---: | ---: |"]
     for delay, *values in data["prediction"]:
-        lines.append(f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |")
-    return "\n".join([*lines, ""])
-
-
-def latency_options(data: Data, others: Data) -> str:
-    """What is left of a delay of 66 ms, by remedy."""
-    lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
-    values = {one.quantity: one.value for one in figures(data["rows"]["latency"])}
-    for name, options in _LATENCY_CASES.items():
         lines.append(
-            f"| {name} | {options} | {values[f'{name}, RMS']:.1f} | {values[f'{name}, worst']:.1f} |"
+            f"| {1e3 * delay:.0f} ms | {' | '.join(f'{1e3 * value:.1f}' for value in values)} |"
         )
     return "\n".join([*lines, ""])
 
 
+def latency_options(data: Data, _others: Data) -> str:
+    """Return a table of the errors that a delay of 66 ms causes, by remedy."""
+    lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
+    values = {one.quantity: one.value for one in figures(data["rows"]["latency"])}
+    for name, options in _LATENCY_CASES.items():
+        rms = values[f"{name}, RMS"]
+        worst = values[f"{name}, worst"]
+        lines.append(f"| {name} | {options} | {rms:.1f} | {worst:.1f} |")
+    return "\n".join([*lines, ""])
+
+
 def headlines(data: Data, others: Data) -> str:
-    """A few figures for the front page, each from the table that its command makes."""
+    """Return a table for the front page, with a few figures and the command of each."""
 
     def of(row: str, start: str) -> str:
         found = [one for one in figures(data["rows"][row]) if one.quantity.startswith(start)]
         return " / ".join(f"{one.value:.2f}" for one in found) + f" {found[0].unit}"
 
     cells = {(c["solver"], c["set"]): c for c in others["methods"] if c["robot"] == "puma560"}
-    cold, warm = cells["auto", "cold"], cells["lm", "warm"]
-    bench, pictures = (
-        "[`robot-ik bench`](docs/reference/performance.md)",
-        "[`make bench-camera`](docs/reference/camera_accuracy.md)",
-    )
+    cold = cells["auto", "cold"]
+    warm = cells["lm", "warm"]
+    bench = "[`robot-ik bench`](docs/reference/performance.md)"
+    pictures = "[`make bench-camera`](docs/reference/camera_accuracy.md)"
     spread = f"{cold['median']:.0f} µs median, {cold['mean']:.0f} µs mean"
     rows = [
         ("a PUMA's pose from home (`auto`)", f"{100 * cold['rate']:.0f} % solved; {spread}", bench),
         ("tracking a pose in small steps (`lm`)", f"{warm['median']:.1f} µs median", bench),
         ("a 50 mm marker at 0.3 / 0.6 / 1.0 m, RMS", of("marker", "position"), pictures),
         ("a robot drawn on a 2×2 board at 0.7 / 1.0 m, RMS", _rms(data), pictures),
-    ]  # fmt: skip
+    ]
     lines = ["| what | measured | command |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows), ""])
 
@@ -172,16 +178,18 @@ TABLES: dict[str, Callable[[Data, Data], str]] = {
 
 
 def filled(text: str) -> str:
-    """A page with every table as the data have it."""
+    """Return the text of a page with all its tables filled from the data."""
     data, others = (json.loads(path.read_text(encoding="utf-8")) for path in (DATA, OTHERS))
     return PLACE.sub(lambda m: m[1] + TABLES[m[2]](data, others) + m[4], text)
 
 
 def main(names: Sequence[str]) -> None:
-    """Fills the pages."""
+    """Merge the named files of figures into docs/camera.json and fill the pages."""
     if names:
         data = json.loads(DATA.read_text(encoding="utf-8")) if DATA.exists() else {}
-        found = collect(data, [json.loads(Path(name).read_text(encoding="utf-8")) for name in names])
+        found = collect(
+            data, [json.loads(Path(name).read_text(encoding="utf-8")) for name in names]
+        )
         DATA.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         before = page.read_text(encoding="utf-8")

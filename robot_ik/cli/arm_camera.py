@@ -1,4 +1,4 @@
-"""``robot-ik camera handeye`` and ``camera verify``: an arm and a camera, each measured by the other."""
+"""``robot-ik camera handeye`` and ``camera verify``: measure an arm and a camera by each other."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 
 Report = TypeVar("Report")
+#: Number of views that both commands accept.
 VIEWS = Range(4, 100, " views")
 # Parts of a direction smaller than this share of its largest are not named.
 _NAMED_SHARE = 0.25
@@ -59,7 +60,7 @@ _ALONG_AXIS = 0.98
 
 @dataclass(frozen=True, kw_only=True)
 class ArmCameraOptions:
-    """The options of both."""
+    """The common options of both commands."""
 
     robot: Annotated[str, robot_argument("as for reach")] = ""
     bus: Annotated[str, bus_argument()] = "sim"
@@ -82,12 +83,15 @@ class ArmCameraOptions:
 
 
 def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, Any]:
-    """What a request has under other names or in another form than the options; checks those of both.
+    """Return the values of a request that differ from the options in name or form.
 
-    ``why_servos`` says what an arm without servos has not.
+    Args:
+        options: Options of either command. They are checked.
+        why_servos: What an arm without servos does not have, for the message.
 
     Raises:
-        ConfigError, CameraError: A malformed option.
+        ConfigError: An option is invalid.
+        CameraError: The board is invalid.
     """
     from robot_ik.camera.target_files import parse_target
 
@@ -101,9 +105,12 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
 
 
 def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
-    """Runs a job with its progress shown; where that is interrupted, it says how to go on.
+    """Run a job and show its progress. After an interruption, print how to go on.
 
-    The job hands all its samples to ``keep`` after each station, for ``file``; ``command`` goes on with them.
+    Args:
+        job: Calls its argument ``keep`` with all samples after each station.
+        file: Where the samples are saved.
+        command: Command that goes on with them.
     """
     from robot_ik.camera.calibration.handeye import LEAST_VIEWS
 
@@ -122,46 +129,45 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
         if views >= LEAST_VIEWS:
             console.say(f"they are kept; go on with them: robot-ik {command} --samples {file}")
         elif views:
-            console.say(f"they are kept in {file}, but {LEAST_VIEWS} are the least that determine anything")
+            console.say(
+                f"they are kept in {file}, but {LEAST_VIEWS} are the least that determine anything"
+            )
         raise
 
 
 def numbers_of_seen(count: int, unseen: Sequence[int]) -> list[int]:
-    """The numbers, from 1, of stations at which the board was seen: rows and "not seen at" count alike."""
+    """Return the numbers, from 1, of the stations at which the board was seen."""
     return [k + 1 for k in range(count + len(unseen)) if k not in unseen]
 
 
 def show_plan(name: str, joints: Sequence[str], stations: Sequence[Array]) -> None:
-    """The joint angles of all stations."""
+    """Print the joint angles of all stations."""
     rows = [(k, *(f"{math.degrees(v):z.1f}" for v in q)) for k, q in enumerate(stations, 1)]
     console.show(console.table(name, *joints, rows=rows, title="planned, degrees"))
 
 
 def planned_values(report: ArmCameraReport, job: str) -> dict[str, Any]:
-    """What JSON says of a run that was planned, measured or not."""
+    """Return the JSON values of a planned run, measured or not."""
     facts = {key: getattr(report.samples, key) for key in ("robot", "joints", "frame", "mounting")}
     return {"schema": 1, "job": job, **facts, "stations": report.stations, "unseen": report.unseen}
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik camera handeye``: how a camera is mounted, found by moving the arm.
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraHandeyeOptions(ArmCameraOptions):
     """Moves the arm through views that it plans itself, and finds where the camera is mounted.
 
-    eye-to-hand: the camera stands beside the arm, the arm carries the board. eye-in-hand: the arm carries
-    the camera, the board lies still. With no options everything is simulated, and the true error is printed
-    beside the stated uncertainty. Ctrl-C keeps what was measured: solve it with --samples.
+    eye-to-hand: the camera stands beside the arm, the arm carries the board. eye-in-hand: the arm
+    carries the camera, the board lies still. With no options everything is simulated, and the true
+    error is printed beside the stated uncertainty. Ctrl-C keeps what was measured: solve it with
+    --samples.
     """
 
     mounting: Literal["eye-in-hand", "eye-to-hand"] = "eye-to-hand"
     """Whether the arm carries the camera or the board."""
     camera_guess: Annotated[tuple[float, ...], single(XYZ_WXYZ, "the scene's")] = ()
-    """Where the camera is, roughly, seen from the world (eye-to-hand) or from the frame that carries it."""
+    """Rough pose of the camera, seen from the world (eye-to-hand) or the frame that carries it."""
     board_guess: Annotated[tuple[float, ...], single(XYZ_WXYZ, "the scene's")] = ()
-    """Where the board is, roughly, seen from the frame that carries it (eye-to-hand) or from the world."""
+    """Rough pose of the board, seen from the frame that carries it (eye-to-hand) or the world."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the camera's pose goes; the samples go beside it."""
     overwrite: Overwrite = False
@@ -170,7 +176,7 @@ class CameraHandeyeOptions(ArmCameraOptions):
 
 
 def run_handeye(options: CameraHandeyeOptions) -> int:
-    """Runs the job; 0 when a pose was found."""
+    """Run the job and return the exit code: 0 if a pose was found."""
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.arm_camera import handeye
     from robot_ik.jobs.arm_camera.samples import SampleSet
@@ -201,10 +207,12 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
 
 
 def _handeye_request(options: CameraHandeyeOptions) -> HandEyeRequest:
-    """The job's request.
+    """Return the request of the options.
 
     Raises:
-        ConfigError, CameraError, InvalidGoalError: All that can be wrong without looking.
+        ConfigError: An option is invalid.
+        CameraError: The board is invalid.
+        InvalidGoalError: A pose is invalid.
     """
     from robot_ik.jobs.arm_camera.handeye import HandEyeRequest
 
@@ -225,14 +233,18 @@ def _print_handeye(report: HandEyeReport) -> None:
         return
     rows = [
         (
-            number, f"{one.pixels:.2f}", f"{one.left_out_pixels:.2f}",
-            f"{1e3 * one.left_out_position:.2f}", f"{math.degrees(one.left_out_angle):.3f}",
-            f"{one.sigmas:.1f}", "contradicts the others: not believed" if one.outlier else "",
+            number,
+            f"{one.pixels:.2f}",
+            f"{one.left_out_pixels:.2f}",
+            f"{1e3 * one.left_out_position:.2f}",
+            f"{math.degrees(one.left_out_angle):.3f}",
+            f"{one.sigmas:.1f}",
+            "contradicts the others: not believed" if one.outlier else "",
         )
         for number, one in zip(
             numbers_of_seen(len(result.residuals), report.unseen), result.residuals, strict=True
         )
-    ]  # fmt: skip
+    ]
     board = "world" if report.parent != "world" else report.samples.frame
     spread = ", ".join(f"{math.degrees(v):.0f}" for v in result.spread)
     facts = [
@@ -283,23 +295,21 @@ def _handeye_json(report: HandEyeReport, options: CameraHandeyeOptions) -> dict[
     }
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik camera verify``: a camera checks where the arm really is, and finds joint zeros that are off.
-
-
 @dataclass(frozen=True, kw_only=True)
 class CameraVerifyOptions(ArmCameraOptions):
-    """Moves a board carried by the tool through poses, and says how far it is from where the joints say.
+    """Moves a board on the tool through poses and measures how far it is from where the joints say.
 
-    The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
-    the arm. With no options everything is simulated. With --fit, joint zeros that are off are estimated; they
-    are written to the arm file of --arm after asking, the old file is kept; servos are never changed.
-    Ctrl-C keeps what was measured: judge it with --samples.
+    The camera stands beside the arm; its place must come from a board on the table (camera locate),
+    not from the arm. With no options everything is simulated. With --fit, joint zeros that are off
+    are estimated; they are written to the arm file of --arm after asking, the old file is kept;
+    servos are never changed. Ctrl-C keeps what was measured: judge it with --samples.
 
     Exit code 0: no pose of the arm, as it now is on file, is farther off than --allowed-mm; else 1.
     """
 
-    camera_extrinsics: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = None
+    camera_extrinsics: Annotated[
+        Path | None, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)
+    ] = None
     """Where it stands, from camera locate; a simulated camera is put there."""
     board_pose: Annotated[tuple[float, ...], single(XYZ_WXYZ, "in the frame")] = ()
     """Where the board is, seen from the frame that carries it."""
@@ -326,7 +336,7 @@ class CameraVerifyOptions(ArmCameraOptions):
 
 
 def run_verify(options: CameraVerifyOptions) -> int:
-    """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
+    """Run the job and return the exit code: 0 if the arm, as now on file, is within the bound."""
     from robot_ik.jobs.results import require_plots
 
     request = _verify_request(options)
@@ -335,7 +345,8 @@ def run_verify(options: CameraVerifyOptions) -> int:
     samples = None if options.samples or options.dry_run else options.out
     picture = None if options.dry_run else options.picture
     if options.fit and options.arm:
-        make_folder(options.arm.parent)  # the zeros are written there in the end
+        # The zeros are written there at the end.
+        make_folder(options.arm.parent)
     with claimed(samples, picture, overwrite=options.overwrite):
         return _measure_and_judge(options, request)
 
@@ -370,16 +381,21 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
 
 
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
-    """Asks, and writes the zeros to the arm file; whether that was done."""
+    """Ask the user and write the zeros to the arm file. Return whether they were written."""
     from robot_ik.hardware.calibration_file import write_zeros
 
-    offsets, config, changed = report.offsets(), report.config, report.zero_ticks()
+    offsets = report.offsets()
+    config = report.config
+    changed = report.zero_ticks()
     if not offsets:
         return False
     if config is not None and not changed:
         console.say("no zero is off by as much as a tick: the arm file is right")
-    elif config is None or not options.arm or config.file != options.arm.expanduser():  # a robot's, not yours
-        console.say("nothing is written: to keep these zeros, give your arm file with --arm", "yellow")
+    elif config is None or not options.arm or config.file != options.arm.expanduser():
+        # The arm file of a bundled robot is never changed.
+        console.say(
+            "nothing is written: to keep these zeros, give your arm file with --arm", "yellow"
+        )
     elif not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
     else:
@@ -394,10 +410,12 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
 
 
 def _verify_request(options: CameraVerifyOptions) -> VerifyRequest:
-    """The job's request.
+    """Return the request of the options.
 
     Raises:
-        ConfigError, CameraError, InvalidGoalError: All that can be wrong without looking.
+        ConfigError: An option is invalid.
+        CameraError: The board is invalid.
+        InvalidGoalError: A pose is invalid.
     """
     from robot_ik.jobs.arm_camera.verify import BOARD_SIGMA, VerifyRequest
     from robot_ik.jobs.robot_setup import Rehearsal
@@ -408,7 +426,8 @@ def _verify_request(options: CameraVerifyOptions) -> VerifyRequest:
     require(known, "--board-sigma", exact, "two numbers above 0")
     picture = options.picture
     drawn = picture is None or picture.suffix.lower() == ".png"
-    require(drawn, "--picture", f"no picture of errors is written as {picture}", "a name that ends in .png")
+    unwritable = f"no picture of errors is written as {picture}"
+    require(drawn, "--picture", unwritable, "a name that ends in .png")
     writes = not options.yes or bool(options.fit and options.arm)
     require(writes, "--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
     return request_of(
@@ -420,10 +439,6 @@ def _verify_request(options: CameraVerifyOptions) -> VerifyRequest:
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         rehearsal=Rehearsal(joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset)),
     )
-
-
-# ------------------------------------------------------------------------------------------
-# What ``robot-ik camera verify`` prints: tables for people, JSON for programs.
 
 
 def unobservable_text(found: Unobservable, frame: str) -> str:
@@ -462,11 +477,12 @@ def _axis_text(vector: Array) -> str:
 
 
 def _print_verified(report: VerifyReport, allowed_mm: float) -> None:
-    """Errors of each pose, sums by region, offsets."""
+    """Print the error of each pose, the errors by region, and the offsets."""
     console.show(_poses(report), _regions("the arm as it is", report.judged(corrected=False)))
     if report.samples.by_arm:
         console.show(
-            "The camera's pose was found by moving this arm: what all poses are off by alike is in it.\n"
+            "The camera's pose was found by moving this arm: "
+            "what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
         )
     if report.fit is not None:
@@ -477,10 +493,15 @@ def _print_verified(report: VerifyReport, allowed_mm: float) -> None:
         console.show(_regions(title, report.judged(corrected=True)))
     if report.unseen:
         console.show("board not seen at " + ", ".join(str(k + 1) for k in report.unseen))
-    for corrected, label in ((False, "as it is"), (True, "with these zeros"))[: 1 + (report.fit is not None)]:
+    verdicts = [(False, "as it is")]
+    if report.fit is not None:
+        verdicts.append((True, "with these zeros"))
+    for corrected, label in verdicts:
         largest = 1e3 * max(one.distance for one in report.judged(corrected=corrected))
         verdict = "within" if largest <= allowed_mm else "beyond"
-        console.show(f"largest error {label}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
+        console.show(
+            f"largest error {label}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm"
+        )
 
 
 def _poses(report: VerifyReport) -> Any:
@@ -495,7 +516,9 @@ def _poses(report: VerifyReport) -> Any:
         off, sigma, *fitted = (f"{1e3 * metres:.2f}" for metres in then)
         angles = (f"{math.degrees(radians):.3f}" for radians in (one.angle, one.sigma_angle))
         position = (f"{1e3 * x:z.0f}" for x in one.position)
-        rows.append((numbers[number], *position, off, sigma, *angles, *fitted, _doubt(report, number)))
+        rows.append(
+            (numbers[number], *position, off, sigma, *angles, *fitted, _doubt(report, number))
+        )
     columns += ["then: mm", "sigma"] if after else []
     return console.table(*columns, "", rows=rows, title="poses, mm")
 
@@ -512,11 +535,16 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
     columns = ("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm")
     rows = [
         (
-            one.name, one.poses, f"{1e3 * one.rms_m:.2f}", f"{1e3 * one.median_m:.2f}",
-            f"{1e3 * one.largest_m:.2f}", f"{math.degrees(one.rms_rad):.3f}", f"{1e3 * one.sigma_m:.2f}",
+            one.name,
+            one.poses,
+            f"{1e3 * one.rms_m:.2f}",
+            f"{1e3 * one.median_m:.2f}",
+            f"{1e3 * one.largest_m:.2f}",
+            f"{math.degrees(one.rms_rad):.3f}",
+            f"{1e3 * one.sigma_m:.2f}",
         )
         for one in regions(errors)
-    ]  # fmt: skip
+    ]
     return console.table(*columns, rows=rows, title=title)
 
 
@@ -525,7 +553,9 @@ def _offset_table(report: VerifyReport) -> Any:
     if fit is None:
         raise RuntimeError("the report has no fit")
     truth = report.samples.true_offsets
-    columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
+    columns: tuple[str, ...] = ("joint", "deg", "sigma")
+    if truth is not None:
+        columns = ("joint", "ahead by: deg", "sigma", "true")
     rows = []
     for k, name in enumerate(fit.joints):
         sigma = f"{math.degrees(fit.sigma[k]):.3f}" if name in fit.found else "held"
@@ -535,7 +565,7 @@ def _offset_table(report: VerifyReport) -> Any:
 
 
 def _verify_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, Any]:
-    """Everything, in metres and rad; ``verdict`` None for a dry run."""
+    """Return all values, in metres and rad. ``verdict`` is None for a dry run."""
     from robot_ik.jobs.arm_camera.verify import regions
 
     found = planned_values(report, "verify")
@@ -571,6 +601,9 @@ def _verify_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[s
 
 def _error_json(one: PoseError) -> dict[str, Any]:
     return {
-        "position_m": one.position, "off_m": one.vector, "off_rad": one.angle,
-        "sigma_m": one.sigma, "sigma_rad": one.sigma_angle,
-    }  # fmt: skip
+        "position_m": one.position,
+        "off_m": one.vector,
+        "off_rad": one.angle,
+        "sigma_m": one.sigma,
+        "sigma_rad": one.sigma_angle,
+    }

@@ -43,6 +43,17 @@ if TYPE_CHECKING:
     from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers, ViewFolder
 
 
+# Ambiguity from which a pose is marked: it fits hardly better than its mirror image. No goals are
+# made from such a pose.
+_DOUBTFUL = 0.6
+# Number of unusable files that are named on the screen.
+_MOST_NAMED = 12
+# Columns of a pose. They fit 80 characters.
+_POSE = ("position, m", "tilt", "error", "ambi-\nguity", "sigma")
+# Names of the distortion coefficients, in OpenCV's order.
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
 @dataclass(frozen=True)
 class CameraListOptions:
     """Lists cameras: index, name, path, permission, who uses them. Opens none of them.
@@ -54,7 +65,7 @@ class CameraListOptions:
 
 
 def run_list(options: CameraListOptions) -> int:
-    """Prints the cameras; 1 when there is none."""
+    """Print the cameras and return the exit code: 1 if there is none."""
     from robot_ik.camera.device import CAN_LIST, find_cameras
     from robot_ik.hardware.checks import named_users_of, permission_hint
 
@@ -66,7 +77,10 @@ def run_list(options: CameraListOptions) -> int:
         rows = [{**asdict(camera), "used_by": users, "do": do} for camera, users, do in found]
         console.print_json({"schema": 1, "can_list": CAN_LIST, "cameras": rows})
     elif found:
-        cells = [(c.index, c.name or "?", c.stable or c.path, _state(c, users), do) for c, users, do in found]
+        cells = [
+            (c.index, c.name or "?", c.stable or c.path, _state(c, users), do)
+            for c, users, do in found
+        ]
         console.show(console.table("index", "name", "path", "state", "what to do", rows=cells))
     elif CAN_LIST:
         console.refused(
@@ -90,22 +104,12 @@ def _state(camera: CameraDevice, users: list[str]) -> str:
     return f"used by {', '.join(users)}" if users else "free"
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik camera detect``: which markers are in pictures, where, and how sure that is.
-
-
-# A pose that fits hardly better than its mirror image is marked: goals are not made from it either.
-_DOUBTFUL = 0.6
-# So many files that cannot be used are named on the screen.
-_MOST_NAMED = 12
-
-
 @dataclass(frozen=True)
 class CameraDetectOptions:
-    """Finds markers in pictures, films and folders: ids, corners, and with --intrinsics their poses.
+    """Finds markers in pictures, films and folders: ids, corners, and poses with --intrinsics.
 
-    Exit code 1 when there is no marker in any of them, or when one of several could not be looked at: it is
-    named, and the others are done. 2 when none could.
+    Exit code 1 when there is no marker in any of them, or when one of several could not be looked
+    at: it is named, and the others are done. 2 when none could.
     """
 
     images: Annotated[Positional[tuple[str, ...]], several("IMAGE|VIDEO|FOLDER")] = ()
@@ -127,7 +131,7 @@ class CameraDetectOptions:
 
 
 def run_detect(options: CameraDetectOptions) -> int:
-    """Prints what is in the pictures; 1 when that is nothing."""
+    """Print the markers in the pictures and return the exit code: 1 if there are none."""
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
@@ -135,7 +139,8 @@ def run_detect(options: CameraDetectOptions) -> int:
         return _detect(options, intrinsics, None)
     from robot_ik.jobs.pictures import DrawingFolder
 
-    for path in map(Path, options.images):  # drawings have the names of their pictures
+    # Drawings have the names of their pictures.
+    for path in map(Path, options.images):
         if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
             raise OutputError(
                 f"the drawings would take the names of the pictures in {folder}",
@@ -145,19 +150,24 @@ def run_detect(options: CameraDetectOptions) -> int:
     with claimed_folder(folder, "*.png", overwrite=options.overwrite):
         code = _detect(options, intrinsics, drawings)
     if drawings.names:
-        console.say(f"wrote {console.count_of(len(drawings.names), 'drawing')} to {folder}", "green")
+        console.say(
+            f"wrote {console.count_of(len(drawings.names), 'drawing')} to {folder}", "green"
+        )
     return code
 
 
 def _detect(
-    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: DrawingFolder | None
+    options: CameraDetectOptions,
+    intrinsics: CameraIntrinsics | None,
+    drawings: DrawingFolder | None,
 ) -> int:
     from robot_ik.jobs.pictures import GUESSED_FROM, hint_of_other_markers
 
     blank: deque[Any] = deque(maxlen=GUESSED_FROM)
     rows = _searched_pictures(options, intrinsics, blank, drawings)
     failed = [row for row in rows if row.error is not None]
-    if failed and len(failed) == len(rows):  # nothing could be looked at: the first error stands for all
+    if failed and len(failed) == len(rows):
+        # All pictures failed: raise the first error.
         error = failed[0].error
         if error is None:
             raise RuntimeError("a picture that failed has no error")
@@ -200,14 +210,18 @@ def _searched_pictures(
     blank: deque[Any],
     drawings: DrawingFolder | None,
 ) -> list[PictureMarkers]:
-    """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
+    """Search all pictures and draw them if wanted. Append some without a marker to ``blank``."""
     from robot_ik.camera.target_files import load_bodies
     from robot_ik.jobs.pictures import MarkerFinder, find_markers
 
     if not options.images:
-        raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
+        raise CameraError(
+            "no picture is given", hint="for example: robot-ik camera detect photo.jpg"
+        )
     bodies = () if options.bodies is None else tuple(load_bodies(options.bodies).values())
-    finder = partial(MarkerFinder, options.dictionary, intrinsics, options.size, options.ids, bodies)
+    finder = partial(
+        MarkerFinder, options.dictionary, intrinsics, options.size, options.ids, bodies
+    )
     found = []
     with console.progress() as bar:
         for name in options.images:
@@ -221,15 +235,8 @@ def _searched_pictures(
     return found
 
 
-# ------------------------------------------------------------------------------------ tables
-
-
-# Of a pose, short enough for 80 columns.
-_POSE = ("position, m", "tilt", "error", "ambi-\nguity", "sigma")
-
-
 def _print_found(rows: Sequence[PictureMarkers], *, posed: bool) -> None:
-    """Tables of markers and of bodies, where there are some; numbers stay whole, names may be broken."""
+    """Print tables of markers and of bodies. Names may be broken into lines, numbers not."""
     markers = [(_picture_label(row), one) for row in rows for one in row.values["markers"]]
     bodies = [(_picture_label(row), one) for row in rows for one in row.values["bodies"]]
     marker_cells = [
@@ -262,7 +269,7 @@ def _picture_label(row: PictureMarkers) -> str:
 
 
 def _pose_cells(values: dict[str, Any]) -> list[object]:
-    """Position, tilt, reprojection error, ambiguity, and how sure the pose is."""
+    """Return position, tilt, reprojection error, ambiguity and standard deviation."""
     pose: Pose = values["pose"]
     away = pose.rotation[:, 2] @ pose.position / -np.linalg.norm(pose.position)
     sigma = np.sqrt(np.diag(values["covariance"]))
@@ -276,17 +283,14 @@ def _pose_cells(values: dict[str, Any]) -> list[object]:
     ]
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik camera locate``: where a camera stands, from a board at a known pose.
-
-
 @dataclass(frozen=True)
 class CameraLocateOptions:
     """Finds where a camera stands from a board whose pose is known, and writes it to a file.
 
-    Neither camera nor board may move meanwhile. Exit code 1, and no file, when no picture shows the board or
-    none agrees with the others. The board's frame: markers and grids have their origin in
-    the middle, x right, y up, z out of the print; chessboard and charuco have OpenCV's, z into the board.
+    Neither camera nor board may move meanwhile. Exit code 1, and no file, when no picture shows the
+    board or none agrees with the others. The board's frame: markers and grids have their origin in
+    the middle, x right, y up, z out of the print; chessboard and charuco have OpenCV's, z into the
+    board.
     """
 
     source: Annotated[Positional[str], arg(metavar="SOURCE")]
@@ -308,11 +312,13 @@ class CameraLocateOptions:
 
 
 def run_locate(options: CameraLocateOptions) -> int:
-    """Looks, fits, writes; 1 when no picture is believed."""
+    """Locate the camera and return the exit code: 1 if no picture is usable."""
     from robot_ik.jobs import locate
 
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
-    request = request_of(locate.LocateRequest, options, pose_parent_board=pose, pictures=options.frames)
+    request = request_of(
+        locate.LocateRequest, options, pose_parent_board=pose, pictures=options.frames
+    )
     with claimed(options.out, overwrite=options.overwrite):
         with console.progress() as bar:
             report = locate.run_locate(
@@ -331,7 +337,8 @@ def run_locate(options: CameraLocateOptions) -> int:
 
 
 def _print_located(report: LocateReport, options: CameraLocateOptions) -> None:
-    extrinsics, used = report.extrinsics, len(report.misses)
+    extrinsics = report.extrinsics
+    used = len(report.misses)
     if options.json:
         facts = {
             "schema": 1,
@@ -348,35 +355,36 @@ def _print_located(report: LocateReport, options: CameraLocateOptions) -> None:
         }
         console.print_json(facts)
         return
-    sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
+    sigma = (
+        f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
+    )
     rows = (
         (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
         ("stated uncertainty", f"{sigma} (one sigma; the board's pose is assumed to be exact)"),
-        ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
+        (
+            "corners miss by",
+            f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)",
+        ),
         ("pictures", f"{used} of {report.searched} show the board"),
     )
     console.show(console.facts(*rows))
     console.say(f"wrote {options.out}", "green")
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik camera print``: markers, boards, cubes and calibration patterns on paper, at true scale.
-
-
 @dataclass(frozen=True)
 class CameraPrintOptions:
-    """Writes a sheet to print: markers, a board of markers, a cube to fold, or a pattern to calibrate with.
+    """Writes a sheet to print: markers, a board of them, a cube to fold, or a calibration pattern.
 
-    Print it at 100 % ("actual size", no "fit to page") and measure both bars on it: 100 mm. What does not
-    fit the page is refused.
+    Print it at 100 % ("actual size", no "fit to page") and measure both bars on it: 100 mm. What
+    does not fit the page is refused.
     """
 
     kind: Positional[Literal["marker", "board", "cube", "charuco", "chessboard"]]
-    """marker (one or more), board (markers in a grid), cube (to cut out and fold), charuco, chessboard."""
+    """marker (one or more), board (a grid), cube (to cut out and fold), charuco, chessboard."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
     """Where to write the PDF."""
     size_mm: Annotated[float | None, single("MM", "by kind")] = None
-    """Side of a marker's black square (50; cube 40), or of a pattern's square (charuco 30, chessboard 25)."""
+    """Side of a marker's black square (50; cube 40) or a pattern's (charuco 30, chessboard 25)."""
     columns: Annotated[int | None, single("N", "by kind")] = None
     """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
     rows: Annotated[int | None, single("N", "by kind")] = None
@@ -399,7 +407,7 @@ class CameraPrintOptions:
 
 
 def run_print(options: CameraPrintOptions) -> int:
-    """Writes the sheet and says what is on it."""
+    """Write the sheet and print what it shows."""
     from robot_ik.camera.sheets.page import write_sheet
     from robot_ik.camera.sheets.sheets import SheetRequest, body_file, make_sheet_page
 
@@ -415,17 +423,13 @@ def run_print(options: CameraPrintOptions) -> int:
     return console.DONE
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik camera calibrate``: from views of a printed pattern to a calibration file.
-
-
 @dataclass(frozen=True)
 class CameraCalibrateOptions:
     """Calibrates a camera from views of a printed pattern (see: robot-ik camera print charuco).
 
-    Pictures and folders are taken whole. From a camera, stream, film or synthetic:charuco a view is taken by
-    itself when the board is held still in a new way, until nothing is missing; Ctrl-C ends it early and keeps
-    what there is. The lens must not be focused or zoomed afterwards.
+    Pictures and folders are taken whole. From a camera, stream, film or synthetic:charuco a view is
+    taken by itself when the board is held still in a new way, until nothing is missing; Ctrl-C ends
+    it early and keeps what there is. The lens must not be focused or zoomed afterwards.
     """
 
     sources: Annotated[Positional[tuple[str, ...]], several("SOURCE")]
@@ -458,7 +462,7 @@ class CameraCalibrateOptions:
 
 
 def run_calibrate(options: CameraCalibrateOptions) -> int:
-    """Gathers views, calibrates, writes the file and says what it is worth."""
+    """Gather views, calibrate the camera, write the file and print its quality."""
     if not options.sources:
         raise CameraError(
             "nothing to calibrate from",
@@ -475,17 +479,23 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     from robot_ik.jobs.pictures import ViewFolder
 
     wanted = request_of(PatternRequest, options, kind=options.pattern)
-    gatherer, kept = ViewGatherer(wanted.pattern()), ViewFolder(options.out, options.sources)
+    gatherer = ViewGatherer(wanted.pattern())
+    kept = ViewFolder(options.out, options.sources)
     _gather(options, gatherer, kept)
     try:
         result = calibrate(
-            gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
+            gatherer.views,
+            gatherer.size or (0, 0),
+            coefficients=options.coefficients,
+            name=options.name,
         )
     except (CalibrationError, KeyboardInterrupt):
         if kept.count:
             sources = [text for text in options.sources if Path(text) != kept.folder]
             arguments = " ".join([str(kept.folder), *sources])
-            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {arguments} …")
+            console.say(
+                f"to go on with the views that are kept: robot-ik camera calibrate {arguments} …"
+            )
         raise
     intrinsics = replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
@@ -498,7 +508,7 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
 
 
 def _gather(options: CameraCalibrateOptions, gatherer: ViewGatherer, kept: ViewFolder) -> None:
-    """Views of all sources; neither Ctrl-C nor a camera that goes away loses those so far."""
+    """Gather the views of all sources. Ctrl-C and a lost camera keep the views so far."""
     from robot_ik.jobs.pictures import gather_views
 
     stopped = ""
@@ -542,9 +552,6 @@ def _print_calibration(result: CalibrationResult) -> None:
     )
 
 
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-
-
 def _calibration_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any]:
     camera = result.intrinsics
     return {
@@ -559,8 +566,10 @@ def _calibration_json(result: CalibrationResult, out: Path, digest: str) -> dict
         "std": camera.std,
         "rms_px": camera.rms,
         "hold_out_rms_px": result.hold_out_rms,
-        "views": [{"name": v.name, "corners": v.corners, "rms_px": v.rms, "left_out": v.left_out}
-                  for v in result.per_view],
+        "views": [
+            {"name": v.name, "corners": v.corners, "rms_px": v.rms, "left_out": v.left_out}
+            for v in result.per_view
+        ],
         "verdict": result.verdict,
         "doubts": result.doubts,
-    }  # fmt: skip
+    }

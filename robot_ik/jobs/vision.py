@@ -40,16 +40,31 @@ if TYPE_CHECKING:
     from robot_ik.jobs.robot_setup import RobotSetup
 
 
-# ------------------------------------------------------------------------------------------
-# A printed marker that somebody pushes about.
-
-
-# The synthetic marker that is followed lies still for a while in the end.
+# Time for which the synthetic marker rests before and after it wanders, s.
 REST_SECONDS = 1.5
+# Pictures of a camera or a recording in which a marker is searched for before it counts as lost.
+_LIVE_TRIES = 20
+# The same for a synthetic camera, whose pictures differ in noise only.
+_SYNTHETIC_TRIES = 2
+# Degrees of freedom that a full pose needs.
+POSE_DOF = 6
+# Degrees of freedom for a position and the direction of the tool's z axis, with free rotation about
+# it. An arm with fewer gets position goals.
+AXIS_DOF = 5
+# How far the synthetic marker wanders, as a multiple of the hover distance.
+_WANDER = 0.4
 
 
 def wandering(home: Pose, begin: float, seconds: float, size: float, now: float) -> Pose:
-    """Pose at ``now`` of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
+    """Return the pose at ``now`` of a marker that wanders on its table from one rest to another.
+
+    Args:
+        home: Pose at the beginning.
+        begin: When it begins to move, s.
+        seconds: Length of the motion and the rest after it, s.
+        size: How far it wanders, metres.
+        now: Time of the pose, s.
+    """
     share = np.clip((now - begin) / max(seconds - REST_SECONDS, 0.1), 0.0, 1.0)
     smooth = share * share * (3.0 - 2.0 * share)
     x = size * np.sin(2.0 * np.pi * smooth)
@@ -57,21 +72,15 @@ def wandering(home: Pose, begin: float, seconds: float, size: float, now: float)
     return home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
 
 
-# How often a camera or a film is asked again before a marker counts as not there.
-_LIVE_TRIES = 20
-_SYNTHETIC_TRIES = 2
-# With fewer degrees of freedom a full pose is out of reach in general.  With five the position and the tool's
-# z axis are asked for, its rotation about that axis is free; with fewer only the position.
-POSE_DOF, AXIS_DOF = 6, 5
-# While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
-_WANDER = 0.4
-
-
 @dataclass(frozen=True)
 class SeenTarget:
-    """The target marker in one picture: the tool's goal in front of it, and where it was seen.
+    """The target marker in one picture.
 
-    ``true_pose`` is where it really is, world; None where it is unknown (every real camera).
+    Attributes:
+        goal: Goal of the tool in front of the marker.
+        observation: What the picture shows of the marker.
+        pose_world_marker: Measured pose.
+        true_pose: True pose, world. None with a real camera, where it is unknown.
     """
 
     goal: PoseGoal | PositionGoal
@@ -80,23 +89,27 @@ class SeenTarget:
     true_pose: Pose | None
 
     def uncertainty(self, point: Array) -> Bound:
-        """Standard deviation of a point ``point`` (3,), seen from the marker, in the worst direction."""
+        """Return the largest standard deviation of a ``point`` (3,) in the frame of the marker."""
         pose = self.observation.pose
         return Bound(*worst_sigmas(self.observation.covariance, pose.rotation @ point))
 
 
 @dataclass(eq=False)
 class Vision:
-    """A camera and what it is for in a reach.
+    """The camera of a reach, which detects the target and verifies the result.
 
     Attributes:
-        scene: What stands round the arm, the camera where it really stands and with its own lens.
-        why_blind: Why its pictures do not show the arm, so that it cannot judge; empty: they do.
-        synthetic: ``source``, where it is synthetic; its marker wanders while it is followed.
-        when_lost, lead: For following.
-        last_image: The last picture that was taken; None before the first.
-        cover_gripper: From the first picture of the gripper on its markers are hidden (a rehearsal).
+        scene: Surroundings of the arm, with the pose and the intrinsics of the camera.
+        source: Where the pictures come from.
+        setup: The robot and its arm.
+        why_blind: Why the pictures do not show the arm, so that they cannot verify it. Empty if
+            they show it.
+        synthetic: ``source`` if it is synthetic. Its marker wanders while it is followed.
+        when_lost: Policy when the marker is lost while it is followed.
+        lead: Prediction beyond the present while the marker is followed, s.
+        cover_gripper: Whether the markers of the gripper are hidden from their first picture on.
         delays: After following: from grab to goal, and the age of the picture at each tick.
+        last_image: The last picture. None before the first.
     """
 
     scene: Scene
@@ -111,7 +124,7 @@ class Vision:
     delays: tuple[Delays, Delays] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
+        # Recordings and cameras have their own rate. A synthetic camera has a usual one.
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
         self.last_image: Any = None
         self._cube = MarkerTarget(self.scene.cube, self.scene.dictionary, "cube on the gripper")
@@ -119,19 +132,20 @@ class Vision:
         self._followed: SeenTarget | None = None
 
     def picture(self) -> Frame:
-        """Takes a picture, without its truth, and looks for nothing."""
+        """Return the next picture, without its truth."""
         frame = self.source.read().without_truth()
         self.last_image = frame.image
         return frame
 
     def find_target(self) -> SeenTarget:
-        """The target marker in the next pictures.
+        """Return the target marker in the next pictures.
 
         Raises:
-            MarkerNotFoundError: Not there, or not told apart from its mirror image; says what is there.
+            MarkerNotFoundError: Not there, or not told apart from its mirror image; says what is
+                there.
         """
         tries = _SYNTHETIC_TRIES if self.synthetic is not None else _LIVE_TRIES
-        # A recording is searched to its end: there is no hurry, and nothing else to see.
+        # A recording is searched to its end.
         while tries > 0 or not self.source.live:
             try:
                 goal = self._goals.poll(self.setup.clock.now())
@@ -145,7 +159,7 @@ class Vision:
         raise self._not_found()
 
     def find_target_again(self) -> SeenTarget:
-        """The target where it is now: after following, the last one of a recording, else in a new picture.
+        """Return the target as in a new picture, or after a recording its last observation.
 
         Raises:
             MarkerNotFoundError: As ``find_target``.
@@ -155,31 +169,36 @@ class Vision:
         return self.find_target()
 
     def true_target(self, time: float) -> Pose | None:
-        """Where the synthetic target marker is, world; None before a real camera."""
+        """Return the true pose of the synthetic target, world. None with a real camera."""
         if self.synthetic is None:
             return None
         pose = next(m.pose for m in self.synthetic.scene.markers if m.id == self.scene.marker_id)
         return pose(time) if callable(pose) else pose
 
     def find_gripper(self) -> Observation | None:
-        """The gripper's markers in a new picture; None when none is in view."""
+        """Return the gripper's markers in a new picture. None if none is in view."""
         if self.cover_gripper and self.synthetic is not None:
-            self.synthetic.scene = self.synthetic.scene.with_marker(*self.scene.cube, condition="covered")
+            self.synthetic.scene = self.synthetic.scene.with_marker(
+                *self.scene.cube, condition="covered"
+            )
         return self._cube.find(self.picture(), self.scene.intrinsics)
 
     def pose_body_tool(self, q: Array) -> Pose:
-        """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
+        """Return the tool in the frame of the marker body at ``q`` (nq,). Both sit on the hand."""
         robot = self.setup.robot
         body = robot.forward(q, self.scene.cube_frame).compose(self.scene.cube_offset)
         return body.inverse().compose(robot.forward(q, self.setup.frame))
 
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
-        """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
-        synthetic, id, goals = self.synthetic, self.scene.marker_id, _ArmGoals(self, follow=True)
+        """Provide a source of goals that follow the marker. The synthetic marker wanders."""
+        synthetic = self.synthetic
+        id = self.scene.marker_id
+        goals = _ArmGoals(self, follow=True)
         home = self.true_target(clock.now())
         if synthetic is not None and home is not None:
-            begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
+            begin = clock.now() + REST_SECONDS
+            size = _WANDER * self.scene.hover
             path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
             synthetic.scene = synthetic.scene.with_marker(id, pose=path)
         with LatestGoals(goals, clock, self._rate) as latest:
@@ -191,7 +210,7 @@ class Vision:
             synthetic.scene = synthetic.scene.with_marker(id, pose=self.true_target(clock.now()))
 
     def for_arm(self, goal: Any) -> Any:
-        """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
+        """Return the part of ``goal`` that the arm can reach with its degrees of freedom."""
         if not isinstance(goal, PoseGoal) or self.setup.dof >= POSE_DOF:
             return goal
         if self.setup.dof >= AXIS_DOF:
@@ -211,14 +230,18 @@ class Vision:
         there = f"in view: {others}" if others else "no marker of that dictionary is in view"
         return MarkerNotFoundError(
             f"{wanted} was not found; {there}",
-            hint="check id (--marker), dictionary (--dictionary), light, focus and the white margin round it",
+            hint="check id (--marker), dictionary (--dictionary), light, focus "
+            "and the white margin round it",
         )
 
 
 class _ArmGoals(MarkerGoalSource):
-    """Goals as the arm of a ``vision`` can have them; ``seen`` is the last sighting that gave one.
+    """Goals that the arm of a ``Vision`` can reach.
 
-    Each picture for itself, unless to ``follow``.
+    Each picture is used alone, without a motion filter, unless ``follow`` is set.
+
+    Attributes:
+        seen: The last observation that gave a goal.
     """
 
     def __init__(self, vision: Vision, *, follow: bool = False) -> None:
@@ -240,8 +263,12 @@ class _ArmGoals(MarkerGoalSource):
         self.seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
-        super().observe(now, wait=True)  # every look is at a new picture, for which a camera is waited for
-        vision, goal, last, frame = self._vision, self.measured, self.last, self.last_frame
+        del wait  # Each goal needs a new picture, so this always waits.
+        super().observe(now, wait=True)
+        vision = self._vision
+        goal = self.measured
+        last = self.last
+        frame = self.last_frame
         if frame is None:
             return
         vision.last_image = frame.image
@@ -253,15 +280,14 @@ class _ArmGoals(MarkerGoalSource):
         return self._vision.for_arm(super().goal_at(now))
 
 
-# ------------------------------------------------------------------------------------------
-# Opens the camera that a request asks for, with its calibration.
-
-
-def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> Vision | None:
-    """Opens the camera of a request; None when a goal was given and no camera can watch.
+def open_vision(
+    request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack
+) -> Vision | None:
+    """Open the camera of a request. Return None if a goal is given and no camera can watch.
 
     Raises:
-        CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
+        CameraError: The camera cannot be opened.
+        CalibrationError: The camera needs a calibration.
     """
     synthetic: SyntheticSource | None = None
     if request.camera != "synthetic":
@@ -274,7 +300,8 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
         except CameraError:
             if request.goal is None:
                 raise
-            return None  # a goal was given, and nothing can be seen: the read-back must do
+            # The goal is known and the camera sees nothing: the servos alone verify the result.
+            return None
         pictured = scene.synthetic(setup.robot)
         if request.rehearsal.blank_marker:
             pictured = pictured.with_marker(scene.marker_id, condition="blank")
@@ -283,22 +310,29 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
         why = "the synthetic camera cannot see real servos" if setup.has_real_servos else ""
     park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return Vision(
-        scene, source, setup, why_blind=why, synthetic=synthetic, lead=request.lead,
+        scene,
+        source,
+        setup,
+        why_blind=why,
+        synthetic=synthetic,
+        lead=request.lead,
         when_lost=WhenLost(request.when_lost, request.lost_after, park),
         cover_gripper=request.rehearsal.cover_gripper,
-    )  # fmt: skip
+    )
 
 
 def _real_camera(
     request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack
 ) -> tuple[Scene, FrameSource, str]:
-    """The scene with the camera's place and lens, the camera, and why it cannot judge the arm."""
+    """Return the scene with the camera's pose and lens, the camera, and why it cannot verify."""
     rehearsal = request.rehearsal
     if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
         raise ConfigError(
             "what a camera sees can be rehearsed with the synthetic camera only",
-            file="command line", key="--rehearse", allowed="--camera synthetic",
-        )  # fmt: skip
+            file="command line",
+            key="--rehearse",
+            allowed="--camera synthetic",
+        )
     if request.marker_size is None:
         raise CameraError(
             "the size of the printed marker is not given, so its distance cannot be known",
@@ -311,8 +345,10 @@ def _real_camera(
     if request.follow > 0.0 and isinstance(source, ImageSource):
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
-            file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
-        )  # fmt: skip
+            file="command line",
+            key="--follow",
+            allowed="a camera, stream, film or folder of pictures",
+        )
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
@@ -324,7 +360,7 @@ def _real_camera(
 
 
 def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
-    """The robot's scene, with what the request says about the target marker."""
+    """Return the robot's scene with the target marker of the request."""
     scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
     asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
@@ -341,9 +377,14 @@ def open_calibrated(
     size: tuple[int, int] | None = None,
     scaled: bool = False,
 ) -> tuple[FrameSource, CameraIntrinsics]:
-    """A camera that can measure, asked for pictures of ``size``; ``stack`` closes it.
+    """Open a camera with its calibration.
 
-    ``scaled``: a calibration for the same picture at another size will do.
+    Args:
+        camera: See ``open_source``.
+        intrinsics: File of the calibration.
+        stack: Closes the camera.
+        size: Size of the pictures that the camera is set to, px.
+        scaled: Whether a calibration for another size of the same picture is scaled.
 
     Raises:
         CalibrationError: There is no calibration, or it is for other pictures.

@@ -53,7 +53,9 @@ class Measured:
         return self.view.pose.minus(self.seen.pose)
 
 
-def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1) -> list[Measured]:
+def measure(
+    distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1
+) -> list[Measured]:
     """Renders and observes a standard set; fails when a marker is not found."""
     target = marker(7, STANDARD_SIZE, dictionary)
     result = []

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 
-CAMERA = CameraIntrinsics(640, 480, 612.0, 605.0, 322.3, 236.8, (-0.28, 0.09, 0.0007, -0.0004, -0.01))
+CAMERA = CameraIntrinsics(
+    640, 480, 612.0, 605.0, 322.3, 236.8, (-0.28, 0.09, 0.0007, -0.0004, -0.01)
+)
 
 
 def coefficient(size: float) -> st.SearchStrategy[float]:
@@ -40,7 +42,9 @@ def cameras(draw: st.DrawFn) -> CameraIntrinsics:
 
 def points_in_view(rng: np.random.Generator, count: int = 50) -> np.ndarray:
     z = rng.uniform(0.2, 3.0, count)
-    return np.stack([rng.uniform(-0.4, 0.4, count) * z, rng.uniform(-0.3, 0.3, count) * z, z], axis=1)
+    return np.stack(
+        [rng.uniform(-0.4, 0.4, count) * z, rng.uniform(-0.3, 0.3, count) * z, z], axis=1
+    )
 
 
 @given(cameras(), st.integers(0, 1000))
@@ -106,7 +110,9 @@ def test_pixel_jacobian_is_the_derivative(camera: CameraIntrinsics) -> None:
 
 
 def test_equidistant_jacobian_and_inverse() -> None:
-    camera = CameraIntrinsics(640, 480, 300.0, 305.0, 320.0, 240.0, (0.02, -0.01, 0.003, 0.0), "equidistant")
+    camera = CameraIntrinsics(
+        640, 480, 300.0, 305.0, 320.0, 240.0, (0.02, -0.01, 0.003, 0.0), "equidistant"
+    )
     normalized = np.array([[0.0, 0.0], [1e-5, 0.0], [0.4, -0.3], [-0.8, 0.7]])
     step = 1e-6
     slope = np.stack(
@@ -130,7 +136,9 @@ def test_scaling_respects_the_half_pixel() -> None:
     small = CAMERA.scaled(320, 240)
     points = points_in_view(np.random.default_rng(0))
     # Position from the image's edge, not from the first pixel's centre, halves.
-    assert small.project(points) + 0.5 == pytest.approx((CAMERA.project(points) + 0.5) / 2, abs=1e-9)
+    assert small.project(points) + 0.5 == pytest.approx(
+        (CAMERA.project(points) + 0.5) / 2, abs=1e-9
+    )
 
 
 def test_scaling_to_another_aspect_ratio_is_refused() -> None:

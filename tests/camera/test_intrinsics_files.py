@@ -14,7 +14,9 @@ import yaml
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, OutputError
 
-CAMERA = CameraIntrinsics(640, 480, 612.0, 605.0, 322.3, 236.8, (-0.28, 0.09, 0.0007, -0.0004, -0.01))
+CAMERA = CameraIntrinsics(
+    640, 480, 612.0, 605.0, 322.3, 236.8, (-0.28, 0.09, 0.0007, -0.0004, -0.01)
+)
 
 ROS = """image_width: 640
 image_height: 480
@@ -34,10 +36,23 @@ distortion_coefficients:
 def test_opencv_and_plain_yaml_read_the_file(tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
     CameraIntrinsics(
-        640, 480, 800.0, 801.5, 319.5, 239.5, (-1e-5, 0.01, 0.0, 0.0, 0.0), rms=0.15, std=(0.5,) * 9, views=24
+        640,
+        480,
+        800.0,
+        801.5,
+        319.5,
+        239.5,
+        (-1e-5, 0.01, 0.0, 0.0, 0.0),
+        rms=0.15,
+        std=(0.5,) * 9,
+        views=24,
     ).save(path)
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    assert storage.getNode("camera_matrix").mat().tolist() == [[800, 0, 319.5], [0, 801.5, 239.5], [0, 0, 1]]
+    assert storage.getNode("camera_matrix").mat().tolist() == [
+        [800, 0, 319.5],
+        [0, 801.5, 239.5],
+        [0, 0, 1],
+    ]
     assert storage.getNode("distortion_coefficients").mat().ravel()[0] == -1e-5
     assert storage.getNode("image_width").real() == 640
     storage.release()
@@ -49,7 +64,9 @@ def test_opencv_and_plain_yaml_read_the_file(tmp_path: Path) -> None:
     assert (back.rms, back.std, back.views) == (0.15, (0.5,) * 9, 24)
 
 
-@pytest.mark.parametrize("keys", [("camera_matrix", "distortion_coefficients"), ("K", "D"), ("M1", "D1")])
+@pytest.mark.parametrize(
+    "keys", [("camera_matrix", "distortion_coefficients"), ("K", "D"), ("M1", "D1")]
+)
 @pytest.mark.parametrize("count", [4, 5, 8, 14])
 def test_files_of_opencv_are_read(tmp_path: Path, keys: tuple[str, str], count: int) -> None:
     path = tmp_path / "opencv.yml"
@@ -108,10 +125,22 @@ def test_plain_ros_files_are_read(tmp_path: Path, model: str, data: str, expecte
         ("", "it has no keys"),
         (ROS.format(model="plumb_bob", data="a, b, c, d", count=4), "must be numbers"),
         (ROS.format(model="wide", data="0, 0, 0, 0", count=4), "unknown distortion_model 'wide'"),
-        (ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("600", "6"), "implausible"),
-        (ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("[600, 0", "[600, 5"), "skew"),
-        (ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("640", "big"), "whole number"),
-        (ROS.format(model="plumb_bob", data="0, 0", count=2).replace("camera_matrix", "x"), "lacks"),
+        (
+            ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("600", "6"),
+            "implausible",
+        ),
+        (
+            ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("[600, 0", "[600, 5"),
+            "skew",
+        ),
+        (
+            ROS.format(model="plumb_bob", data="0, 0, 0, 0", count=4).replace("640", "big"),
+            "whole number",
+        ),
+        (
+            ROS.format(model="plumb_bob", data="0, 0", count=2).replace("camera_matrix", "x"),
+            "lacks",
+        ),
     ],
 )
 def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, text: str, message: str) -> None:
@@ -121,7 +150,9 @@ def test_a_wrong_file_says_what_is_wrong(tmp_path: Path, text: str, message: str
         CameraIntrinsics.load(path)
 
 
-def test_a_poor_calibration_is_read_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_poor_calibration_is_read_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     for rms, warned in ((0.4, 0), (1.7, 1)):
         dataclasses.replace(CAMERA, rms=rms).save(tmp_path / "camera.yaml")
         assert CameraIntrinsics.load(tmp_path / "camera.yaml").rms == rms
@@ -134,7 +165,9 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         CameraIntrinsics.load(tmp_path / "none.yaml")
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "camera.yaml"
     CAMERA.save(path)
     before = path.read_text()

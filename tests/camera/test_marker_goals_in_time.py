@@ -72,7 +72,9 @@ def sideways(count: int, speed: float = SPEED) -> list[Pose | None]:
 
 
 def wanted_x(time: float) -> float:
-    return float(CAMERA_IN_WORLD.compose(marker_at(SPEED * time, 0.0, 0.4)).compose(HOVER).position[0])
+    return float(
+        CAMERA_IN_WORLD.compose(marker_at(SPEED * time, 0.0, 0.4)).compose(HOVER).position[0]
+    )
 
 
 def test_a_goal_is_for_the_time_it_is_asked_for() -> None:
@@ -83,7 +85,9 @@ def test_a_goal_is_for_the_time_it_is_asked_for() -> None:
     assert isinstance(goal, PoseGoal)
     assert goal.target.position[0] == pytest.approx(wanted_x(29 / 30 + 0.06), abs=1e-4)
     later = goals.goal_at(29 / 30 + 0.10)  # no new picture: it goes on
-    assert later is not None and later.target.position[0] == pytest.approx(wanted_x(29 / 30 + 0.10), abs=1e-4)
+    assert later is not None and later.target.position[0] == pytest.approx(
+        wanted_x(29 / 30 + 0.10), abs=1e-4
+    )
     measured = goals.measured
     assert measured is not None
     assert measured.target.position[0] == pytest.approx(wanted_x(29 / 30), abs=1e-4)
@@ -92,9 +96,11 @@ def test_a_goal_is_for_the_time_it_is_asked_for() -> None:
 
 
 def test_lead_predicts_further_and_what_is_recorded_is_not_predicted() -> None:
-    ahead, recorded = reported(sideways(20), lead=0.05), reported(sideways(20), predict=False)
+    ahead = reported(sideways(20), lead=0.05)
+    recorded = reported(sideways(20), predict=False)
     for k in range(20):
-        one, other = ahead.poll(k / 30), recorded.poll(k / 30 + 0.1)
+        one = ahead.poll(k / 30)
+        other = recorded.poll(k / 30 + 0.1)
     assert one is not None and other is not None
     assert one.target.position[0] == pytest.approx(wanted_x(19 / 30 + 0.05), abs=1e-4)
     assert other.target.position[0] == pytest.approx(wanted_x(19 / 30), abs=1e-4)
@@ -104,7 +110,9 @@ def test_stamps_of_another_clock_are_not_compared_with_now() -> None:
     goals = reported(sideways(20))
     for k in range(20):
         goal = goals.poll(5000.0 + k / 30)
-    assert goal is not None and goal.target.position[0] == pytest.approx(wanted_x(19 / 30), abs=1e-4)
+    assert goal is not None and goal.target.position[0] == pytest.approx(
+        wanted_x(19 / 30), abs=1e-4
+    )
     assert goals.picture_ages.summary().count == 0
 
 

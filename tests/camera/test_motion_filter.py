@@ -12,7 +12,8 @@ from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, Update
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 
-SIGMA_M, SIGMA_RAD = 3e-4, 2e-3
+SIGMA_M = 3e-4
+SIGMA_RAD = 2e-3
 NOISE = np.diag([SIGMA_M**2] * 3 + [SIGMA_RAD**2] * 3)
 PERIOD = 1 / 30
 
@@ -31,9 +32,12 @@ def test_a_still_target_gives_the_mean_and_is_not_predicted(
 ) -> None:
     """With no process noise and no speed the filter is recursive least squares: the mean of all."""
     rng = np.random.default_rng(seed)
-    truth, seen = Pose(place, rotation_exp(turn)), []
+    truth = Pose(place, rotation_exp(turn))
+    seen = []
     still = MotionFilter(
-        FilterOptions(process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), least_sigma=(0.0, 0.0))
+        FilterOptions(
+            process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), least_sigma=(0.0, 0.0)
+        )
     )
     usual = MotionFilter()
     for k in range(40):
@@ -45,7 +49,8 @@ def test_a_still_target_gives_the_mean_and_is_not_predicted(
     np.testing.assert_allclose(found.minus(truth), mean, atol=2e-6)
     np.testing.assert_allclose(covariance, NOISE / 40, rtol=1e-3, atol=1e-12)
     # Seen with the usual options: the prediction of a thing at rest is where it is, at any horizon.
-    now, later = usual.predict(39 * PERIOD), usual.predict(39 * PERIOD + 0.1)
+    now = usual.predict(39 * PERIOD)
+    later = usual.predict(39 * PERIOD + 0.1)
     np.testing.assert_array_equal(now.pose.position, later.pose.position)
     assert not later.velocity.any() and np.abs(later.pose.minus(truth)[:3]).max() < 5 * SIGMA_M
 
@@ -70,9 +75,13 @@ def test_constant_velocity_is_tracked_and_predicted_without_lag(
 
 @settings(max_examples=10)
 @given(seeds, st.lists(st.floats(1e-4, 2.0), min_size=1, max_size=25))
-def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(seed: int, gaps: list[float]) -> None:
+def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(
+    seed: int, gaps: list[float]
+) -> None:
     rng = np.random.default_rng(seed)
-    kept, time, truth = MotionFilter(), 0.0, Pose()
+    kept = MotionFilter()
+    time = 0.0
+    truth = Pose()
     for gap in gaps:
         time += gap
         truth = truth.plus(rng.normal(0.0, 0.02, 6))
@@ -87,17 +96,21 @@ def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(seed: int, gaps
 
 def test_the_covariance_is_honest() -> None:
     """Normalised errors of a walk that is what the filter assumes: six degrees of freedom."""
-    rng, options = np.random.default_rng(3), FilterOptions(process_noise=(0.5, 2.0), least_sigma=(0.0, 0.0))
+    rng = np.random.default_rng(3)
+    options = FilterOptions(process_noise=(0.5, 2.0), least_sigma=(0.0, 0.0))
     squares = []
     for _ in range(6):
-        tracked, truth, rate = MotionFilter(options), Pose(), np.zeros(6)
+        tracked = MotionFilter(options)
+        truth = Pose()
+        rate = np.zeros(6)
         for k in range(60):
             tracked.update(k * PERIOD, noisy(truth, rng), NOISE)
             found = tracked.predict(k * PERIOD)
             off = found.pose.minus(truth)
             squares.append(off @ np.linalg.solve(found.covariance, off))
             change = rng.normal(0.0, np.repeat(options.process_noise, 3)) * np.sqrt(PERIOD)
-            truth, rate = truth.plus(PERIOD * (rate + 0.5 * change)), rate + change
+            truth = truth.plus(PERIOD * (rate + 0.5 * change))
+            rate = rate + change
     assert 5.0 < np.mean(squares) < 7.0
 
 
@@ -128,7 +141,8 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
 
 def test_what_is_too_quick_to_be_predicted_is_not() -> None:
     """Back and forth from picture to picture: prediction would miss by more than holding does."""
-    tracked, worst = MotionFilter(), 0.0
+    tracked = MotionFilter()
+    worst = 0.0
     for k in range(40):
         x = 0.006 * (k % 2)
         tracked.update(k * PERIOD, Pose((x, 0.0, 0.5)), NOISE)
@@ -141,7 +155,9 @@ def test_what_is_too_quick_to_be_predicted_is_not() -> None:
 def test_noise_of_the_depth_hides_no_motion_across_the_view(speed: float) -> None:
     """A small marker: known to 0.02 mm across, to 0.7 mm along the view, 15 pictures a second."""
     sigma = [2e-5, 2e-5, 7e-4]
-    rng, tracked, worst = np.random.default_rng(1), MotionFilter(), []
+    rng = np.random.default_rng(1)
+    tracked = MotionFilter()
+    worst = []
     for k in range(60):
         x = speed * k / 15
         covariance = np.diag(np.square([*sigma, 2e-3, 2e-3, 2e-3]))

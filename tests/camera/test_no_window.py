@@ -7,7 +7,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 #: What raises in a headless wheel.
-WINDOWS = {"imshow", "namedWindow", "waitKey", "destroyAllWindows", "setMouseCallback", "createTrackbar"}
+WINDOWS = {
+    "imshow",
+    "namedWindow",
+    "waitKey",
+    "destroyAllWindows",
+    "setMouseCallback",
+    "createTrackbar",
+}
 
 
 def calls_of_windows(source: str) -> set[str]:
@@ -15,7 +22,9 @@ def calls_of_windows(source: str) -> set[str]:
     return {
         node.attr
         for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "cv2"
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "cv2"
     } & WINDOWS
 
 

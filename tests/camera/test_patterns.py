@@ -37,7 +37,8 @@ def opencv_board(p: CharucoPattern) -> cv2.aruco.CharucoBoard:
 @pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (5, 7)])
 def test_a_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> None:
-    # 28 px a square, 14 px a marker of 7 cells: every edge falls on a pixel's edge, in both drawings.
+    # 28 px a square, 14 px a marker of 7 cells: every edge falls on a pixel's edge, in both
+    # drawings.
     pattern = CharucoPattern(columns, rows, 0.028, 0.014, legacy=legacy)
     board = opencv_board(pattern)
     theirs = board.generateImage((28 * columns, 28 * rows), marginSize=0)

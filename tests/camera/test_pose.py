@@ -146,7 +146,8 @@ def test_covariance_is_the_scatter_of_repeated_trials(tilt_deg: float, distance:
         (0.03, -0.02, distance), quat_multiply(FACING, rotation_exp([0, np.deg2rad(tilt_deg), 0]))
     )
     exact = seen_by_opencv(pose, marker_points(0.05))
-    errors, stated = [], []
+    errors = []
+    stated = []
     for _ in range(150):
         seen = observed(unrefined(exact + rng.normal(0, sigma, (4, 2)), CAMERA, sigma), 0.05)
         assert seen is not None
@@ -206,8 +207,10 @@ def test_the_fit_is_as_good_as_scipys() -> None:
             lambda v, c=corners: whitened(c, 0.3, Pose(v[:3], rotation_exp(v[3:]))),
             start.minus(Pose()),
             x_scale=[0.1] * 3 + [1.0] * 3,
-            xtol=1e-14, ftol=1e-14, gtol=1e-14,
-        )  # fmt: skip
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+        )
         found = problem_of(corners, 0.3).fit((start.rotation, start.position))
         assert found.cost == pytest.approx(2 * best.cost, rel=1e-6)
         assert (
@@ -284,7 +287,9 @@ def test_a_cube_is_found_from_what_is_visible(seed: int) -> None:
 def test_a_board_is_better_than_one_marker_and_knows_how_good() -> None:
     rng = np.random.default_rng(2)
     noise = 0.03  # px, what the refinement leaves at 1 m
-    single, board, chi = [], [], []
+    single = []
+    board = []
+    chi = []
     for _ in range(60):
         pose = Pose(
             (0.02, 0.01, 1.0), quat_multiply(FACING, rotation_exp(rng.uniform(-0.3, 0.3, 3)))

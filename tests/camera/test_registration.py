@@ -106,13 +106,18 @@ def test_each_remedy_makes_a_delay_smaller() -> None:
 
 @settings(max_examples=50)
 @given(
-    st.floats(-3, 3), st.floats(0.6, 1.6), st.floats(-50, 50), st.floats(-50, 50), st.integers(0, 2**32 - 1)
+    st.floats(-3, 3),
+    st.floats(0.6, 1.6),
+    st.floats(-50, 50),
+    st.floats(-50, 50),
+    st.integers(0, 2**32 - 1),
 )
 def test_optical_motion_finds_shift_turn_and_zoom(
     angle: float, zoom: float, dx: float, dy: float, seed: int
 ) -> None:
     points = np.random.default_rng(seed).uniform(0, 400, (6, 2))
-    c, s = zoom * np.cos(angle), zoom * np.sin(angle)
+    c = zoom * np.cos(angle)
+    s = zoom * np.sin(angle)
     motion = np.array([[c, -s, dx], [s, c, dy]])
     moved = points @ motion[:, :2].T + motion[:, 2]
     before = {(0, k): p for k, p in enumerate(points)}
@@ -126,7 +131,9 @@ def test_optical_motion_finds_shift_turn_and_zoom(
 def test_a_layer_moved_by_whole_pixels_keeps_its_pixels(dx: int, dy: int) -> None:
     rng = np.random.default_rng(1)
     layer = Layer(
-        (30, 20, 70, 50), rng.integers(0, 255, (30, 40, 3), np.uint8), np.full((30, 40), 255, np.uint8)
+        (30, 20, 70, 50),
+        rng.integers(0, 255, (30, 40, 3), np.uint8),
+        np.full((30, 40), 255, np.uint8),
     )
     moved = layer.shifted(np.array([[1.0, 0.0, dx], [0.0, 1.0, dy]]), 100, 80)
     whole = np.zeros((80 + 200, 100 + 200, 3), np.uint8)
@@ -151,7 +158,9 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
         frame = Frame(picture, time, 0)
         shown, _ = registrar.compose(registrar.track(frame), frame, [])
         drawn[time] = bool((shown != picture).any())
-        assert (picture == (colour if time == 0.0 else empty)).all(), "the frame itself must not change"
+        assert (picture == (colour if time == 0.0 else empty)).all(), (
+            "the frame itself must not change"
+        )
     assert drawn == {0.0: True, 0.1: True, 0.2: True, 0.4: False}
 
 
@@ -183,10 +192,14 @@ def test_a_file_of_occluders_that_is_none_is_refused(
 
 def test_occluders_are_boxes_or_a_model(tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("occluders")
-    (folder / "t.toml").write_text("[[box]]\nposition = [0.1, 0, 0.05]\nsize = [0.1, 0.2, 0.1]\nyaw_deg = 90")
+    (folder / "t.toml").write_text(
+        "[[box]]\nposition = [0.1, 0, 0.05]\nsize = [0.1, 0.2, 0.1]\nyaw_deg = 90"
+    )
     model = load_occluders(folder / "t.toml")
     np.testing.assert_allclose(model.geom_size[0], [0.05, 0.1, 0.05])
-    np.testing.assert_allclose(np.abs(model.geom_quat[0]), [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9)
+    np.testing.assert_allclose(
+        np.abs(model.geom_quat[0]), [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-9
+    )
     (folder / "t.xml").write_text("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")
     assert load_occluders(folder / "t.xml").ngeom == 1
     (folder / "bad.xml").write_text("<mujoco><worldbody><geom/></worldbody></mujoco")

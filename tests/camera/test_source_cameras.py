@@ -86,7 +86,9 @@ def test_pictures_are_stamped_when_they_are_grabbed(capture: FakeCapture) -> Non
 def test_a_silent_camera_times_out(capture: FakeCapture, real_time: None) -> None:
     with DeviceSource("/dev/cam", opener=lambda: capture, timeout=0.1) as source:
         source.read()
-        with pytest.raises(FrameTimeoutError, match=r"no new picture from camera /dev/cam for 0.1 s"):
+        with pytest.raises(
+            FrameTimeoutError, match=r"no new picture from camera /dev/cam for 0.1 s"
+        ):
             source.read()
 
 

@@ -52,7 +52,8 @@ def test_a_photograph_is_not_live_and_always_the_same(tmp_path: Path) -> None:
     with open_source(str(path)) as source:
         assert isinstance(source, FrameSource)
         assert not source.live
-        first, second = source.read(), source.read()
+        first = source.read()
+        second = source.read()
     assert first is second
     assert (first.image == 7).all()
     assert first.size == (64, 48)
@@ -72,7 +73,8 @@ def test_grey_transparent_and_deep_pictures_become_bgr(tmp_path: Path) -> None:
 
 def test_the_orientation_mark_of_a_photograph_is_ignored(tmp_path: Path) -> None:
     data = cv2.imencode(".jpg", picture(100))[1].tobytes()
-    # Smallest EXIF block that says "turn by 90 degrees" (tag 0x0112, value 6), after the start marker.
+    # Smallest EXIF block that says "turn by 90 degrees" (tag 0x0112, value 6), after the start
+    # marker.
     entry = b"\x01\x12\x00\x03\x00\x00\x00\x01\x00\x06\x00\x00"
     tiff = b"MM\x00*\x00\x00\x00\x08" + b"\x00\x01" + entry + b"\x00" * 4
     body = b"Exif\x00\x00" + tiff
@@ -143,10 +145,13 @@ def test_synthetic_sources_that_do_not_exist_are_reported(text: str, message: st
 
 
 def test_what_is_no_picture_is_reported(tmp_path: Path) -> None:
-    tracker, board = Tracker(STANDARD_CAMERA, [marker(7, 0.05)]), ChessboardPattern(9, 6, 0.025)
+    tracker = Tracker(STANDARD_CAMERA, [marker(7, 0.05)])
+    board = ChessboardPattern(9, 6, 0.025)
     for frame, named in ((picture(1), "ndarray"), (None, "None"), ("photo.png", "str")):
         for look in (tracker.observe, MarkerFinder("DICT_5X5_50").observe):
-            with pytest.raises(CameraError, match=rf"a Frame is wanted, not {named}(.|\n)*open_source"):
+            with pytest.raises(
+                CameraError, match=rf"a Frame is wanted, not {named}(.|\n)*open_source"
+            ):
                 look(frame)  # type: ignore[arg-type]
         with pytest.raises(CameraError, match=f"a Frame is wanted, not {named}"):
             PatternTarget(board).find(frame, STANDARD_CAMERA)  # type: ignore[arg-type]
@@ -223,7 +228,9 @@ def test_a_film_on_a_server_is_opened_and_is_not_live(film: Path) -> None:
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
-            with open_source(f"http://127.0.0.1:{server.server_port}/clip.avi", size=(64, 48)) as source:
+            with open_source(
+                f"http://127.0.0.1:{server.server_port}/clip.avi", size=(64, 48)
+            ) as source:
                 assert not source.live
                 assert source.read().size == (64, 48)
                 # A file on a server ends; a stream that ends is reported.

@@ -90,13 +90,25 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
         ("id = 21", "id = 20", r"markers\[1\]: marker 20 comes twice"),
         ("id = 21", "id = 99", r"body\[0\]: DICT_5X5_50 has no marker 99"),
         ("id = 3", "id = true", r"markers\[0\].id: True is not right; allowed: a"),
-        ("wxyz = [1, 0, 1, 0]", "wxyz = [1, 0]", r"\[1\].wxyz: \[1, 0\] is not right; allowed: 4 numbers"),
+        (
+            "wxyz = [1, 0, 1, 0]",
+            "wxyz = [1, 0]",
+            r"\[1\].wxyz: \[1, 0\] is not right; allowed: 4 numbers",
+        ),
         ("wxyz = [1, 0, 1, 0]", "wxyz = [0, 0, 0, 0]", r"markers\[1\].wxyz: a zero quaternion"),
-        ('dictionary = "DICT_5X5_50"', 'dictionary = "DICT_5X5"', r"unknown marker dictionary 'DICT_5X5'"),
+        (
+            'dictionary = "DICT_5X5_50"',
+            'dictionary = "DICT_5X5"',
+            r"unknown marker dictionary 'DICT_5X5'",
+        ),
         ('"flag"\n', '"flag"\ndictionary = "DICT_5X5_50"\n', None),
-        ('id = 3, size = 0.05}', 'id = 3, size = 0.05}, 7', r"markers\[1\]: 7 is not right; allowed: "),
+        (
+            "id = 3, size = 0.05}",
+            "id = 3, size = 0.05}, 7",
+            r"markers\[1\]: 7 is not right; allowed: ",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_in_the_file_is_reported(
     tmp_path: Path, old: str, new: str, text: str | None
 ) -> None:

@@ -56,7 +56,8 @@ def test_a_memory_is_never_worse_than_the_smaller_error(distance: float, sigma: 
         for true, fits in swing(distance, sigma, seed):
             alone.append((true, fits.observation().pose))
             kept.append((true, memory.choose(fits).pose))
-        one, two = angles(alone), angles(kept)
+        one = angles(alone)
+        two = angles(kept)
         assert np.sqrt(np.mean(two**2)) <= np.sqrt(np.mean(one**2)) + 1e-9, seed
         assert (two > 5).sum() <= (one > 5).sum(), seed
     if sigma == 0.15:

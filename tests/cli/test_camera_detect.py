@@ -35,15 +35,25 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"{{id = {i}, size = {size}, position = {p.position.tolist()}}}"
         for i, (size, p) in BOARD.markers.items()
     ]
-    (folder / "bodies.toml").write_text(f'[[body]]\nname = "board"\nmarkers = [{", ".join(rows)}]\n')
+    (folder / "bodies.toml").write_text(
+        f'[[body]]\nname = "board"\nmarkers = [{", ".join(rows)}]\n'
+    )
     return folder
 
 
 def test_poses_of_markers_and_bodies_as_json(robot_ik: Any, place: Path, tmp_path: Path) -> None:
     run = robot_ik(
-        "camera", "detect", place / "board.png", "--intrinsics", place / "camera.yaml",
-        "--bodies", place / "bodies.toml", "--json", "--draw", tmp_path / "drawn",
-    )  # fmt: skip
+        "camera",
+        "detect",
+        place / "board.png",
+        "--intrinsics",
+        place / "camera.yaml",
+        "--bodies",
+        place / "bodies.toml",
+        "--json",
+        "--draw",
+        tmp_path / "drawn",
+    )
     assert run.code == 0 and run.err == f"wrote 1 drawing to {tmp_path / 'drawn'}\n", run
     said = json.loads(run.out)
     (image,) = said["images"]
@@ -63,15 +73,24 @@ def test_poses_of_markers_and_bodies_as_json(robot_ik: Any, place: Path, tmp_pat
     assert (body["name"], body["ids"], body["rejected"]) == ("board", [3, 4, 5, 6], [])
     off = Pose(body["pose"]["position"], body["pose"]["wxyz"]).distance(TRUE)
     assert off[0] < 0.2e-3 and off[1] < np.deg2rad(0.2)
-    drawn, plain = cv2.imread(str(tmp_path / "drawn" / "board.png")), cv2.imread(str(place / "board.png"))
+    drawn = cv2.imread(str(tmp_path / "drawn" / "board.png"))
+    plain = cv2.imread(str(place / "board.png"))
     assert drawn.shape == plain.shape and (drawn != plain).any(axis=2).mean() > 0.005
 
 
 def test_a_readable_table_and_only_the_listed_ids(robot_ik: Any, place: Path) -> None:
     run = robot_ik(
-        "camera", "detect", place / "board.png", "--intrinsics", place / "camera.yaml",
-        "--size", STANDARD_SIZE, "--ids", 5, 3,
-    )  # fmt: skip
+        "camera",
+        "detect",
+        place / "board.png",
+        "--intrinsics",
+        place / "camera.yaml",
+        "--size",
+        STANDARD_SIZE,
+        "--ids",
+        5,
+        3,
+    )
     assert run.code == 0
     _, head, *rows = run.out.splitlines()
     assert head.split() == ["picture", "id", "position,", "m", "tilt", "error", "guity", "sigma"]
@@ -79,7 +98,9 @@ def test_a_readable_table_and_only_the_listed_ids(robot_ik: Any, place: Path) ->
     assert max(map(len, rows)) <= 80
 
 
-def test_without_a_calibration_there_are_corners_only_and_it_says_so(robot_ik: Any, place: Path) -> None:
+def test_without_a_calibration_there_are_corners_only_and_it_says_so(
+    robot_ik: Any, place: Path
+) -> None:
     run = robot_ik("camera", "detect", place / "board.png", "--json")
     assert run.code == 0 and "corners only" in run.err
     marker = json.loads(run.out)["images"][0]["markers"][0]
@@ -87,7 +108,8 @@ def test_without_a_calibration_there_are_corners_only_and_it_says_so(robot_ik: A
 
 
 def test_films_and_folders_picture_by_picture(robot_ik: Any, tmp_path: Path) -> None:
-    film, folder = tmp_path / "film.avi", tmp_path / "folder"
+    film = tmp_path / "film.avi"
+    folder = tmp_path / "folder"
     folder.mkdir()
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (640, 480))
     for k in range(4):
@@ -105,7 +127,9 @@ def test_films_and_folders_picture_by_picture(robot_ik: Any, tmp_path: Path) -> 
     assert [len(i["markers"]) for i in images] == [4, 4, 0, 4] * 2
     table = robot_ik("camera", "detect", film, folder).out
     assert "film.avi #0" in table and "film.avi #3" in table and "view3.png #" not in table
-    assert (tmp_path / "drawn" / "film-00003.png").exists() and (tmp_path / "drawn" / "view3.png").exists()
+    assert (tmp_path / "drawn" / "film-00003.png").exists() and (
+        tmp_path / "drawn" / "view3.png"
+    ).exists()
 
 
 def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
@@ -130,9 +154,16 @@ def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
         assert words in run.err
     images = {Path(one["file"]).name: one for one in json.loads(run.out)["images"]}
     assert list(images) == ["a.png", "b.png", "c.jpg", "d.png", "e.png", "gone.png"]
-    assert [name for name, one in images.items() if "error" in one] == ["a.png", "c.jpg", "e.png", "gone.png"]
+    assert [name for name, one in images.items() if "error" in one] == [
+        "a.png",
+        "c.jpg",
+        "e.png",
+        "gone.png",
+    ]
     assert "is not a picture" in images["a.png"]["error"] and images["a.png"]["markers"] == []
-    assert [m["id"] for m in images["d.png"]["markers"]] == [3, 4, 5, 6] and images["d.png"]["frame"] == 3
+    assert [m["id"] for m in images["d.png"]["markers"]] == [3, 4, 5, 6] and images["d.png"][
+        "frame"
+    ] == 3
     # where nothing at all can be used there is nothing to report
     for name in ("b.png", "d.png"):
         (folder / name).unlink()
@@ -151,9 +182,14 @@ def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("options", "hint"),
-    [(("--dictionary", "DICT_6X6_250"), "--dictionary DICT_5X5_50"), (("--ids", 9), "leave --ids away")],
+    [
+        (("--dictionary", "DICT_6X6_250"), "--dictionary DICT_5X5_50"),
+        (("--ids", 9), "leave --ids away"),
+    ],
 )
-def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: Any, hint: str) -> None:
+def test_markers_of_another_kind_are_named(
+    robot_ik: Any, place: Path, options: Any, hint: str
+) -> None:
     run = robot_ik("camera", "detect", place / "board.png", *options)
     assert run.code == 1 and run.out == ""
     assert hint in run.err
@@ -174,7 +210,15 @@ def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: 
         (("{}/board.png", "--intrinsics", "{}/none.yaml", "--size", "0.05"), "none.yaml"),
         (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: not valid TOML"),
         (
-            ("{}/board.png", "--bodies", "{}/bodies.toml", "--intrinsics", "{}/camera.yaml", "--ids", "9"),
+            (
+                "{}/board.png",
+                "--bodies",
+                "{}/bodies.toml",
+                "--intrinsics",
+                "{}/camera.yaml",
+                "--ids",
+                "9",
+            ),
             "the size of marker 9 is unknown",
         ),
     ],
@@ -192,7 +236,13 @@ def test_a_picture_of_another_size_than_the_calibration_is_refused(
 ) -> None:
     cv2.imwrite(str(tmp_path / "small.png"), np.full((240, 320), 128, np.uint8))
     run = robot_ik(
-        "camera", "detect", tmp_path / "small.png", "--intrinsics", place / "camera.yaml", "--size", 0.05
+        "camera",
+        "detect",
+        tmp_path / "small.png",
+        "--intrinsics",
+        place / "camera.yaml",
+        "--size",
+        0.05,
     )
     run.assert_one_screen_error()
     assert "640x480 px, the picture has 320x240 px" in run.err

@@ -15,7 +15,9 @@ def shows(monkeypatch: pytest.MonkeyPatch, *cameras: CameraDevice) -> None:
     monkeypatch.setattr(device, "find_cameras", lambda *_: cameras)
 
 
-WEBCAM = CameraDevice(0, "/dev/video0", "HD Webcam [C920]", "/dev/v4l/by-id/usb-046d-index0", True, True)
+WEBCAM = CameraDevice(
+    0, "/dev/video0", "HD Webcam [C920]", "/dev/v4l/by-id/usb-046d-index0", True, True
+)
 NODE = CameraDevice(1, "/dev/video1", "HD Webcam [C920]", "", True, False)
 CLOSED = CameraDevice(2, "/dev/null", "Lab camera", "", False, True)
 
@@ -39,7 +41,9 @@ def test_json_says_the_same(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> N
     assert answer["cameras"][0]["name"] == "HD Webcam [C920]" and answer["cameras"][0]["usable"]
 
 
-def test_no_camera_is_said_with_what_else_will_do(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> None:
+def test_no_camera_is_said_with_what_else_will_do(
+    monkeypatch: pytest.MonkeyPatch, robot_ik: Any
+) -> None:
     monkeypatch.setattr(device, "CAN_LIST", True)
     shows(monkeypatch)
     run = robot_ik("camera", "list")
@@ -47,7 +51,9 @@ def test_no_camera_is_said_with_what_else_will_do(monkeypatch: pytest.MonkeyPatc
     assert "there is no camera" in run.err and "synthetic:orbit" in run.err
 
 
-def test_other_systems_are_not_said_to_have_none(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> None:
+def test_other_systems_are_not_said_to_have_none(
+    monkeypatch: pytest.MonkeyPatch, robot_ik: Any
+) -> None:
     monkeypatch.setattr(device, "CAN_LIST", False)
     run = robot_ik("camera", "list")
     run.assert_one_screen_error(1)

@@ -29,7 +29,8 @@ def images() -> list[Any]:
     """Two pictures of a board of four."""
     rng = np.random.default_rng(0)
     markers = {
-        id: (side, SEEN.compose(pose)) for id, (side, pose) in marker_grid(2, 2, 0.05, 0.0125).markers.items()
+        id: (side, SEEN.compose(pose))
+        for id, (side, pose) in marker_grid(2, 2, 0.05, 0.0125).markers.items()
     }
     return [render_markers(STANDARD_CAMERA, markers, rng, margin=0.12) for _ in range(2)]
 
@@ -67,16 +68,27 @@ def test_one_picture_that_contradicts_the_others_is_reported(robot_ik: Any) -> N
 def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> None:
     place = [str(v) for v in (*BOARD.position, *BOARD.wxyz)]
     run = robot_ik(
-        "camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID, "--pose-world-board", *place
+        "camera",
+        "locate",
+        "shots",
+        "--intrinsics",
+        "camera.yaml",
+        *GRID,
+        "--pose-world-board",
+        *place,
     )
-    assert run.code == 0 and "2 of 3 show the board" in run.out and "wrote place.toml" in run.err, run
+    assert run.code == 0 and "2 of 3 show the board" in run.out and "wrote place.toml" in run.err, (
+        run
+    )
     assert "left out: shots/1a.png is not a picture" in run.err and "doubtful" not in run.err
     true = BOARD.compose(SEEN.inverse())
     found = CameraExtrinsics.load("place.toml")
     position, angle = found.pose_parent_camera.distance(true)
     assert position < 1.5e-3 and angle < np.deg2rad(0.15)
     assert position < 4 * found.sigma_position
-    options = ReachOptions(camera="0", intrinsics=Path("camera.yaml"), camera_extrinsics=Path("place.toml"))
+    options = ReachOptions(
+        camera="0", intrinsics=Path("camera.yaml"), camera_extrinsics=Path("place.toml")
+    )
     assert make_request(options).pose_world_camera is not None
     dataclasses.replace(STANDARD_CAMERA, fx=802.0).save("other.yaml")
     with pytest.raises(CalibrationError, match="another calibration"):
@@ -90,7 +102,9 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
 
 
 def test_json(robot_ik: Any) -> None:
-    run = robot_ik("camera", "locate", "shots/0.png", "--intrinsics", "camera.yaml", *GRID, "--json")
+    run = robot_ik(
+        "camera", "locate", "shots/0.png", "--intrinsics", "camera.yaml", *GRID, "--json"
+    )
     said = json.loads(run.out)
     assert run.code == 0 and said["parent"] == "world" and said["pictures"] == said["used"] == 1
     np.testing.assert_allclose(said["camera"]["position"], SEEN.inverse().position, atol=2e-3)
@@ -108,7 +122,9 @@ def test_json(robot_ik: Any) -> None:
         (["nowhere.png", *GRID], 2, "nowhere.png"),
     ],
 )
-def test_what_cannot_be_done_is_reported(robot_ik: Any, arguments: list[str], code: int, words: str) -> None:
+def test_what_cannot_be_done_is_reported(
+    robot_ik: Any, arguments: list[str], code: int, words: str
+) -> None:
     run = robot_ik("camera", "locate", *arguments, "--intrinsics", "camera.yaml")
     run.assert_one_screen_error(code)
     assert words in run.err

@@ -19,12 +19,16 @@ def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
     out = tmp_path / "sheet.pdf"
     run = robot_ik("camera", "print", "marker", "--ids", 7, 8, "--size-mm", 45, "--out", out)
     assert run.code == 0 and run.out == ""
-    assert "markers 7, 8 of DICT_5X5_50, 45 mm on a4" in run.err and "measure both bars: 100.0 mm" in run.err
+    assert (
+        "markers 7, 8 of DICT_5X5_50, 45 mm on a4" in run.err
+        and "measure both bars: 100.0 mm" in run.err
+    )
     assert out.read_bytes().startswith(b"%PDF-1.4")
 
 
 def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
-    out, body = tmp_path / "sheet.pdf", tmp_path / "table.toml"
+    out = tmp_path / "sheet.pdf"
+    body = tmp_path / "table.toml"
     run = robot_ik("camera", "print", "board", "--out", out, "--body", body, "--ids", 4)
     assert run.code == 0 and out.read_bytes().startswith(b"%PDF")
     assert list(load_bodies(body)["table"].markers) == [4, 5, 6, 7]
@@ -32,7 +36,9 @@ def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["marker", "board", "cube", "charuco", "chessboard"])
 def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
-    page = make_sheet_page(SheetRequest(kind, size_mm=20.0, ids=() if kind.startswith("ch") else (3,)))
+    page = make_sheet_page(
+        SheetRequest(kind, size_mm=20.0, ids=() if kind.startswith("ch") else (3,))
+    )
     commands = [w.text.split() for w in page.labels if w.text.startswith("robot-ik ")]
     assert len(commands) == 2 and ["robot-ik", "camera", "print", kind] == commands[0][:4]
     for words in commands:
@@ -55,7 +61,11 @@ def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
     ],
 )
 def test_mistakes_are_reported(
-    arguments: list[str], words: list[str], robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: list[str],
+    words: list[str],
+    robot_ik: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     run = robot_ik("camera", "print", *arguments)

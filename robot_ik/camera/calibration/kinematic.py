@@ -330,11 +330,14 @@ def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
     count = len(model.views)
     if count < LEAST_VIEWS:
         raise CalibrationError(
-            f"{count} views are too few to find the offsets of joints; at least {LEAST_VIEWS} are needed",
+            f"{count} views are too few to find the offsets of joints; "
+            f"at least {LEAST_VIEWS} are needed",
             hint="take 30 that bend every joint",
         )
     if robot.nq != robot.nv:
-        raise CalibrationError("zero offsets are for hinges and slides; this robot has ball or free joints")
+        raise CalibrationError(
+            "zero offsets are for hinges and slides; this robot has ball or free joints"
+        )
     for name in hold:
         if name not in robot.joints:
             raise UnknownJointError(name, robot.joints)
@@ -374,7 +377,9 @@ def _result(
     residuals = [mount.residual(sample, model.intrinsics) for sample in model.samples(state)]
     outliers = [error.outlier for error in errors]
     if judge:
-        require_explained([rms_distance(residual) for residual in residuals], outliers, model.intrinsics)
+        require_explained(
+            [rms_distance(residual) for residual in residuals], outliers, model.intrinsics
+        )
     good = [residual for residual, outlier in zip(residuals, outliers, strict=True) if not outlier]
     return ZeroOffsets(
         joints=model.robot.joints,

@@ -32,34 +32,51 @@ from robot_ik.jobs.vision import open_calibrated
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
-# On the synthetic table a robot is drawn so high, metres; films of it are this long unless said otherwise.
-_TABLE_SIZE, _SECONDS = 0.40, 4.0
+# Height of a robot that is drawn on the synthetic table, metres.
+_TABLE_SIZE = 0.40
+# Length of a film of the synthetic table by default, s.
+_SECONDS = 4.0
+# Pictures per second of the written film.
 _RATE_HZ = 30.0
-# All of it stays in the picture, with so much of the picture's size to spare; looked at in so many moments.
-_MARGIN, _MOMENTS = 0.02, 24
-# A robot that fits only below this part of the usual scale stands beside the picture, not too large in it.
+# Free border around the robot, as a share of the size of the picture.
+_MARGIN = 0.02
+# Moments of the motion at which the robot must be inside the picture.
+_MOMENTS = 24
+# Least share of the usual scale. A robot that fits only below it keeps the usual scale and is
+# partly outside the picture.
 _LEAST_SHARE = 0.05
-_OUT_OF_VIEW = "nothing of the robot is in view, its board is: try a smaller --scale, or another --base"
+_OUT_OF_VIEW = (
+    "nothing of the robot is in view, its board is: try a smaller --scale, or another --base"
+)
 
 
 @dataclass(frozen=True)
 class ArRequest:
-    """What to draw on what.
+    """What to draw on which pictures.
 
     Attributes:
-        camera: ``synthetic``, or what ``open_source`` takes; ``intrinsics``: its calibration, of a real one.
-        board: See ``parse_target``; ``dictionary`` of its markers.
-        extrinsics: Of a camera that stands still, instead of a board.
-        base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
-            of the board (x right, y up, z out of the print), or in the world of ``extrinsics``.
-        scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
+        robot: Robot to draw, see ``load_robot``.
+        camera: ``synthetic``, or a source for ``open_source``.
+        intrinsics: Calibration file of a real camera.
+        board: Board on which the robot stands, see ``parse_target``.
+        dictionary: Dictionary of the board's markers.
+        extrinsics: File with the pose of a camera that does not move, instead of a board.
+        base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from
+            the middle of the board (x right, y up, z out of the print), or in the world of
+            ``extrinsics``.
+        scale: Drawn size over true size. 0: 1 with a real camera, fitted to the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
-        occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
-        alpha: Opacity of the robot, 0 to 1.
-        out: Film, picture or folder.
-        seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
-        size: Of synthetic and live pictures.
+        occluders: Model file of real objects that hide the robot.
+        occluder_geoms: Names of the robot model's geoms that hide the robot.
+        latency_options: How the delay between camera and drawing is compensated.
+        alpha: Opacity of the robot, from 0 to 1.
+        shadow: Whether the robot casts a shadow.
+        out: Film, picture or folder to write.
+        overwrite: Whether to replace ``out``.
+        seconds: Length, s. 0: to the end of the recording, or of the motion on the synthetic table.
+        size: Size of synthetic and live pictures, px.
+        seed: Of the synthetic camera's noise.
     """
 
     robot: str = "puma560"
@@ -86,15 +103,18 @@ class ArRequest:
 
 @dataclass(eq=False)
 class ArReport:
-    """What came of it.
+    """Result of a run.
 
     Attributes:
         scale: Drawn size over true size.
-        notice: What did not go as asked, in one line.
-        pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
-        reprojection_px: Mean RMS error of the board's corners.
-        seconds: Of tracking and drawing alone, without taking and writing pictures.
-        interrupted: The run was ended by hand.
+        notice: What differs from the request, in one line.
+        pictures: Number of written pictures.
+        drawn: Number of pictures with a tracked board, in which the robot is drawn.
+        in_view: Number of pictures in which a part of the robot is inside the picture.
+        reprojection_px: Mean RMS error of the board's corners, px.
+        seconds: Time of tracking and drawing, without reading and writing pictures, s.
+        interrupted: Whether the user stopped the run.
+        file: The written film, picture or folder.
     """
 
     scale: float
@@ -109,26 +129,29 @@ class ArReport:
 
     @property
     def rate_hz(self) -> float:
-        """Pictures a second that tracking and drawing manage."""
+        """Pictures per second of tracking and drawing."""
         return self.pictures / self.seconds if self.seconds > 0 else float("nan")
 
 
-#: Called with how many pictures are done, and of how many (0: unknown).
+#: Called with the number of finished pictures and of all pictures (0: unknown).
 PictureProgress = Callable[[int, int], None]
 Mover = Callable[[Robot, DrawnRobot], DrawnMotion]
 
 
 def run_ar(
     request: ArRequest,
-    progress: PictureProgress = lambda done, total: None,
+    progress: PictureProgress = lambda _done, _total: None,
     *,
     robot: Robot | None = None,
     mover: Mover | None = None,
 ) -> ArReport:
-    """Draws the robot into each picture and writes them.
+    """Draw the robot into each picture and write the pictures.
 
-    ``progress`` is given how many pictures are done, and of how many (0: unknown); ``robot`` is drawn in
-    place of the request's, and ``mover`` makes what moves it in place of ``request.motion``.
+    Args:
+        request: What to draw.
+        progress: Called after each picture.
+        robot: Drawn instead of the robot of the request.
+        mover: Makes the motion instead of ``request.motion``.
 
     Raises:
         MarkerNotFoundError: The board was in no picture.
@@ -142,9 +165,10 @@ def run_ar(
         make = mover or partial(make_motion, request.motion, stack=stack)
         motion = make(robot, figure)
         opened = _open(request, figure, motion, stack)
-        if opened.pose_board_camera is not None and not request.scale:  # all of it stays in the picture
+        if opened.pose_board_camera is not None and not request.scale:
             figure = _in_view(figure, request, robot, motion, opened, opened.pose_board_camera)
-            if request.motion == "follow":  # it reaches with the arm as it is drawn
+            if request.motion == "follow":
+                # The reach depends on the scale of the drawn robot.
                 motion = make(robot, figure)
         report = ArReport(figure.scale, motion.notice)
         registrar = _registrar(request, opened.intrinsics, figure)
@@ -164,16 +188,19 @@ def run_ar(
 
 
 def _why_unseen(request: ArRequest, opened: _Opened) -> str:
-    """What to try where the board is seen in few pictures, or in none."""
+    """Return what to try if the board is seen in few pictures or in none."""
     if request.camera != "synthetic":
         return (
-            "check --board and --dictionary against the print (robot-ik camera detect), light and focus; "
-            "the whole board should be in view"
+            "check --board and --dictionary against the print (robot-ik camera detect), "
+            "light and focus; the whole board should be in view"
         )
     if (request.board, request.dictionary) != (BOARD, ""):
         return f"the synthetic table has the board {BOARD}: leave --board and --dictionary away"
     width, height = opened.intrinsics.size
-    return f"the board is too small in pictures of {width}x{height} px: try a larger --size, such as 640 480"
+    return (
+        f"the board is too small in pictures of {width}x{height} px: "
+        "try a larger --size, such as 640 480"
+    )
 
 
 def _joined(*notices: str) -> str:
@@ -204,7 +231,7 @@ def _draw(
     compiling: Precompilation,
     progress: PictureProgress,
 ) -> None:
-    """Tracks, draws and writes all pictures, until they end or Ctrl-C; fills in the report."""
+    """Track, draw and write all pictures until they end or Ctrl-C, and write into ``report``."""
     errors: list[float] = []
     try:
         for tracked, shown in _pairs(opened.frames, request.latency_options.sync):
@@ -229,9 +256,11 @@ def _draw(
 
 
 def marker_positions(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
-    """Times since the first picture, and where the followed marker is, seen from the robot's base.
+    """Yield the positions of the followed marker in the frame of the robot's base.
 
-    Places (3,) in the robot's own metres (``scale``); None where board or marker is not seen.
+    Yields:
+        Time since the first picture, s, and the position (3,) in the robot's own metres, without
+        the scale of the drawing. None if board or marker is not visible.
 
     Raises:
         RobotIkError: Wrong input or environment.
@@ -255,15 +284,16 @@ def _in_view(
     opened: _Opened,
     camera_at: Callable[[float], Pose],
 ) -> DrawnRobot:
-    """The usual drawing, or the largest in which the whole robot is in all pictures of the scene.
+    """Return the largest robot, up to the usual scale, that is inside all pictures of the scene.
 
-    A robot that is nowhere near the middle of the picture (``base``) keeps the usual scale.
+    A robot far from the middle of the picture (``base``) keeps the usual scale.
     """
     size = np.array(opened.intrinsics.size)
-    # A few moments tell as much as all of them: robot and board go on slowly.
+    # Robot and board move slowly, so a few moments suffice.
     times = np.linspace(0.0, opened.total / _RATE_HZ, min(_MOMENTS, opened.total)).tolist()
     moments = [
-        (surface_points(robot.model, robot.qpos(motion.q(time, None))), camera_at(time)) for time in times
+        (surface_points(robot.model, robot.qpos(motion.q(time, None))), camera_at(time))
+        for time in times
     ]
 
     def scaled(scale: float) -> DrawnRobot:
@@ -271,12 +301,15 @@ def _in_view(
 
     def fits(figure: DrawnRobot) -> bool:
         for points, camera in moments:
-            pixels, _, within = project(figure.camera(camera).inverse().apply(points), opened.intrinsics)
+            pixels, _, within = project(
+                figure.camera(camera).inverse().apply(points), opened.intrinsics
+            )
             if not (within.all() and (np.abs(pixels - 0.5 * size) < (0.5 - _MARGIN) * size).all()):
                 return False
         return True
 
-    least, most = _LEAST_SHARE * usual.scale, usual.scale
+    least = _LEAST_SHARE * usual.scale
+    most = usual.scale
     if fits(usual) or not fits(scaled(least)):
         return usual
     while most > 1.02 * least:
@@ -286,7 +319,7 @@ def _in_view(
 
 
 def _figure(request: ArRequest, robot: Robot) -> DrawnRobot:
-    """The robot as asked for, or at its usual scale."""
+    """Return the drawn robot at the requested or the usual scale."""
     low, high = heights(robot)
     usual = _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
     scale = request.scale or usual
@@ -297,13 +330,13 @@ def _figure(request: ArRequest, robot: Robot) -> DrawnRobot:
 
 
 def _base(request: ArRequest, robot: Robot, scale: float) -> Pose:
-    """Where it stands: with its lowest point on the board."""
+    """Return the pose of the base: the lowest point of the robot is on the board."""
     x, y, z, yaw = request.base
     return Pose((x, y, z - scale * heights(robot)[0]), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
 
 
 def heights(robot: Robot) -> tuple[float, float]:
-    """Of the lowest and the highest point of the robot at home, metres."""
+    """Return the heights of the lowest and the highest point of the robot at home, metres."""
     up = surface_points(robot.model, robot.qpos(robot.home))[:, 2]
     return (float(up.min()), float(up.max())) if len(up) else (0.0, 0.0)
 
@@ -313,9 +346,11 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     for name in names:
         if name not in known:
             raise ConfigError(
-                f"{robot.name} has no geom {name!r}", file="command line", key="--occluder-geoms",
+                f"{robot.name} has no geom {name!r}",
+                file="command line",
+                key="--occluder-geoms",
                 allowed=", ".join(sorted(filter(None, known))) or "none: its geoms have no names",
-            )  # fmt: skip
+            )
     return np.array([name in names for name in known]) if names else None
 
 
@@ -326,9 +361,13 @@ def _open(
         width, height = request.size or (1280, 720)
         board = BoardMotion() if figure.occluders is None else AT_REST
         source, clock = synthetic_scene(
-            width, height, motion=board, occluders=figure.occluders, follow=request.motion == "follow",
+            width,
+            height,
+            motion=board,
+            occluders=figure.occluders,
+            follow=request.motion == "follow",
             seed=request.seed,
-        )  # fmt: skip
+        )
         camera = source.scene.pose_world_camera
         seconds = request.seconds or motion.seconds or _SECONDS
         count = max(1, round(seconds * _RATE_HZ))
@@ -340,7 +379,9 @@ def _open(
 
         intrinsics = source.scene.intrinsics
         return _Opened(made(), intrinsics, count, lambda t: board.pose(t).inverse().compose(camera))
-    real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
+    real, lens = open_calibrated(
+        request.camera, request.intrinsics, stack, size=request.size, scaled=True
+    )
     return _Opened(_limited(real, request.seconds), lens, 0, None)
 
 
@@ -354,9 +395,10 @@ def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
 
 
 def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]:
-    """Pictures to track and pictures to show; the same ones unless the video does not wait.
+    """Yield pairs of a picture to track and a picture to show.
 
-    Then the next one read is shown, which of a live camera is the newest when tracking and drawing are done.
+    They are the same if the video waits for tracking. Otherwise the next picture is shown: of a
+    live camera, it is the newest one after tracking and drawing.
     """
     return ((frame, frame) for frame in frames) if sync == "tracked" else itertools.pairwise(frames)
 
@@ -371,9 +413,13 @@ def _registrar(request: ArRequest, intrinsics: CameraIntrinsics, figure: DrawnRo
         extrinsics.require_parent("world")
         camera = extrinsics.pose_parent_camera
     return Registrar(
-        tracker, figure, intrinsics, request.latency_options, pose_board_camera=camera,
+        tracker,
+        figure,
+        intrinsics,
+        request.latency_options,
+        pose_board_camera=camera,
         alpha=request.alpha,
-    )  # fmt: skip
+    )
 
 
 def _board_tracker(request: ArRequest, intrinsics: CameraIntrinsics) -> BoardTracker:

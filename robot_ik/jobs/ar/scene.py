@@ -1,4 +1,4 @@
-"""The synthetic scene of ``robot-ik ar``: a table, a printed board that a hand moves, a marker above."""
+"""Synthetic scene of ``robot-ik ar``: a table, a moving printed board, and a marker above it."""
 
 from __future__ import annotations
 
@@ -19,23 +19,32 @@ from robot_ik.camera.targets import marker_grid
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import VirtualClock
 
-#: The board of the scene: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
+#: The board of the scene: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board`
+#: prints it.
 BOARD = "grid:2x2:50:12.5"
 #: Marker that can be followed: id and side in metres.
 FOLLOWED = (9, 0.05)
 _DICTIONARY = "DICT_5X5_50"
-# An id that is not searched for.
+# Id of the sheet of paper below the markers. It is not on the board.
 _SHEET = 49
-# Of the board's motion, seconds.
+# Period of the board's motion, s.
 _PERIOD = 5.0
-_EYE, _TARGET = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
+# Period of the carried marker's motion, s.
+_CARRIED_PERIOD = 4.0
+# Position of the camera, world, metres.
+_EYE = (0.10, -0.80, 0.62)
+# Point that the camera looks at, world, metres.
+_TARGET = (0.0, 0.06, 0.10)
 
 
 @dataclass(frozen=True)
 class BoardMotion:
-    """How the board is moved about: sines with an amplitude each.
+    """Motion of the board: a sine along each direction.
 
-    Metres to the side and away, radians about the vertical, about a ``middle`` on the table, metres.
+    Attributes:
+        slide: Amplitudes to the side and away from the camera, metres.
+        yaw: Amplitude about the vertical, rad.
+        middle: Middle of the motion on the table, metres.
     """
 
     slide: tuple[float, float] = (0.05, 0.03)
@@ -43,7 +52,7 @@ class BoardMotion:
     middle: tuple[float, float] = (0.0, 0.04)
 
     def pose(self, t: float) -> Pose:
-        """``pose_world_board`` at time t, on the table's top."""
+        """Return ``pose_world_board`` at time ``t``, s, on top of the table."""
         a = 2.0 * np.pi * t / _PERIOD
         x, y = self.middle
         position = (x + self.slide[0] * np.sin(a), y + self.slide[1] * np.sin(2.0 * a), 0.0005)
@@ -55,18 +64,21 @@ AT_REST = BoardMotion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
 
 
 def lens(width: int, height: int) -> CameraIntrinsics:
-    """A webcam's optics at this size: distortion, middle not quite in the middle."""
-    base = CameraIntrinsics(1280, 960, 1150.0, 1150.0, 648.0, 471.0, (-0.14, 0.05, 0.0005, -0.0003, 0.0))
+    """Return a webcam's intrinsics at this size, with distortion and a decentred lens."""
+    base = CameraIntrinsics(
+        1280, 960, 1150.0, 1150.0, 648.0, 471.0, (-0.14, 0.05, 0.0005, -0.0003, 0.0)
+    )
     share = width / base.width
-    focal, cx = base.fx * share, (base.cx + 0.5) * share - 0.5
-    # the picture is the middle strip of the sensor's
+    focal = base.fx * share
+    cx = (base.cx + 0.5) * share - 0.5
+    # The picture is the middle strip of the sensor.
     cy = (base.cy + 0.5) * share - 0.5 - 0.5 * (base.height * share - height)
     return CameraIntrinsics(width, height, focal, focal, cx, cy, base.distortion)
 
 
 def carried_marker(t: float) -> Pose:
-    """Where the marker to follow is at time t: held up above the table."""
-    a = 2.0 * np.pi * t / 4.0
+    """Return the pose of the marker to follow at time ``t``, s: above the table."""
+    a = 2.0 * np.pi * t / _CARRIED_PERIOD
     position = (0.20 + 0.05 * np.sin(a), 0.10, 0.22 + 0.06 * np.cos(a))
     return Pose(position, rotation_exp([1.0, 0.0, 0.0]))
 
@@ -80,23 +92,33 @@ def synthetic_scene(
     follow: bool = False,
     seed: int = 0,
 ) -> tuple[SyntheticSource, VirtualClock]:
-    """The camera and its clock, which stands until somebody lets it go on.
+    """Return the camera and its virtual clock.
 
-    ``occluders`` stand on the table, in the world's frame; to ``follow``, the other marker is there, too.
+    Args:
+        width: Of the pictures, px.
+        height: Of the pictures, px.
+        motion: How the board moves.
+        occluders: Objects on the table, in the world's frame.
+        follow: Whether the marker to follow is in the scene.
+        seed: Of the camera's noise.
     """
     board = marker_grid(2, 2, 0.05, 0.0125, dictionary=_DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
         return lambda t: motion.pose(t).compose(pose)
 
-    # one sheet of paper below all of them
-    sheet = SyntheticMarker(_SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank")
+    # One sheet of paper lies below all markers.
+    sheet = SyntheticMarker(
+        _SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank"
+    )
     markers = [sheet] + [
         SyntheticMarker(id, side, on_board(pose), dictionary=_DICTIONARY, margin=0.006)
         for id, (side, pose) in board.markers.items()
     ]
     if follow:
-        markers.append(SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY))
+        markers.append(
+            SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY)
+        )
     scene = SyntheticScene(
         mujoco.MjSpec().compile() if occluders is None else occluders,
         lens(width, height),

@@ -1,4 +1,4 @@
-"""What was measured of an arm before a camera, in files: it can be solved and judged again without moving."""
+"""Files with the measurements of an arm and a camera, to solve them again without moving."""
 
 from __future__ import annotations
 
@@ -37,13 +37,17 @@ from robot_ik.robot import Robot, load_robot
 
 @dataclass(eq=False)
 class SampleSet:
-    """Joint angles (nq,) read from the servos, and the board's corners in the picture taken there.
+    """Joint angles read from the servos, and the corners of the board in the picture at each.
 
     Attributes:
-        robot: As for ``load_robot``; ``joints`` are the active ones, in the order of ``q``.
-        frame, mounting: What carries camera or board, and which of the two.
-        intrinsics: Of the pictures.
-        date: ISO 8601.
+        robot: Robot, see ``load_robot``.
+        joints: Active joints, in the order of ``q``.
+        frame: Frame that carries the camera or the board.
+        mounting: What the arm carries.
+        intrinsics: Intrinsics of the pictures.
+        date: Date of the measurement, ISO 8601.
+        q: Joint angles (nq,) of each station.
+        views: Observation of the board at each station.
     """
 
     robot: str
@@ -63,49 +67,60 @@ class SampleSet:
         self.views.append(view)
 
     def require(self, stations: int, hint: str) -> None:
-        """Nothing where there are samples enough of so many stations.
+        """Check that there are enough samples.
+
+        Args:
+            stations: Number of stations that were visited.
+            hint: What to check beside board and light, for the message.
 
         Raises:
-            MarkerNotFoundError: There are not; ``hint`` says what may help beside board and light.
+            MarkerNotFoundError: There are too few samples.
         """
         if len(self) < LEAST_VIEWS:
             raise MarkerNotFoundError(
-                f"the board was seen at {len(self)} of {stations} stations; {LEAST_VIEWS} are the least",
+                f"the board was seen at {len(self)} of {stations} stations; "
+                f"{LEAST_VIEWS} are the least",
                 hint=f"check board, dictionary and light, and {hint}",
             )
 
     def load_robot(self) -> Robot:
-        """The robot with the joints that ``q`` is of."""
+        """Return the robot with the active joints of ``q``."""
         return load_robot(self.robot, joints=self.joints)
 
     def samples(self, robot: Robot) -> list[HandEyeSample]:
-        """For ``solve_handeye``: the hand where the joint angles put it."""
+        """Return the samples for ``solve_handeye``, with the hand by forward kinematics."""
         return [
             HandEyeSample(robot.forward(q, self.frame), view)
             for q, view in zip(self.q, self.views, strict=True)
         ]
 
     def as_values(self) -> dict[str, Any]:
-        """What the file holds."""
+        """Return the content of the file."""
         rows = [
             {"q": q, **{key: getattr(view, key) for key in ("points", "pixels", "sigma", "bias")}}
             | plain(view.pose)
             for q, view in zip(self.q, self.views, strict=True)
         ]
         lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
-        facts = {key: getattr(self, key) for key in ("date", "robot", "joints", "frame", "mounting")}
+        facts = {
+            key: getattr(self, key) for key in ("date", "robot", "joints", "frame", "mounting")
+        }
         return {"schema": 1, "job": "handeye", **facts, "intrinsics": lens, "samples": rows}
 
     def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
+        """Write a JSON file atomically.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
         write_atomically(path, json.dumps(plain(self.as_values())) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Reads what ``save`` wrote, a ``SampleSet`` also what one of ``VerifySamples`` wrote.
+        """Read a file of ``save``. A ``SampleSet`` also reads files of ``VerifySamples``.
 
         Raises:
-            CameraError: It is missing, or no such file.
+            CameraError: The file is missing or invalid.
         """
         of_verify = issubclass(cls, VerifySamples)
         of = "an arm before a standing camera" if of_verify else "a hand-eye calibration"
@@ -129,13 +144,21 @@ class SampleSet:
 
     @classmethod
     def _of_file(cls, file: _SampleFile, **others: Any) -> Self:
-        """What the file says, and ``others``; ValueError, RobotIkError: it says something impossible."""
+        """Return the samples of a file, with further fields ``others``.
+
+        Raises:
+            ValueError: A sample has another number of angles than joints.
+            RobotIkError: Another value is invalid.
+        """
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
         found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date, **others)
         for k, one in enumerate(file.samples):
             if len(one.q) != len(file.joints):
-                raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
-            points, pixels = np.array(one.points), np.array(one.pixels)
+                raise ValueError(
+                    f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints"
+                )
+            points = np.array(one.points)
+            pixels = np.array(one.pixels)
             view = Observation(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
             found.add(np.array(one.q), view)
         return found
@@ -143,13 +166,14 @@ class SampleSet:
 
 @dataclass(eq=False)
 class VerifySamples(SampleSet):
-    """Samples, and what was known when they were taken.
+    """Samples, and the prior knowledge of their measurement.
 
     Attributes:
-        camera, board: Their poses as they were known.
+        camera: Prior pose of the camera.
+        board: Prior pose of the board.
         by_arm: Whether the camera's pose was found by moving the arm.
-        true_offsets: (nv,) rad; None where it is unknown.
-        servos: Each joint's row of the arm file, as JSON holds it: what ``q`` was read with.
+        true_offsets: (nv,) true joint offsets, rad. None if they are unknown.
+        servos: Row of the arm file for each joint, with which ``q`` was read, as JSON values.
     """
 
     _: KW_ONLY
@@ -160,7 +184,7 @@ class VerifySamples(SampleSet):
     servos: tuple[dict[str, Any], ...] = ()
 
     def as_values(self) -> dict[str, Any]:
-        """What the file holds."""
+        """Return the content of the file."""
         return super().as_values() | {
             "job": "verify",
             "camera": plain(self.camera.pose) | {"covariance": self.camera.covariance},
@@ -182,27 +206,33 @@ class VerifySamples(SampleSet):
         return cls._of_file(file, **poses, true_offsets=offsets, servos=servos)
 
     def arm(self, file: Path) -> ArmConfig:
-        """The arm of a file; ConfigError: the joints were not read with it, or one has been changed."""
+        """Return the arm of a file, with the joints of the samples.
+
+        Raises:
+            ConfigError: A joint is missing or differs from the arm of the measurement.
+        """
         config = ArmConfig.load(file)
         by_name = {joint.name: joint for joint in config.joints}
         for row in self.servos:
             joint = by_name.get(row["name"])
             if joint is None or plain(joint) != row:
-                what = "is not there" if joint is None else "has been changed since the arm was measured"
+                what = "has been changed since the arm was measured"
+                if joint is None:
+                    what = "is not there"
                 raise ConfigError(
                     f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
-                    file=file, key="joints", hint="measure again",
-                )  # fmt: skip
+                    file=file,
+                    key="joints",
+                    hint="measure again",
+                )
         if unknown := [name for name in self.joints if name not in by_name]:
             raise ConfigError(
                 f"there is no joint {unknown[0]!r}, of which the samples are",
-                file=file, key="joints", allowed=", ".join(by_name),
-            )  # fmt: skip
+                file=file,
+                key="joints",
+                allowed=", ".join(by_name),
+            )
         return replace(config, joints=tuple(by_name[name] for name in self.joints))
-
-
-# ------------------------------------------------------------------------------------------
-# The tables of the files.
 
 
 class _Lens(Table):

@@ -1,7 +1,7 @@
-"""Joint configurations from which a camera learns most about where it is mounted.
+"""Plan the joint configurations whose views determine the pose of a camera best.
 
-Either the arm carries the camera and the board rests, or the camera rests and the arm carries the board
-(``Mounting``).  Both poses need to be known roughly only: well enough for the board to be in the picture.
+The arm carries the camera or the board, and the other one rests (``Mounting``). Rough poses of both
+suffice if they bring the board into the picture.
 """
 
 from __future__ import annotations
@@ -26,49 +26,81 @@ from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# Whether an arm can stand at joint angles, and go straight between them in joint space, without touching.
-
-
-# Between two checks of a straight joint move no joint turns farther than this, rad.
+# Largest rotation of a joint between two checks of a straight joint move, rad.
 _STEP = 0.06
-# Kept between the arm and the table, metres.
+# Least distance between the arm and the table, metres.
 _AIR = 0.01
+# Border of the picture that is kept free at each side, as a share of its size. The guess of the
+# poses is off by about as much.
+_MARGIN = 0.06
+# Least cosine between the normal of a marker and the direction to the camera.
+_LEAST_FACING = 0.40
+# Least side of a marker in the picture, px.
+_LEAST_SIDE = 28.0
+# Least share of the markers facing the camera that must be in the picture.
+_LEAST_PART = 0.75
+# Largest tilt of a marker in a random view, rad.
+_LARGEST_TILT = np.deg2rad(50.0)
+# Number of random starts.
+_TRIES = 3000
+# Candidates for each view that is chosen.
+_POOL = 5
+# How often stations without a free path are replaced.
+_REPAIRS = 4
+# Random starts without a candidate after which the search ends.
+_HOPELESS = 300
+# Range of the distance of a random start from home, as a share of the way to a random
+# configuration.
+_SHARES = (0.1, 0.7)
+# Assumed standard deviation of a corner, px.
+_PIXEL = 0.2
+# Assumed standard deviation of the arm's position, each axis, metres.
+_ARM_POSITION = 5e-4
+# Assumed standard deviation of the arm's orientation, each axis, rad.
+_ARM_ANGLE = np.deg2rad(0.1)
+# Inverse kinematics of a candidate: a rough solution suffices.
+_NEAR = Tolerance(position=1e-3, angle=5e-3)
+_TRY = Budget(iterations=300, restarts=1)
 
 
 class Clearance:
     """Contacts of the arm with itself, its surroundings in the model, and a table.
 
-    What touches at ``free`` (nq,), where the arm stands freely (neighbouring links, a base on the table),
-    counts as no contact.  Links are boxes to the table: an arm is kept farther away rather than nearer.
+    Contacts at the configuration ``free`` (nq,) are ignored: neighbouring links, or a base on the
+    table. Contacts with the table are conservative: each link is its bounding box.
     """
 
     def __init__(self, robot: Robot, free: Array, table: SceneTable | None = None) -> None:
-        self._robot, self._table = robot, table
+        self._robot = robot
+        self._table = table
         self._data = mujoco.MjData(robot.model)
         model = robot.model
         moving = model.body_weldid[model.geom_bodyid] > 0
         self._geoms = np.flatnonzero(moving)
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+        signs = np.array(
+            [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float
+        )
         box = model.geom_aabb[self._geoms]
-        self._corners = box[:, None, :3] + signs * box[:, None, 3:]  # (g, 8, 3) in the geoms' frames
+        # Corners (g, 8, 3) in the frames of the geoms.
+        self._corners = box[:, None, :3] + signs * box[:, None, 3:]
         self._place(free)
-        self._allowed, self._on_table = self._touching(), self._at_table()
+        self._allowed = self._touching()
+        self._on_table = self._at_table()
 
     def free(self, q: Array) -> bool:
-        """Whether the arm touches nothing at ``q`` (nq,)."""
+        """Return whether the arm touches nothing at ``q`` (nq,)."""
         self._place(q)
         return self._at_table() <= self._on_table and self._touching() <= self._allowed
 
     def path_is_free(self, start: Array, end: Array) -> bool:
-        """Whether it touches nothing on the straight joint move between two configurations."""
+        """Return whether the arm touches nothing on a straight move between two configurations."""
         count = max(2, int(np.ceil(np.abs(end - start).max() / _STEP)))
-        # From the middle outwards: a way is blocked there first.
+        # From the middle outwards: contacts are most likely there.
         shares = sorted(np.arange(1, count) / count, key=lambda share: abs(share - 0.5))
         return all(self.free(start + share * (end - start)) for share in shares)
 
     def sees(self, q: Array, eye: Array, points: Array) -> bool:
-        """Whether no geom stands between an eye and points (n, 3), world, at ``q``."""
+        """Return whether no geom at ``q`` hides points (n, 3), world, from an eye."""
         self._place(q)
         return in_view(self._robot.model, self._data, eye, points, 2e-3)
 
@@ -86,33 +118,40 @@ class Clearance:
         if table is None or not len(self._geoms):
             return set()
         rotation = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
-        corners = self._corners @ rotation.transpose(0, 2, 1) + self._data.geom_xpos[self._geoms][:, None]
-        low, high = corners.min(axis=1), corners.max(axis=1)
+        corners = (
+            self._corners @ rotation.transpose(0, 2, 1) + self._data.geom_xpos[self._geoms][:, None]
+        )
+        low = corners.min(axis=1)
+        high = corners.max(axis=1)
         over = (
-            (high[:, 0] > table.x[0] - _AIR) & (low[:, 0] < table.x[1] + _AIR)
-            & (high[:, 1] > table.y[0] - _AIR) & (low[:, 1] < table.y[1] + _AIR)
-        )  # fmt: skip
+            (high[:, 0] > table.x[0] - _AIR)
+            & (low[:, 0] < table.x[1] + _AIR)
+            & (high[:, 1] > table.y[0] - _AIR)
+            & (low[:, 1] < table.y[1] + _AIR)
+        )
         return {int(g) for g in self._geoms[over & (low[:, 2] < table.height + _AIR)]}
 
 
-# ------------------------------------------------------------------------------------------
-# In which order to visit configurations, so that the way is short and free.
+def visiting_order(
+    robot: Robot, start: Array, stations: Sequence[Array], clearance: Clearance
+) -> list[int]:
+    """Return the indices of stations in the order of a short path without contacts.
 
-
-def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], clearance: Clearance) -> list[int]:
-    """Indices of stations, ordered by short free ways: the nearest each time, then crossings undone (2-opt).
-
-    Stations that no free way leads to are left out.
+    The order begins with the nearest neighbour of each station and is improved by 2-opt. Stations
+    without a free path are left out.
     """
     configurations = [start, *stations]
     cost = np.zeros((len(configurations), len(configurations)))
     for i in range(len(configurations)):
         for j in range(i):
-            seconds = float(np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity_limits))
+            seconds = float(
+                np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity_limits)
+            )
             cost[i, j] = cost[j, i] = (
                 seconds if clearance.path_is_free(configurations[i], configurations[j]) else np.inf
             )
-    order, left = [0], set(range(1, len(configurations)))
+    order = [0]
+    left = set(range(1, len(configurations)))
     while left:
         nearest = min(left, key=lambda k: cost[order[-1], k])
         if not np.isfinite(cost[order[-1], nearest]):
@@ -130,37 +169,21 @@ def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], cleara
             for j in range(i + 1, len(order)):
                 trial = [*order[:i], *order[i : j + 1][::-1], *order[j + 1 :]]
                 if length(trial) < length(order) - 1e-9:
-                    order, improved = trial, True
+                    order = trial
+                    improved = True
     return [k - 1 for k in order[1:]]
-
-
-# Part of the picture's width and height that is kept free at each side: the guess may be off by so much.
-_MARGIN = 0.06
-# Least cosine between a marker's face and the view, and least side in the picture, px.
-_LEAST_FACING, _LEAST_SIDE = 0.40, 28.0
-# Least part of the markers that face the camera which is in the picture.
-_LEAST_PART = 0.75
-# Wanted tilts and off-centre positions, for which joint angles are sought.
-_LARGEST_TILT = np.deg2rad(50.0)
-# Random starts in all, and candidates wanted for each view that is chosen.
-_TRIES, _POOL = 3000, 5
-# How often stations that cannot be got to are replaced.
-_REPAIRS = 4
-# Where not one of so many shows anything, none will.
-_HOPELESS = 300
-# How far from home the search goes: shares of the way to a random configuration.
-_SHARES = (0.1, 0.7)
-# What pixels and arm are taken to be good for while views are chosen: px, metres, rad.
-_PIXEL, _ARM_POSITION, _ARM_ANGLE = 0.2, 5e-4, np.deg2rad(0.1)
-_NEAR = Tolerance(position=1e-3, angle=5e-3)
-_TRY = Budget(iterations=300, restarts=1)
 
 
 @dataclass(frozen=True, eq=False)
 class ViewTask:
-    """What shall be looked at: rough poses of camera and board, and the frame that carries one of them.
+    """Rough poses of camera and board, for planning.
 
-    ``squares`` has the board's markers, id -> (side, ``pose_board_marker``); the table is not to be touched.
+    Attributes:
+        mount: The rough poses.
+        frame: Frame of the robot that carries the camera or the board.
+        squares: Markers of the board by id: side, metres, and ``pose_board_marker``.
+        intrinsics: Intrinsics of the camera.
+        table: Table that the arm must not touch.
     """
 
     mount: Mount
@@ -170,20 +193,23 @@ class ViewTask:
     table: SceneTable | None = None
 
     def pose_camera_board(self, robot: Robot, q: Array) -> Pose:
-        """Where the board is seen at ``q``."""
+        """Return the pose of the board in the camera's frame at ``q``."""
         return self.mount.pose_camera_board(self.sample(robot, q, np.zeros((4, 3))))
 
     def sample(self, robot: Robot, q: Array, points: Array) -> HandEyeSample:
-        """The arm at ``q``, with a view that is yet to be taken of ``points`` (n, 3) of the board."""
+        """Return a sample at ``q`` with an empty view of ``points`` (n, 3) of the board."""
         view = Observation(points, np.zeros((len(points), 2)), Pose(), _PIXEL)
         return HandEyeSample(robot.forward(q, self.frame), view)
 
     def shown(self, pose_camera_board: Pose) -> tuple[int, ...]:
-        """Ids of the markers in the picture, with a margin, large enough and not too flat; nothing hides.
+        """Return the ids of the markers that are large enough in the picture and not too tilted.
 
-        None where too many of those that face the camera are cut off, as the board may be elsewhere.
+        Occlusion is not checked. The result is empty if too many of the markers that face the
+        camera are outside the picture.
         """
-        size, facing, found = np.array(self.intrinsics.size), 0, []
+        size = np.array(self.intrinsics.size)
+        facing = 0
+        found = []
         for id, (side, pose) in self.squares.items():
             at = pose_camera_board.compose(pose)
             towards = -float(at.rotation[:, 2] @ at.position) / float(np.linalg.norm(at.position))
@@ -201,13 +227,22 @@ class ViewTask:
 def plan_views(
     robot: Robot, task: ViewTask, count: int = 15, *, start: Array | None = None, seed: int = 0
 ) -> list[Array]:
-    """Joint configurations (nq,), in the order of a short way from ``start``, the board in view at each.
+    """Plan joint configurations with the board in view.
 
-    Candidates are found by inverse kinematics for random views; those are taken, one after the other, that
-    together determine camera and board best (greedy D-optimality of the information matrix; Fedorov, Theory
-    of Optimal Experiments, 1972).  All lie inside the limits; neither they nor the straight joint moves
-    between them touch anything of the model or the table.  Fewer than ``count`` come back where no more can
-    be reached.
+    Inverse kinematics finds candidates for random views. A greedy search chooses those that
+    together determine camera and board best: D-optimality of the information matrix (Fedorov,
+    Theory of Optimal Experiments, 1972). All configurations are inside the joint limits. Neither
+    they nor the straight moves between them touch anything of the model or the table.
+
+    Args:
+        robot: The robot.
+        task: What to view.
+        count: Number of configurations. Fewer are returned if no more can be reached.
+        start: Configuration (nq,) of the arm. None for home.
+        seed: Of the random views.
+
+    Returns:
+        Configurations (nq,) in the order of a short path from ``start``.
 
     Raises:
         CameraError: Fewer than four can be reached.
@@ -222,26 +257,24 @@ def plan_views(
         ordered = max(ordered, [pool[chosen[k]][0] for k in order], key=len)
         if len(order) == len(chosen):
             break
-        # To some no way is free: others take their place.
+        # Replace the stations without a free path.
         lost = {k for index, k in enumerate(chosen) if index not in order}
         pool = [one for k, one in enumerate(pool) if k not in lost]
     if len(ordered) < LEAST_VIEWS:
-        who = "camera" if task.mount.mounting == "eye_in_hand" else "board"
+        carried = "camera" if task.mount.mounting == "eye_in_hand" else "board"
         raise CameraError(
-            f"only {len(ordered)} views were found in which the board can be seen and the arm, carrying the "
-            f"{who}, touches nothing; {LEAST_VIEWS} are the least",
-            hint="give better guesses of where camera and board are, move them, or take a larger board",
+            f"only {len(ordered)} views were found in which the board can be seen and the arm, "
+            f"carrying the {carried}, touches nothing; {LEAST_VIEWS} are the least",
+            hint="give better guesses of where camera and board are, move them, "
+            "or take a larger board",
         )
     return ordered
-
-
-# ------------------------------------------------------------------------------- candidates
 
 
 def _candidates(
     robot: Robot, task: ViewTask, clearance: Clearance, start: Array, wanted: int, seed: int
 ) -> list[tuple[Array, Array]]:
-    """Configurations with what each would tell (12, 12)."""
+    """Return configurations (nq,) and the information (12, 12) of each."""
     rng = np.random.default_rng(seed)
     aim = PoseGoal(task.frame, robot.forward(start, task.frame).position, (1.0, 0.0, 0.0, 0.0))
     problem = Problem(robot, aim, solver="lm", tolerance=_NEAR, budget=_TRY, seed=seed)
@@ -253,7 +286,7 @@ def _candidates(
         hand = _wanted_hand(robot, task, near, rng)
         if hand is None:
             continue
-        # An arm with few joints does not get there; where it gets may do all the same.
+        # An arm with few joints may not reach the pose, but its best approximation may suffice.
         q = robot.clip(problem.solve(near, target=hand).q)
         information = _worth(robot, task, clearance, q)
         if information is not None:
@@ -263,8 +296,10 @@ def _candidates(
     return found
 
 
-def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator) -> Pose | None:
-    """A pose of the hand about where it is at ``near`` that shows one of the markers, or None."""
+def _wanted_hand(
+    robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator
+) -> Pose | None:
+    """Return a pose of the hand close to that at ``near`` with a marker in view, or None."""
     board = task.pose_camera_board(robot, near)
     _, pose_board_marker = list(task.squares.values())[rng.integers(len(task.squares))]
     mount = task.mount
@@ -275,7 +310,7 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
         if not task.shown(rotated_board):
             return None
         return mount.pose_world_hand(rotated_board)
-    # The camera stays where it is; its view turns so that the middle of the board comes to a random pixel.
+    # The camera rotates about itself so that the middle of the board is at a random pixel.
     middle = board.apply(np.mean([pose.position for _, pose in task.squares.values()], axis=0))
     pixel = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
     rotation = _rotation_onto(middle, task.intrinsics.unproject(pixel.reshape(1, 2))[0], rng)
@@ -286,19 +321,22 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
 
 
 def _tilted(position: Array, rng: np.random.Generator) -> Pose:
-    """``pose_camera_marker`` at a place (3,), facing the camera but for a random tilt and roll."""
+    """Return ``pose_camera_marker`` at a position (3,), with a random tilt and roll."""
     back = -position / np.linalg.norm(position)
     facing = _rotation_onto(np.array([0.0, 0.0, 1.0]), back, rng)
-    tilt, azimuth = rng.uniform(0.0, _LARGEST_TILT), rng.uniform(0.0, 2.0 * np.pi)
+    tilt = rng.uniform(0.0, _LARGEST_TILT)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
     tilt_rotation = rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0])
     return Pose(position, facing).compose(Pose(wxyz=tilt_rotation))
 
 
 def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Array:
-    """A rotation (4,), wxyz, that turns ``source`` into the direction ``target``, else at random."""
-    a, b = source / np.linalg.norm(source), target / np.linalg.norm(target)
+    """Return a random rotation (4,), wxyz, of those that turn ``source`` into ``target``."""
+    a = source / np.linalg.norm(source)
+    b = target / np.linalg.norm(target)
     axis = np.cross(a, b)
-    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
+    sine = float(np.linalg.norm(axis))
+    cosine = float(a @ b)
     axis = axis / sine if sine > 1e-9 else np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
     axis = axis / np.linalg.norm(axis)
     roll = Pose(wxyz=rotation_exp(rng.uniform(-np.pi, np.pi) * b))
@@ -306,7 +344,7 @@ def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Ar
 
 
 def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Array | None:
-    """Information (12, 12) on camera and board of the view at ``q``; None when it shows no marker."""
+    """Return the information (12, 12) of the view at ``q``, or None if it is not usable."""
     seen = task.pose_camera_board(robot, q)
     ids = task.shown(seen)
     if not ids or not clearance.free(q):
@@ -316,8 +354,10 @@ def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Arra
     parent = hand if mount.mounting == "eye_in_hand" else Pose()
     camera = parent.compose(mount.pose_parent_camera)
     markers = [task.squares[id][1].apply(marker_points(task.squares[id][0])) for id in ids]
-    clear = [m for m in markers if clearance.sees(q, camera.position, camera.compose(seen).apply(m))]
-    # Half of a board is enough; of a cube, one side.
+    clear = [
+        m for m in markers if clearance.sees(q, camera.position, camera.compose(seen).apply(m))
+    ]
+    # Half of the markers in the picture must not be hidden.
     if 2 * len(clear) < len(ids):
         return None
     view, _ = compress(mount, [task.sample(robot, q, np.concatenate(clear))], task.intrinsics)
@@ -326,11 +366,8 @@ def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Arra
     return np.asarray(rows.T @ np.linalg.solve(view.pixels[0] + arm, rows))
 
 
-# ---------------------------------------------------------------------------------- choosing
-
-
 def _most_informative(informations: Sequence[Array], count: int) -> list[int]:
-    """Indices, greedily by the determinant of the sum."""
+    """Return indices, chosen greedily by the determinant of the sum."""
     if not informations:
         return []
     each = np.array(informations)

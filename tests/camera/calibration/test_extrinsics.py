@@ -55,7 +55,9 @@ def test_the_file_gives_back_what_was_written(
     )
     extrinsics.save(path)
     read = CameraExtrinsics.load(path, STANDARD_CAMERA)
-    np.testing.assert_array_equal(read.pose_parent_camera.position, extrinsics.pose_parent_camera.position)
+    np.testing.assert_array_equal(
+        read.pose_parent_camera.position, extrinsics.pose_parent_camera.position
+    )
     assert max(read.pose_parent_camera.distance(extrinsics.pose_parent_camera)) < 1e-15
     np.testing.assert_array_equal(read.covariance, extrinsics.covariance)
     assert (read.parent, read.date, read.residual_px, read.views) == (parent, today(), 0.12, 1)
@@ -84,7 +86,9 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
         ("covariance", "covariance"),
     ],
 )
-def test_a_wrong_file_is_reported_in_one_sentence(tmp_path: Path, text: str | None, words: str) -> None:
+def test_a_wrong_file_is_reported_in_one_sentence(
+    tmp_path: Path, text: str | None, words: str
+) -> None:
     path = tmp_path / "place.toml"
     extrinsics_of(Pose(), np.eye(6)).save(path)
     good = path.read_text()
@@ -104,7 +108,8 @@ def test_a_wrong_file_is_reported_in_one_sentence(tmp_path: Path, text: str | No
 
 def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
     true = BOARD.compose(SEEN.inverse())
-    errors, stated = [], []
+    errors = []
+    stated = []
     for seed in range(12):
         extrinsics = locate_camera([observed(np.random.default_rng(seed))], BOARD, STANDARD_CAMERA)
         errors.append(extrinsics.pose_parent_camera.distance(true))
@@ -113,11 +118,14 @@ def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
     assert off[0] < 2e-3 and off[1] < np.deg2rad(0.25)
     assert (off < 2 * said).all() and (said < 2 * off).all()
     assert 0.05 < extrinsics.residual_px < 0.2
-    assert extrinsics.residual_mm == pytest.approx(1e3 * extrinsics.residual_px * 0.7 / 800, rel=0.1)
+    assert extrinsics.residual_mm == pytest.approx(
+        1e3 * extrinsics.residual_px * 0.7 / 800, rel=0.1
+    )
 
 
 def test_frames_are_averaged_and_a_hand_before_the_board_does_no_harm() -> None:
-    true, rng = BOARD.compose(SEEN.inverse()), np.random.default_rng(1)
+    true = BOARD.compose(SEEN.inverse())
+    rng = np.random.default_rng(1)
     views = [observed(rng) for _ in range(9)]
     one = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
     spoilt = Observation(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
@@ -168,7 +176,9 @@ def pattern_frame(board: PatternTarget, pose: Pose) -> Frame:
     return Frame(image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2), 0.0, 0)
 
 
-@pytest.mark.parametrize("text", ["", "marker:7", "grid:3x:50:12", "marker:x:50", "grid:3x2:-50:12", "cube"])
+@pytest.mark.parametrize(
+    "text", ["", "marker:7", "grid:3x:50:12", "marker:x:50", "grid:3x2:-50:12", "cube"]
+)
 def test_a_board_that_means_nothing_is_refused(text: str) -> None:
     with pytest.raises(CameraError, match="is not a board") as refused:
         parse_target(text)
@@ -194,7 +204,11 @@ def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
     one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
     path.write_text(one.format(name="hand", id=3))
     board = parse_target(str(path), "DICT_4X4_50")
-    assert isinstance(board, MarkerTarget) and set(board.squares) == {3} and board.dictionary == "DICT_4X4_50"
+    assert (
+        isinstance(board, MarkerTarget)
+        and set(board.squares) == {3}
+        and board.dictionary == "DICT_4X4_50"
+    )
     path.write_text(one.format(name="hand", id=3) + one.format(name="table", id=4))
     assert set(parse_target(f"{path}:table").squares) == {4}
     with pytest.raises(CameraError, match="several bodies") as refused:
@@ -204,7 +218,8 @@ def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
 
 def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
     """It gave one, 3 µm well known, beside residuals of 58 px."""
-    rng, moving = np.random.default_rng(8), []
+    rng = np.random.default_rng(8)
+    moving = []
     for k in range(6):
         there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
         pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
@@ -229,7 +244,9 @@ def test_wrong_corners_count_less_even_where_the_plain_fit_was_the_start() -> No
     pixels[5] += (4.0, -3.0)
     lens = np.array(STANDARD_CAMERA.distortion)
     _, vector, shift = cv2.solvePnP(POINTS, pixels, STANDARD_CAMERA.matrix, lens)
-    vector, shift = cv2.solvePnPRefineLM(POINTS, pixels, STANDARD_CAMERA.matrix, lens, vector, shift)
+    vector, shift = cv2.solvePnPRefineLM(
+        POINTS, pixels, STANDARD_CAMERA.matrix, lens, vector, shift
+    )
     plain = Pose.from_rotation(cv2.Rodrigues(vector)[0], shift.ravel())
     one, other = (
         locate_camera([Observation(POINTS, pixels, pose, view.sigma)], BOARD, STANDARD_CAMERA)

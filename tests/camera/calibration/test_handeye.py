@@ -35,7 +35,9 @@ MARKER = marker_points(STANDARD_SIZE)
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6), mounting=st.sampled_from(MOUNTINGS))
 def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None:
-    truth, samples = handeye_set(6, mounting=mounting, seed=seed, corner_sigma=0.0, arm_sigma=(0.0, 0.0))
+    truth, samples = handeye_set(
+        6, mounting=mounting, seed=seed, corner_sigma=0.0, arm_sigma=(0.0, 0.0)
+    )
     start = start_handeye(samples, mounting)
     assert max(start.pose_parent_camera.distance(truth.pose_parent_camera)) < 1e-7
     found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
@@ -65,7 +67,9 @@ def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> Non
 def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None:
     mount, (sample, *_) = handeye_set(mounting=mounting, seed=3)
     residual, shared, hand = view_derivatives(mount, sample, STANDARD_CAMERA)
-    np.testing.assert_allclose(residual, mount.residual(sample, STANDARD_CAMERA).ravel(), atol=1e-10)
+    np.testing.assert_allclose(
+        residual, mount.residual(sample, STANDARD_CAMERA).ravel(), atol=1e-10
+    )
     step = 1e-6
     for k in range(12):
         move = np.eye(12)[k] * step
@@ -81,13 +85,19 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
             )
             for sign in (1, -1)
         )
-        difference = (mount.residual(there, STANDARD_CAMERA) - mount.residual(back, STANDARD_CAMERA)).ravel()
+        difference = (
+            mount.residual(there, STANDARD_CAMERA) - mount.residual(back, STANDARD_CAMERA)
+        ).ravel()
         np.testing.assert_allclose(hand[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
-def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mounting: Mounting) -> None:
-    errors, stated, arm = [], [], []
+def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(
+    mounting: Mounting,
+) -> None:
+    errors = []
+    stated = []
+    arm = []
     for seed in range(6):
         truth, samples = handeye_set(mounting=mounting, seed=seed)
         found = solve_handeye(samples, STANDARD_CAMERA, mounting=mounting)
@@ -98,7 +108,8 @@ def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mou
     off, said = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
     assert off[0] < 1.5e-3 and off[1] < np.deg2rad(0.25)
     assert (off < 2 * said).all() and (said < 2 * off).all()
-    # the arm's error is told apart from the pixels' (three times is as well as 15 views can tell it)
+    # the arm's error is told apart from the pixels' (three times is as well as 15 views can tell
+    # it)
     assert 1e-4 < np.median(arm, axis=0)[0] < 9e-4
 
 
@@ -140,7 +151,9 @@ def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
 
     def residuals(step: Array) -> Array:
         mount = truth.plus(step)
-        return np.concatenate([mount.residual(sample, STANDARD_CAMERA).ravel() for sample in samples])
+        return np.concatenate(
+            [mount.residual(sample, STANDARD_CAMERA).ravel() for sample in samples]
+        )
 
     judge = truth.plus(least_squares(residuals, np.zeros(12), x_scale=1e-3).x)
     position, angle = found.pose_parent_camera.distance(judge.pose_parent_camera)
@@ -204,9 +217,6 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
         solve_handeye(handeye_set()[1], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
 
 
-# --------------------------------------------------------------------------------- rotations
-
-
 @pytest.mark.parametrize("mounting", ["eye_in_hand", "eye_to_hand"])
 def test_pictures_that_belong_to_other_joint_angles_give_no_mount(mounting: Mounting) -> None:
     _, samples = handeye_set(12, mounting=mounting, seed=3)
@@ -243,4 +253,6 @@ def test_the_robust_mean_leaves_a_stray_pose_alone() -> None:
 
 def test_spread_by_axis() -> None:
     turns = Rotation.from_rotvec(np.outer([-0.4, -0.2, 0.0, 0.2, 0.4], [0.6, 0.8, 0.0]))
-    np.testing.assert_allclose(rotation_spread(list(quaternions(turns))), [np.sqrt(0.08), 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        rotation_spread(list(quaternions(turns))), [np.sqrt(0.08), 0, 0], atol=1e-9
+    )

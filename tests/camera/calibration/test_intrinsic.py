@@ -25,12 +25,20 @@ from robot_ik.geometry import Pose, rotation_exp
 BOARD = ChessboardPattern(9, 6, 0.025)
 SIZE = STANDARD_CAMERA.size
 WIDE = CameraIntrinsics(
-    640, 480, 450.0, 451.0, 317.0, 243.0,
-    (-0.05, 0.02, 0.0004, -0.0003, 0.001, 0.2, 0.03, 0.002), "rational_polynomial",
-)  # fmt: skip
+    640,
+    480,
+    450.0,
+    451.0,
+    317.0,
+    243.0,
+    (-0.05, 0.02, 0.0004, -0.0003, 0.001, 0.2, 0.03, 0.002),
+    "rational_polynomial",
+)
 
 
-def seen(camera: CameraIntrinsics, pose: Pose, rng: np.random.Generator, noise: float = 0.05) -> FoundPattern:
+def seen(
+    camera: CameraIntrinsics, pose: Pose, rng: np.random.Generator, noise: float = 0.05
+) -> FoundPattern:
     """The board's corners as a detector with this much noise (px) would give them."""
     column, row = np.meshgrid(np.arange(9.0), np.arange(6.0))
     points = np.stack([column.ravel(), row.ravel(), np.zeros(54)], axis=1) * BOARD.square
@@ -38,7 +46,9 @@ def seen(camera: CameraIntrinsics, pose: Pose, rng: np.random.Generator, noise: 
     return FoundPattern(points, pixels, np.arange(54), blur=0.9)
 
 
-def views(camera: CameraIntrinsics, count: int, seed: int = 0, **wishes: object) -> list[FoundPattern]:
+def views(
+    camera: CameraIntrinsics, count: int, seed: int = 0, **wishes: object
+) -> list[FoundPattern]:
     rng = np.random.default_rng(seed)
     return [seen(camera, pattern_pose(BOARD, camera, rng, **wishes), rng) for _ in range(count)]  # type: ignore[arg-type]
 
@@ -47,7 +57,9 @@ def views(camera: CameraIntrinsics, count: int, seed: int = 0, **wishes: object)
 def pictures() -> list[tuple[Pose, FoundPattern]]:
     """Twenty pictures of a ChArUco board: where it was, and its corners."""
     board = CharucoPattern(8, 6, 0.03, 0.022)
-    found = [(pose, board.find(image)) for image, pose in pattern_set(board, STANDARD_CAMERA, 20, seed=1)]
+    found = [
+        (pose, board.find(image)) for image, pose in pattern_set(board, STANDARD_CAMERA, 20, seed=1)
+    ]
     return [(pose, corners) for pose, corners in found if corners is not None]
 
 
@@ -57,15 +69,20 @@ def twenty(pictures: list[tuple[Pose, FoundPattern]]) -> CalibrationResult:
     return calibrate([found for _, found in pictures], SIZE)
 
 
-def test_corners_of_a_charuco_board_are_found_without_bias(pictures: list[tuple[Pose, FoundPattern]]) -> None:
-    off = np.concatenate([f.pixels - STANDARD_CAMERA.project(p.apply(f.points_board)) for p, f in pictures])
+def test_corners_of_a_charuco_board_are_found_without_bias(
+    pictures: list[tuple[Pose, FoundPattern]],
+) -> None:
+    off = np.concatenate(
+        [f.pixels - STANDARD_CAMERA.project(p.apply(f.points_board)) for p, f in pictures]
+    )
     assert len(pictures) == 20 and len(off) > 600
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
     assert np.abs(off.mean(axis=0)).max() < 0.01
 
 
 def test_twenty_views_give_the_camera(twenty: CalibrationResult) -> None:
-    camera, true = twenty.intrinsics, STANDARD_CAMERA
+    camera = twenty.intrinsics
+    true = STANDARD_CAMERA
     assert camera.fx == pytest.approx(true.fx, rel=0.0015)
     assert camera.fy == pytest.approx(true.fy, rel=0.0015)
     assert np.hypot(camera.cx - true.cx, camera.cy - true.cy) < 2.0
@@ -79,8 +96,11 @@ def test_twenty_views_give_the_camera(twenty: CalibrationResult) -> None:
 
 
 def test_standard_deviations_and_hold_out_are_honest(twenty: CalibrationResult) -> None:
-    camera, true = twenty.intrinsics, STANDARD_CAMERA
-    off = np.array([camera.fx - true.fx, camera.fy - true.fy, camera.cx - true.cx, camera.cy - true.cy])
+    camera = twenty.intrinsics
+    true = STANDARD_CAMERA
+    off = np.array(
+        [camera.fx - true.fx, camera.fy - true.fy, camera.cx - true.cx, camera.cy - true.cy]
+    )
     assert (np.abs(off) < 4.0 * np.array(camera.std[:4])).all()
     assert camera.std[0] < 0.002 * true.fx and max(camera.std[2:4]) < 2.0
     assert camera.views == 20
@@ -123,7 +143,8 @@ def test_a_board_that_is_never_tilted_is_refused() -> None:
 def test_noise_is_no_calibration() -> None:
     rng = np.random.default_rng(0)
     found = [
-        seen(STANDARD_CAMERA, pattern_pose(BOARD, STANDARD_CAMERA, rng), rng, noise=2.0) for _ in range(10)
+        seen(STANDARD_CAMERA, pattern_pose(BOARD, STANDARD_CAMERA, rng), rng, noise=2.0)
+        for _ in range(10)
     ]
     with pytest.raises(CalibrationError, match=r"leaves 2\.\d\d px RMS; at most 1 px are accepted"):
         calibrate(found, SIZE)
@@ -135,7 +156,9 @@ def test_a_view_that_does_not_fit_is_named_and_left_out() -> None:
     distorted = good[4].pixels + 0.004 * (good[4].pixels - good[4].pixels.mean(axis=0)) ** 2 / 20.0
     wrong = dataclasses.replace(good[4], pixels=distorted)
     moved = dataclasses.replace(good[7], blur=3.1)
-    named = [CalibrationView(f"photo{k}.png", {4: wrong, 7: moved}.get(k, v)) for k, v in enumerate(good)]
+    named = [
+        CalibrationView(f"photo{k}.png", {4: wrong, 7: moved}.get(k, v)) for k, v in enumerate(good)
+    ]
     result = calibrate(named, SIZE)
     left_out = {r.name: r.left_out for r in result.per_view if r.left_out}
     assert set(left_out) == {"photo4.png", "photo7.png"}
@@ -154,7 +177,11 @@ def test_what_was_not_shown_is_named() -> None:
         found.append(seen(STANDARD_CAMERA, Pose((-0.2, -0.07, 0.55), turn), rng))
     coverage = calibrate(found, SIZE).coverage
     missing = " ".join(coverage.missing)
-    for text in ("the board in the right", "the board in the lower right", "its left side tilted away"):
+    for text in (
+        "the board in the right",
+        "the board in the lower right",
+        "its left side tilted away",
+    ):
         assert text in missing
     assert "its right side" not in missing and "the board in the left" not in missing
     tops = {"top": -1.0, "bottom": 1.0}
@@ -198,8 +225,10 @@ def test_the_file_holds_all_of_it_for_everybody(tmp_path: Path, coefficients: in
     storage.release()
     content = yaml.safe_load(path.read_text())
     assert (content["views"], content["avg_reprojection_error"], content["calibration_time"]) == (
-        21, 0.12, camera.date,
-    )  # fmt: skip
+        21,
+        0.12,
+        camera.date,
+    )
     for key, shape in {"rectification_matrix": (3, 3), "projection_matrix": (3, 4)}.items():
         assert (content[key]["rows"], content[key]["cols"]) == shape
 
@@ -213,7 +242,9 @@ Change = Callable[[CameraIntrinsics], CameraIntrinsics]
     st.floats(1e-9, 50.0, allow_nan=False),
     st.integers(0, 4),
 )
-def test_the_digest_is_of_all_that_maps_points_to_pixels(name: str, change: float, lens: int) -> None:
+def test_the_digest_is_of_all_that_maps_points_to_pixels(
+    name: str, change: float, lens: int
+) -> None:
     camera = STANDARD_CAMERA
     step = int(change) + 1 if name in ("width", "height") else change
     value = getattr(camera, name) + step
@@ -223,7 +254,9 @@ def test_the_digest_is_of_all_that_maps_points_to_pixels(name: str, change: floa
     distorted[lens] += change
     assert dataclasses.replace(camera, distortion=tuple(distorted)).digest != camera.digest
     # What is known of the calibration, or what the camera is called, is not the camera.
-    same = dataclasses.replace(camera, rms=1.0, std=(1.0,) * 9, views=3, name="other", date="2026-01-01")
+    same = dataclasses.replace(
+        camera, rms=1.0, std=(1.0,) * 9, views=3, name="other", date="2026-01-01"
+    )
     assert same.digest == camera.digest
 
 

@@ -18,7 +18,9 @@ from robot_ik.robot import load_robot
 LENS = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
 
 
-def test_nothing_is_drawn_of_what_is_behind_the_camera(model_of: Callable[..., mujoco.MjModel]) -> None:
+def test_nothing_is_drawn_of_what_is_behind_the_camera(
+    model_of: Callable[..., mujoco.MjModel],
+) -> None:
     picture = np.full((480, 640, 3), 77, np.uint8)
     model = model_of("<geom type='box' size='.1 .2 .15' pos='0 0 -1'/>")
     for style in ("solid", "outline", "registered"):
@@ -33,7 +35,9 @@ def test_a_camera_anywhere_even_inside_the_robot_draws_without_error(
     robot = load_robot("puma560")
     camera = Pose((place[0], place[1], place[2] + 0.6), rotation_exp(turn))
     picture = np.zeros((480, 640, 3), np.uint8)
-    drawn = overlay.draw_robot(picture, robot.model, robot.qpos(robot.home), LENS, camera, style="registered")
+    drawn = overlay.draw_robot(
+        picture, robot.model, robot.qpos(robot.home), LENS, camera, style="registered"
+    )
     assert drawn.shape == picture.shape
 
 
@@ -50,7 +54,9 @@ def test_styles_and_blending(model_of: Callable[..., mujoco.MjModel]) -> None:
     assert np.abs(half[y, x].astype(int) - (full[y, x].astype(int) + 100) / 2).max() <= 1
     tinted = overlay.draw_robot(picture, model, [], LENS, Pose(), alpha=1.0, tint=(200, 0, 0))
     assert tinted[y, x, 0] > 80 and tinted[y, x, 2] < 10
-    lines = overlay.draw_robot(picture, model, [], LENS, Pose(), style="outline", line_colour=(0, 255, 0))
+    lines = overlay.draw_robot(
+        picture, model, [], LENS, Pose(), style="outline", line_colour=(0, 255, 0)
+    )
     assert (lines[y, x] == 100).all() and (lines[..., 1] > 200).any()
 
 
@@ -75,9 +81,9 @@ def test_axes_end_where_opencv_says() -> None:
     picture = overlay.draw_axes(np.full((480, 640, 3), 128, np.uint8), pose, 0.15, LENS)
     tips = np.eye(3) * 0.14
     rotation = cv2.Rodrigues(pose.rotation)[0]
-    pixels = cv2.projectPoints(tips, rotation, pose.position, LENS.matrix, np.array(LENS.distortion))[
-        0
-    ].reshape(-1, 2)
+    pixels = cv2.projectPoints(
+        tips, rotation, pose.position, LENS.matrix, np.array(LENS.distortion)
+    )[0].reshape(-1, 2)
     for k, (x, y) in enumerate(np.rint(pixels).astype(int)):
         assert int(np.argmax(picture[y, x])) == 2 - k, "x red, y green, z blue"
 
@@ -119,7 +125,8 @@ def test_marker_outline_follows_its_corners() -> None:
 
 
 def test_before_and_after_stand_side_by_side() -> None:
-    left, right = np.full((90, 160, 3), 10, np.uint8), np.full((180, 320, 3), 200, np.uint8)
+    left = np.full((90, 160, 3), 10, np.uint8)
+    right = np.full((180, 320, 3), 200, np.uint8)
     accents = (overlay.ORANGE, overlay.GREEN)
     sheet = overlay.before_after(
         left, right, ("Before\nfar", "After\nnear"), title="T", footer="f", accents=accents

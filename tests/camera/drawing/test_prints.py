@@ -21,7 +21,8 @@ def seen(sheet: Print, pose: Pose, lens: CameraIntrinsics = LENS) -> SeenPrint:
 
 @pytest.mark.parametrize("turn", [0.0, 0.2, 0.7853981634, 2.0])
 def test_a_square_has_its_area_and_its_middle_however_it_is_turned(turn: float) -> None:
-    centre, side = np.array([0.0123, -0.0087]), 0.0404
+    centre = np.array([0.0123, -0.0087])
+    side = 0.0404
     found = seen(blank_paper(side), Pose((*centre, 1.0), rotation_exp([0.0, 0.0, turn])))
     assert found.coverage.sum() == pytest.approx(1e6 * side**2, abs=1e-6)
     x0, y0, x1, y1 = found.box
@@ -34,7 +35,8 @@ def test_a_square_has_its_area_and_its_middle_however_it_is_turned(turn: float) 
 
 def test_one_edge_cuts_pixels_where_it_runs() -> None:
     found = seen(
-        Print.of_boxes(np.array([[0.0, -0.02, 0.0103, 0.04]]), (-0.03, -0.02, 0.06, 0.04)), Pose((0, 0, 1))
+        Print.of_boxes(np.array([[0.0, -0.02, 0.0103, 0.04]]), (-0.03, -0.02, 0.06, 0.04)),
+        Pose((0, 0, 1)),
     )
     x0, y0, _, _ = found.box
     row = found.ink[120 - y0, 160 - x0 :][:13]
@@ -44,10 +46,8 @@ def test_one_edge_cuts_pixels_where_it_runs() -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6, 1.05])
 def test_a_tilted_marker_under_a_lens_is_the_mean_of_very_many_rays(tilt: float) -> None:
-    sheet, pose = (
-        marker_print("DICT_5X5_50", 7, 0.05, 0.0125),
-        Pose((0.02, -0.01, 0.3), rotation_exp([0, tilt, 0.3])),
-    )
+    sheet = marker_print("DICT_5X5_50", 7, 0.05, 0.0125)
+    pose = Pose((0.02, -0.01, 0.3), rotation_exp([0, tilt, 0.3]))
     found = seen(sheet, pose, BENT)
     x0, y0, x1, y1 = found.box
     pixels = np.stack(np.meshgrid(np.arange(x0, x1), np.arange(y0, y1)), axis=-1).reshape(-1, 2)
@@ -81,7 +81,8 @@ def test_what_is_in_front_takes_its_share_of_every_pixel() -> None:
     found = see_print(blank_paper(0.04), pose, field, lambda pixels, depth: pixels[:, 0] < 165.25)
     assert found is not None
     row = found.coverage[120 - found.box[1], 160 - found.box[0] :][:8]
-    # By quarters of a pixel, at the middles of which it is asked: 5.25 mm leaves one quarter of pixel 5.
+    # By quarters of a pixel, at the middles of which it is asked: 5.25 mm leaves one quarter of
+    # pixel 5.
     assert row == pytest.approx([0.0] * 5 + [0.25, 1.0, 1.0])
     assert found.visible == pytest.approx((20.0 - 5.25) / 40.0, abs=1e-3)
 
@@ -99,5 +100,7 @@ def test_ink_bleeds_to_every_side_and_the_darker_one_shows_where_two_overlap() -
     found = [float((p.ink * np.diff(p.y)[:, None] * np.diff(p.x)).sum()) for p in (plain, bled)]
     assert found[1] > found[0] + 4 * 0.04 * 0.0005
     assert set(np.unique(bled.ink)) == {0.0, 1.0}
-    half = Print.of_boxes(np.array([[0.0, 0, 2, 1], [1.0, 0, 2, 1]]), (0, 0, 3, 1), np.array([0.5, 1.0]))
+    half = Print.of_boxes(
+        np.array([[0.0, 0, 2, 1], [1.0, 0, 2, 1]]), (0, 0, 3, 1), np.array([0.5, 1.0])
+    )
     assert half.ink.tolist() == [[0.5, 1.0, 1.0]]

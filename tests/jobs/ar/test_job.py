@@ -61,7 +61,8 @@ def request_for(tmp_path_factory: pytest.TempPathFactory) -> ArRequest:
 
 
 def film_of(path: Path) -> list[np.ndarray]:
-    capture, pictures = cv2.VideoCapture(str(path)), []
+    capture = cv2.VideoCapture(str(path))
+    pictures = []
     while True:
         good, picture = capture.read()
         if not good:
@@ -85,7 +86,9 @@ def test_a_folder_in_a_folder_out(request_for: ArRequest, tmp_path: Path) -> Non
     assert (np.abs(steps - 0.02 * 800 / 0.75) < 6).all(), "the robot moves with the board"
 
 
-def test_a_film_is_whole_also_when_the_run_is_interrupted(request_for: ArRequest, tmp_path: Path) -> None:
+def test_a_film_is_whole_also_when_the_run_is_interrupted(
+    request_for: ArRequest, tmp_path: Path
+) -> None:
     if importlib.util.find_spec("av") is None:
         pytest.skip("needs the extra video")
 
@@ -137,14 +140,18 @@ def test_latest_shows_the_next_picture_and_remedies_bring_the_robot_there(
         )
         assert report.pictures == (COUNT if latency_options.sync == "tracked" else COUNT - 1)
         before = cv2.imread(str(Path(request_for.camera) / f"{COUNT - 1}.png"))
-        changed = np.abs(cv2.imread(str(tmp_path / f"{name}.png")).astype(int) - before).max(axis=2) > 0
+        changed = (
+            np.abs(cv2.imread(str(tmp_path / f"{name}.png")).astype(int) - before).max(axis=2) > 0
+        )
         return float(np.argwhere(changed).mean(axis=0)[1])
 
     right = middle("tracked", LatencyOptions())
     late = middle("latest", LatencyOptions("latest"))
     shifted = middle("shifted", LatencyOptions("latest", shift=True))
     assert right - late > 12
-    assert abs(right - shifted) < 0.5 * (right - late), "what stands above the board moves a little otherwise"
+    assert abs(right - shifted) < 0.5 * (right - late), (
+        "what stands above the board moves a little otherwise"
+    )
 
 
 def test_a_board_that_is_nowhere_is_an_error(request_for: ArRequest, tmp_path: Path) -> None:
@@ -156,8 +163,10 @@ def test_a_board_that_is_nowhere_is_an_error(request_for: ArRequest, tmp_path: P
 def test_all_of_a_robot_is_in_the_pictures_of_the_scene(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    width, height = 640, 360
-    drawings, compose = [], Registrar.compose
+    width = 640
+    height = 360
+    drawings = []
+    compose = Registrar.compose
 
     def watched(*arguments: object) -> tuple[Image, Drawing | None]:
         image, drawing = compose(*arguments)  # type: ignore[arg-type]
@@ -169,9 +178,12 @@ def test_all_of_a_robot_is_in_the_pictures_of_the_scene(
     run_ar(ArRequest(robot=name, size=(width, height), seconds=0.1, out=tmp_path / "a.png"))
     assert len(drawings) == 3
     for mask in drawings:
-        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        rows = np.flatnonzero(mask.any(axis=1))
+        columns = np.flatnonzero(mask.any(axis=0))
         assert rows[0] > 0 and rows[-1] < height - 1 and columns[0] > 0 and columns[-1] < width - 1
-        assert rows[-1] - rows[0] > 0.4 * height or columns[-1] - columns[0] > 0.4 * width, "and fills them"
+        assert rows[-1] - rows[0] > 0.4 * height or columns[-1] - columns[0] > 0.4 * width, (
+            "and fills them"
+        )
 
 
 def test_what_is_neither_film_nor_picture_nor_folder_is_an_error(
@@ -189,7 +201,8 @@ def test_what_is_neither_film_nor_picture_nor_folder_is_an_error(
 def test_pictures_of_an_earlier_run_are_kept_or_replaced_but_never_mixed(
     request_for: ArRequest, tmp_path: Path
 ) -> None:
-    folder, once = tmp_path / "o", replace(request_for, overwrite=False, out=tmp_path / "o")
+    folder = tmp_path / "o"
+    once = replace(request_for, overwrite=False, out=tmp_path / "o")
     run_ar(once)
     (folder / "000777.png").write_bytes(b"older")
     (folder / "notes.txt").write_text("mine")
@@ -212,15 +225,22 @@ def test_why_the_board_is_seen_in_few_pictures_is_said(
         MarkerNotFoundError, match=r"seen in no picture(.|\n)*160x120 px: try a larger --size"
     ):
         run_ar(tiny)
-    with pytest.raises(MarkerNotFoundError, match=r"the synthetic table has the board grid:2x2:50:12\.5"):
+    with pytest.raises(
+        MarkerNotFoundError, match=r"the synthetic table has the board grid:2x2:50:12\.5"
+    ):
         run_ar(replace(tiny, board="marker:7:50", size=(320, 240)))
-    track, seen = Registrar.track, iter([True, True, False, False, False])
-    monkeypatch.setattr(Registrar, "track", lambda one, frame: track(one, frame) if next(seen) else None)
+    track = Registrar.track
+    seen = iter([True, True, False, False, False])
+    monkeypatch.setattr(
+        Registrar, "track", lambda one, frame: track(one, frame) if next(seen) else None
+    )
     report = run_ar(replace(request_for, out=tmp_path / "few"))
     assert report.notice.startswith("the board was seen in 2 of 5 pictures only: check --board")
 
 
-def test_two_runs_at_once_into_one_folder_are_not_mixed(request_for: ArRequest, tmp_path: Path) -> None:
+def test_two_runs_at_once_into_one_folder_are_not_mixed(
+    request_for: ArRequest, tmp_path: Path
+) -> None:
     request = replace(request_for, out=tmp_path / "o")
 
     def second(done: int, total: int) -> None:
@@ -298,7 +318,9 @@ state = "{state}"
 """
 
 
-@pytest.mark.parametrize(("state", "notice"), [("enabled", ""), ("fault", "the script failed at 'expect")])
+@pytest.mark.parametrize(
+    ("state", "notice"), [("enabled", ""), ("fault", "the script failed at 'expect")]
+)
 def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_path: Path) -> None:
     path = tmp_path / "nod.toml"
     path.write_text(SCRIPT.format(state=state))
@@ -310,7 +332,9 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
         assert motion.notice[: len(notice) or None] == notice
         moved = play_script(str(path), robot)[0]
         assert motion.seconds == moved.duration
-        np.testing.assert_array_equal(motion.q(0.5 * moved.duration, None), moved.at(0.5 * moved.duration))
+        np.testing.assert_array_equal(
+            motion.q(0.5 * moved.duration, None), moved.at(0.5 * moved.duration)
+        )
         # from home to 20 degrees with the limits of a servo, then half a second at rest
         assert 0.7 < moved.duration < 3.0 and np.diff(moved.times).max() < 0.02
         np.testing.assert_allclose(moved.q[0], robot.home, atol=2e-3)
@@ -326,8 +350,11 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
 
 
 def test_a_script_that_waits_nowhere_shows_where_the_arm_stands(tmp_path: Path) -> None:
-    path, robot = tmp_path / "still.toml", load_robot("tabletop_puma")
-    path.write_text(SCRIPT[: SCRIPT.index("[[steps]]")] + '[[steps]]\ndo = "expect"\nstate = "enabled"\n')
+    path = tmp_path / "still.toml"
+    robot = load_robot("tabletop_puma")
+    path.write_text(
+        SCRIPT[: SCRIPT.index("[[steps]]")] + '[[steps]]\ndo = "expect"\nstate = "enabled"\n'
+    )
     moved, notice = play_script(str(path), robot)
     assert len(moved) == 1 and not notice
     np.testing.assert_allclose(moved.q[0], robot.home, atol=2e-3)
