@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.servo import Joint
 
 Array = NDArray[np.float64]
 
@@ -95,10 +96,16 @@ class Strength:
     at_speed: Array
 
 
+def _joints(arm: ArmConfig) -> list[Joint]:
+    """Return the joints that carry the tool; the fingers are left out."""
+    return [joint for joint in arm.joints if joint.group == "arm"]
+
+
 def strength(robot: rik.Robot, arm: ArmConfig) -> Strength:
     """By the manual's figures at its recommended voltages."""
-    stall = np.array([joint.servo.table.motor.stall_torque * joint.gear.ratio for joint in arm.joints])
-    free = np.array([joint.servo.table.motor.no_load_speed / joint.gear.ratio for joint in arm.joints])
+    joints = _joints(arm)
+    stall = np.array([joint.servo.table.motor.stall_torque * joint.gear.ratio for joint in joints])
+    free = np.array([joint.servo.table.motor.no_load_speed / joint.gear.ratio for joint in joints])
     return Strength(stall, CONTINUOUS_SHARE * stall, stall * (1.0 - robot.velocity_limits / free))
 
 
@@ -117,7 +124,7 @@ def table(poses: int = POSES, seed: int = SEED) -> str:
         "continuous / worst", "moving: worst", "99 %", "at that speed", "at that speed / worst",
     )  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for k, joint in enumerate(arm.joints):
+    for k, joint in enumerate(_joints(arm)):
         worst, usual = load.still[:, k].max(), np.percentile(load.still[:, k], 99)
         hardest, hard = load.moving[:, k].max(), np.percentile(load.moving[:, k], 99)
         belt = "" if joint.gear.ratio == 1.0 else f" × {joint.gear.ratio:g}"

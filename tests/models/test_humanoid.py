@@ -93,10 +93,10 @@ def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
     model = load()
     assert model.nv == 6 + 5 * 2 + 4 * 6 + len(TOES)
     assert model.joint("root").type[0] == mujoco.mjtJoint.mjJNT_FREE
-    assert model.jnt_bodyid[model.joint("root").servo.id] == model.body("torso").id
+    assert model.jnt_bodyid[model.joint("root").id] == model.body("torso").id
     for limb, joints in parts:
         if limb in limbs:
-            bodies = [int(model.jnt_bodyid[model.joint(joint).servo.id]) for joint in joints]
+            bodies = [int(model.jnt_bodyid[model.joint(joint).id]) for joint in joints]
             assert [bodies.count(body) for body in dict.fromkeys(bodies)] == [3, 1, 2], limb
             assert [joint.rsplit("_", 1)[1] for joint in joints[3:]] == ["pitch", "pitch", "yaw"]
 

@@ -48,6 +48,11 @@ def arm() -> ArmConfig:
     return ArmConfig.load(FOLDER / "arm.toml")
 
 
+def carrying() -> np.ndarray:
+    """Return which joints of the arm file carry the tool; the others are fingers."""
+    return np.array([joint.group == "arm" for joint in arm().joints])
+
+
 def rows(head: str) -> list[list[str]]:
     """Cells of the README's table that starts so."""
     lines = README[README.index(head) :].split("\n\n")[0].splitlines()[2:]
@@ -113,11 +118,13 @@ def test_lengths_are_the_pumas_scaled() -> None:
 
 def test_limits_are_those_of_the_readme_and_of_the_arm_file() -> None:
     ranges = np.radians([row[3:] for row in dh_table()])
-    assert robot().joints == JOINTS == arm().names and arm().servo_ids == (1, 2, 3, 4, 5, 6)
+    assert robot().joints == JOINTS == tuple(np.array(arm().names)[carrying()])
+    assert arm().servo_ids[:6] == (1, 2, 3, 4, 5, 6)
     np.testing.assert_allclose(np.stack([robot().lower, robot().upper], axis=1), ranges, atol=1e-12)
-    np.testing.assert_allclose(np.stack([arm().lower, arm().upper], axis=1), ranges, atol=1e-12)
+    limits = np.stack([arm().lower, arm().upper], axis=1)[carrying()]
+    np.testing.assert_allclose(limits, ranges, atol=1e-12)
     for joint in arm().joints:  # inside one turn of the servo, with room for a wrong zero
-        first, last = joint.ticks_range
+        first, last = joint.ticks_range()
         assert 50 <= first < last <= 4045, joint.name
 
 
@@ -144,7 +151,8 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
         for names, servo, turns, free, used in rows("| joint | servo | turns")[:5]
         for joint in names.split(", ")
     }
-    for joint, speed in zip(arm().joints, robot().velocity_limits, strict=True):
+    joints = [joint for joint in arm().joints if joint.group == "arm"]
+    for joint, speed in zip(joints, robot().velocity_limits, strict=True):
         servo, ratio, free, used = reported[joint.name.removeprefix("joint")]
         assert (joint.servo.model, joint.gear.ratio) == (servo, ratio)
         assert math.degrees(speed) == pytest.approx(used)
@@ -156,7 +164,7 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
         force = load().actuator(joint.name).forcerange[1]
         assert force == pytest.approx(joint.servo.table.motor.stall_torque * ratio)
         assert joint.velocity >= speed
-    assert np.all(arm().acceleration >= robot().acceleration_limits)
+    assert np.all(arm().acceleration[carrying()] >= robot().acceleration_limits)
 
 
 def test_the_torque_table_of_the_readme_is_up_to_date() -> None:
