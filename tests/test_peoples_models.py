@@ -85,7 +85,7 @@ def urdf(tmp_path: Path) -> Path:
 def test_joints_without_names_get_one_that_mujoco_knows_too(nameless: Path) -> None:
     robot = rik.load_robot(nameless)
     assert robot.joints == ("joint_0", "joint_1", "joint_2", "joint_3")
-    assert [robot.model.joint(name).servo.id for name in robot.joints] == [0, 1, 2, 3]
+    assert [robot.model.joint(name).id for name in robot.joints] == [0, 1, 2, 3]
     assert rik.load_robot(nameless, joints=["joint_3"]).joints == ("joint_3",)
     taken = NAMELESS.replace('name="joint_2"', 'name="joint_1"')
     assert rik.load_robot(taken).joints == ("joint_0", "joint_1_", "joint_1", "joint_3")

@@ -247,4 +247,4 @@ def test_depths_are_near_those_of_mujoco(seed):
         depth = -scene.clearance(q, pair).distance
         found = -check.arrays["near_distance"][k]
         assert found >= depth - 1e-4
-        assert found <= 1.5 * depth + 2e-3
+        assert found <= 3.0 * depth + 2e-3  # not the least depth of all directions

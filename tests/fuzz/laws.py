@@ -21,7 +21,7 @@ from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.packets import FastParser, StatusParser
 from robot_ik.hardware.packets import crc as host_crc
 from robot_ik.hardware.registers import OperatingMode
-from robot_ik.hardware.servo import Joint
+from robot_ik.hardware.servo import Direct, Joint, Servo
 from robot_ik.hardware.simulated import InProcessPort, SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import (
@@ -225,7 +225,15 @@ QUESTIONS: tuple[Callable[[DynamixelBus], list[tuple[int, int, int]]], ...] = (
 
 def _arm_config() -> ArmConfig:
     joints = (
-        Joint(f"joint{id}", id, "XM430-W350", OperatingMode.POSITION, 1, 2048, 1.0, -2.0, 2.0, 2.0, 8.0)
+        Joint(
+            f"joint{id}",
+            Direct(),
+            (Servo(id, "XM430-W350", OperatingMode.POSITION),),
+            lower=-2.0,
+            upper=2.0,
+            velocity=2.0,
+            acceleration=8.0,
+        )
         for id in (1, 2)
     )
     return ArmConfig("fuzzed", "none", 1_000_000, 100.0, 200, "torque_off", tuple(joints), stale_ms=0)

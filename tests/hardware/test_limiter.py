@@ -227,7 +227,7 @@ def test_what_must_not_be_obeyed_is_refused(bad):
     limiter = SafetyLimiter([-1, -1], [1, 1], 1.0, 1.0)
     with pytest.raises(UnsafeCommandError) as caught:
         step(limiter, LimiterState.at_rest([0, 0]), bad, DT)
-    assert caught.value.asked and caught.value.allowed
+    assert caught.value.command and caught.value.allowed
 
 
 @pytest.mark.parametrize("dt", [0.0, -0.01, math.nan, math.inf])
