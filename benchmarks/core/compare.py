@@ -71,7 +71,7 @@ def compare_times(old: str, new: str, methods: Sequence[str], rounds: int) -> No
                     after = min(pair[1][key] for pair in pairs)
                     ratio = statistics.median(pair[1][key] / pair[0][key] for pair in pairs)
                     print(
-                        f"{method:5s} {robot:8s} {key:9s} {before:8.2f} {after:8.2f} {ratio:6.2f}",
+                        f"{method:5s} {robot:8s} {key:13s} {before:8.2f} {after:8.2f} {ratio:6.2f}",
                         flush=True,
                     )
 

@@ -100,7 +100,7 @@ def write_traces(robot: Any, method: str, number: int, seed: int, file: str) -> 
 
 
 def times(robot: Any, method: str) -> dict[str, float]:
-    """Return medians in microseconds: warm ``rik.solve``, prepared loop, tracking."""
+    """Return medians in microseconds: ``rik.solve`` and a prepared problem, cold and tracking."""
     cold = poses(robot, _TIMED_POSES)
     goals = [rik.PoseGoal.at(None, rik.Pose.from_matrix(pose)) for pose in cold]
     solve = prepared(robot, rik.PoseGoal(None, (0.0, 0.0, 0.0)), method)
@@ -138,8 +138,25 @@ def times(robot: Any, method: str) -> dict[str, float]:
             taken.append(time.perf_counter() - began)
         return taken
 
+    path_goals = [rik.PoseGoal.at(None, rik.Pose.from_matrix(pose)) for pose in path]
+
+    def warm_tracking() -> list[float]:
+        taken = []
+        last = robot.home
+        for goal in path_goals:
+            began = time.perf_counter()
+            last = rik.solve(robot, goal, solver=method, start=last).q
+            taken.append(time.perf_counter() - began)
+        return taken
+
+    runs = {
+        "warm": warm,
+        "warm tracking": warm_tracking,
+        "loop": loop,
+        "tracking": tracking,
+    }
     results = {}
-    for name, run in (("warm", warm), ("loop", loop), ("tracking", tracking)):
+    for name, run in runs.items():
         run()
         results[name] = 1e6 * min(statistics.median(run()) for _ in range(5))
     return results
