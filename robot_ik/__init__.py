@@ -1,4 +1,4 @@
-"""Inverse kinematics from a MuJoCo model to simulated or real servos, with goals a camera can see.
+"""Inverse kinematics for robot arms in Python, from camera to servo.
 
     import robot_ik as rik
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import importlib.util
 import json
@@ -51,18 +52,61 @@ def test_tables_are_what_the_program_says() -> None:
 # The first screen
 
 
-def test_the_first_screen_has_one_picture_and_two_commands() -> None:
-    page = ROOT / "README.md"
-    head = "\n".join(page.read_text(encoding="utf-8").splitlines()[:30])
-    assert re.findall(r"^make [\w-]+", head, re.MULTILINE) == ["make reach", "make test"]
+FOLD = "\n## More\n"
+#: Most words of the README above the fold.
+FOLD_WORDS = 450
+#: The opening phrase of the project, with its full stop.
+TAGLINE = "Inverse kinematics for robot arms in Python, from camera to servo."
+
+
+def test_the_first_screen_has_one_picture_and_the_commands_that_begin() -> None:
+    head, fold, _ = (ROOT / "README.md").read_text(encoding="utf-8").partition(FOLD)
+    assert fold
+    assert len(head.split()) <= FOLD_WORDS
+    commands = re.findall(r"^(?:make|robot-ik) [\w-]+", head, re.MULTILINE)
+    assert commands == ["make reach", "robot-ik view"]
     (picture,) = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", head)
     assert 20_000 < (ROOT / picture).stat().st_size < 400 * 1024
 
 
-def test_make_reach_prints_what_the_readme_shows(
+def test_the_tagline_is_the_same_everywhere(capsys: pytest.CaptureFixture[str]) -> None:
+    import robot_ik as rik
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert cli.main(["--help"]) == 0
+    described = {
+        "README.md": (ROOT / "README.md").read_text(encoding="utf-8").splitlines()[2],
+        "docs/index.md": (ROOT / "docs" / "index.md").read_text(encoding="utf-8").splitlines()[2],
+        "pyproject.toml": project["description"],
+        "robot-ik --help": capsys.readouterr().out.splitlines()[1],
+        "robot_ik": (rik.__doc__ or "").splitlines()[0],
+    }
+    assert set(described.values()) == {TAGLINE}, described
+
+
+def test_the_numbers_of_the_readme_are_those_of_the_tables() -> None:
+    from robot_ik.hardware.virtual.faults import FAULTS
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    head = " ".join(readme.partition(FOLD)[0].split())
+    comparison = (ROOT / "docs" / "reference" / "comparison.md").read_text(encoding="utf-8")
+    pattern = r"^\| cold PUMA 560, any method: mean \|.*? `robot_ik` ([\d.]+) \| ([\d.]+) \|$"
+    ((mean, ratio),) = re.findall(pattern, comparison, re.MULTILINE)
+    assert f"takes {mean} µs on average, {ratio} of the time" in head
+    pattern = r"^\| out of reach, proof: median \|.*? `robot_ik_analytic` ([\d.]+) \|"
+    (proof,) = re.findall(pattern, comparison, re.MULTILINE)
+    assert f"a median of {proof} µs" in head
+    assert f"{len(FAULTS)} kinds of faults" in head
+    markers = r"^\| a 50 mm marker at 0\.3 / 0\.6 / 1\.0 m, RMS \| [\d.]+ / ([\d.]+) / "
+    (middle,) = re.findall(markers, readme, re.MULTILINE)
+    assert f"{middle} mm RMS for a 50 mm marker at 0.6 m" in head
+
+
+def test_make_reach_prints_what_the_page_shows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (shown,) = [block for block in blocks(ROOT / "README.md") if block.text.startswith("reach ")]
+    page = ROOT / "docs" / "start" / "reach.md"
+    (shown,) = [block for block in blocks(page) if block.text.startswith("reach ")]
     assert cli.main(["reach", "--out", str(tmp_path / "run")]) == 0
     printed = capsys.readouterr().out
 
@@ -105,7 +149,7 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
     assert set(summary["by_camera"]) == set(summary["read_back"])
 
 
-def test_the_pages_state_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
+def test_the_page_states_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     assert (
         cli.main(
             ["reach", "--bus", "sim", "--rehearse.zero-offset", "joint2=2", "--out", str(tmp_path)]
@@ -114,10 +158,9 @@ def test_the_pages_state_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     )
     summary = json.loads((tmp_path / "summary.json").read_text())
     measured = 1e3 * summary["by_camera"]["position_m"]
-    for page in ("README.md", "docs/start/reach.md"):
-        text = (ROOT / page).read_text(encoding="utf-8")
-        (line,) = [row for row in text.splitlines() if "zero-offset joint2=2" in row]
-        assert float(re.findall(r"(\d+) mm", line)[-1]) == pytest.approx(measured, abs=1.0), line
+    page = (ROOT / "docs" / "start" / "reach.md").read_text(encoding="utf-8")
+    (line,) = [row for row in page.splitlines() if "zero-offset joint2=2" in row]
+    assert float(re.findall(r"(\d+) mm", line)[-1]) == pytest.approx(measured, abs=1.0), line
 
 
 def test_the_extras_on_the_page_are_those_of_the_package() -> None:
@@ -146,7 +189,7 @@ def test_every_page_names_the_same_versions_of_python() -> None:
 def test_a_system_that_was_not_tried_is_not_a_classifier() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    untried = "macOS is\nmeant to work and has not been tried" in readme
+    untried = "macOS and Windows have not been tried" in readme
     assert untried != any("MacOS" in row for row in project["classifiers"])
 
 
@@ -275,7 +318,8 @@ def test_the_layers_drawn_are_the_layers_checked(
 
 def test_every_package_and_page_is_on_the_map() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (tree,) = [b.text for b in blocks(ROOT / "README.md") if b.text.startswith("robot_ik/")]
+    page = ROOT / "docs" / "architecture.md"
+    (tree,) = [block.text for block in blocks(page) if block.text.startswith("robot_ik/")]
     reported = set(re.findall(r"[\w.]+/|\w+\.py", tree))
     packages = {p.parent.name + "/" for p in (ROOT / "robot_ik").glob("*/__init__.py")}
     folders = {"robot_ik/", "hardware/", "models/", "tests/", "examples/", "docs/"}
@@ -292,3 +336,42 @@ def test_every_package_and_page_is_on_the_map() -> None:
     methods = ROOT / "docs" / "reference" / "solvers"  # their overview leads to them
     for page in (page for page in PAGES[1:] if page.parent != methods):
         assert page == index or page in listed, f"docs/index.md does not lead to {named(page)}"
+
+
+# The page of symptoms
+
+
+def _rendered_strings() -> list[str]:
+    """Return every string in the code, with `…` in place of each formatted value."""
+    texts = []
+    for folder in ("robot_ik", "hardware"):
+        for file in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    texts.append(node.value)
+                elif isinstance(node, ast.JoinedStr):
+                    parts = [
+                        str(part.value) if isinstance(part, ast.Constant) else "…"
+                        for part in node.values
+                    ]
+                    texts.append("".join(parts))
+    return texts
+
+
+def test_the_symptoms_are_texts_of_the_program() -> None:
+    page = prose(ROOT / "docs" / "how-to" / "troubleshooting.md")
+    cells = re.findall(r"^\|([^|]*`[^|`]+`[^|]*)\|", page, re.MULTILINE)
+    shown = [text for cell in cells for text in re.findall(r"`([^`]+)`", cell) if " " in text]
+    assert len(shown) >= 12
+    known = "\n".join(_rendered_strings())
+    pieces = {piece.strip(" ,.'") for text in shown for piece in re.split("[…:;]", text)}
+    unknown = {piece for piece in pieces if piece and piece not in known}
+    assert not unknown
+
+
+def test_the_page_of_symptoms_has_every_status() -> None:
+    import robot_ik as rik
+
+    page = prose(ROOT / "docs" / "how-to" / "troubleshooting.md")
+    failures = {status.name for status in rik.Status} - {"CONVERGED"}
+    assert {name for name in failures if f"`{name}`" not in page} == set()

@@ -47,9 +47,9 @@ class CommandRow:
 # Name -> file of ``robot_ik/cli/`` and one line of help, in the order of ``robot-ik --help``.
 ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
-    "reach": ("reach", "see a marker, reach it, and let a camera judge: the whole product"),
+    "reach": ("reach", "detect a marker, reach it, and verify the result with a camera"),
     "solve": ("solve", "a goal in, joint angles out (JSON on stdout)"),
-    "robots": ("listing", "the robots that come along, or one in detail"),
+    "robots": ("listing", "the bundled robots, or one in detail"),
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
@@ -266,7 +266,7 @@ def _print_help() -> None:
     rows = [(name, command.about) for name, command in COMMANDS.items()]
     console.show(
         "usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help",
-        "From a robot model and a goal to joint angles, on simulated or real servos.\n",
+        "Inverse kinematics for robot arms in Python, from camera to servo.\n",
         console.table("command", "what it does", rows=rows),
         console.facts(
             ("--version", "versions of robot_ik and of what it stands on"),
