@@ -123,6 +123,7 @@ def open_arm(
     virtual_bus: VirtualBus | None = None,
     start: ArrayLike | Mapping[str, float] | None = None,
     park_at: ArrayLike | Mapping[str, float] | None = None,
+    clock: Clock | None = None,
 ) -> Arm:
     """Makes an arm on a bus, still disconnected: a ``with`` block connects it, ``enable`` gives it torque.
 
@@ -133,6 +134,7 @@ def open_arm(
         virtual_bus: Servos made by the caller (faults, true angles), for "sim" and "pty"; else healthy ones.
         start: (n,) rad, where those default servos stand at first.
         park_at: (n,) rad, for ``park``; by default where the arm was enabled.
+        clock: Clock of the default servos; virtual time on "sim" and real time on "pty" by default.
 
     Raises:
         ConfigError: ``config`` is none, ``on_exit`` or ``start`` is impossible, or ``virtual_bus`` or
@@ -140,7 +142,7 @@ def open_arm(
     """
     from robot_ik.hardware.arm import Arm
 
-    servos = _servos(config, bus, virtual_bus, start)
+    servos = _servos(config, bus, virtual_bus, start, clock)
     made = bus_row(bus).make(bus, config, servos)
     return Arm(config, made, on_exit=on_exit, park_at=park_at)
 
@@ -168,6 +170,7 @@ def _servos(
     bus: str,
     servos: VirtualBus | None,
     start: ArrayLike | Mapping[str, float] | None,
+    clock: Clock | None = None,
 ) -> VirtualBus | None:
     """The servos where they are virtual; their clock is that of the bus."""
     from robot_ik.hardware.config import ArmConfig
@@ -195,7 +198,9 @@ def _servos(
         VirtualClock,
     )
 
-    return simulated_servos(config, VirtualClock() if row.virtual_time else RealClock(), start)
+    if clock is None:
+        clock = VirtualClock() if row.virtual_time else RealClock()
+    return simulated_servos(config, clock, start)
 
 
 def simulated_servos(

@@ -110,6 +110,7 @@ def open_robot(
     on_exit: str | None = None,
     start: ArrayLike | Mapping[str, float] | None = None,
     virtual_bus: VirtualBus | None = None,
+    clock: Clock | None = None,
 ) -> RobotArm:
     """Return a robot and its arm on a bus.  Nothing is connected and no torque changes.
 
@@ -124,6 +125,8 @@ def open_robot(
         start: (n,) initial values of the robot's joints, or joint name -> value, for simulated
             servos.  None: home of the robot.
         virtual_bus: Simulated servos to use instead of new ones.
+        clock: Clock of new simulated servos. None: virtual time on ``"sim"``, real time on
+            ``"pty"``.
 
     Raises:
         ConfigError: There is no arm file, or it does not fit the model.
@@ -134,14 +137,16 @@ def open_robot(
     config = arm if isinstance(arm, ArmConfig) else ArmConfig.load(arm or _arm_file_beside(robot))
     source = robot.path if isinstance(name, Robot) else name
     robot = robot_of_arm(robot, config, source)
-    check_model(config, _model_limits(robot))
+    check_model(config, model_limits(robot))
     chain = config.only(robot.joints)
     robot = robot.with_limits(chain.lower, chain.upper)
     if start is None and virtual_bus is None and bus_row(bus).virtual:
         start = robot.home
     if start is not None and not isinstance(start, Mapping):
         start = dict(zip(robot.joints, np.asarray(start, dtype=float).tolist(), strict=True))
-    opened = open_arm(config, bus, on_exit=on_exit, virtual_bus=virtual_bus, start=start)
+    opened = open_arm(
+        config, bus, on_exit=on_exit, virtual_bus=virtual_bus, start=start, clock=clock
+    )
     return RobotArm(robot, opened)
 
 
@@ -186,7 +191,7 @@ def _require_joints(robot: Robot, names: Sequence[str], config: ArmConfig) -> No
         )
 
 
-def _model_limits(robot: Robot) -> dict[str, tuple[float, float]]:
+def model_limits(robot: Robot) -> dict[str, tuple[float, float]]:
     """Return joint -> limits of the model, rad or m."""
     return {
         joint: (float(robot.lower[v]), float(robot.upper[v]))
