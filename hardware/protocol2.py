@@ -1,22 +1,52 @@
 """Protocol 2 of Dynamixel servos, on the host's side, as a ``WireProtocol``.
 
-The Dynamixel SDK builds the requests to a single servo.  ``robot_ik.hardware.packets`` builds the
-requests of a control cycle and takes every reply apart.
+The Dynamixel SDK builds the requests to a single servo and parses their replies.
+``robot_ik.hardware.packets`` builds the requests of a control cycle and parses their replies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-
-from dynamixel_sdk import Protocol2PacketHandler
+from functools import cache
+from typing import TYPE_CHECKING
 
 from robot_ik.hardware import packets
-from robot_ik.hardware.bus import ERROR_REASONS, GARBLED
+from robot_ik.hardware.bus import ALERT_BIT, ERROR_REASONS, GARBLED
 from robot_ik.hardware.registers import Register
-from robot_ik.hardware.wire_protocol import GroupRead, StatusParser
+from robot_ik.hardware.wire_protocol import GroupRead, StatusPacket, StatusParser
+
+if TYPE_CHECKING:
+    from dynamixel_sdk import Protocol2PacketHandler
 
 PING = 0x01
+"""Instruction byte of a ping."""
+
 REBOOT = 0x08
+"""Instruction byte of a reboot."""
+
+ID = 4
+"""Index of the id in a packet."""
+
+LENGTH = 5
+"""Index of the length in a packet, two bytes.  It counts the bytes after it."""
+
+ERROR = 8
+"""Index of the error byte in a status packet.  The data follow it."""
+
+CRC_BYTES = 2
+"""Bytes of the checksum at the end of a packet."""
+
+
+@cache
+def _packet_handler() -> Protocol2PacketHandler:
+    """Return the packet handler of the SDK.
+
+    The SDK is imported here: with pyserial it takes longer to load than all modules of simulated
+    servos, and neither they nor help pages need it.
+    """
+    from dynamixel_sdk import Protocol2PacketHandler
+
+    return Protocol2PacketHandler()
 
 
 class _RequestRecorder:
@@ -31,11 +61,94 @@ class _RequestRecorder:
         """Do nothing: nothing was received."""
 
     def writePort(self, packet: list[int]) -> int:
+        """Keep a request."""
         self.request = bytes(packet)
         return len(packet)
 
     def setPacketTimeout(self, _size: int) -> None:
         """Do nothing: the bus knows how long to wait."""
+
+
+class _ReceivedBytes:
+    """A port of the Dynamixel SDK that gives bytes that were received already.
+
+    Attributes:
+        position: Number of bytes that were read.
+    """
+
+    is_using = False
+
+    def __init__(self, data: bytes) -> None:
+        self.position = 0
+        self._data = data
+
+    def readPort(self, length: int) -> bytes:
+        """Return the next bytes."""
+        data = self._data[self.position : self.position + length]
+        self.position += len(data)
+        return data
+
+    def isPacketTimeout(self) -> bool:
+        """Return whether all bytes were read."""
+        return self.position >= len(self._data)
+
+
+class SdkStatusParser:
+    """Finds the replies to single requests in a byte stream by the Dynamixel SDK.
+
+    The SDK reads one packet from a port and gives up if it is damaged or incomplete.  This parser
+    calls it again for the bytes that come later, and for those after the header of a damaged
+    packet.
+
+    Attributes:
+        damaged: Number of packets found so far that could not be trusted.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self.damaged = 0
+
+    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
+        """Return the packets that ``data`` completes.
+
+        Args:
+            data: New bytes.
+            last: No more bytes will come.  The head of an incomplete packet is skipped: it may be
+                noise before a packet.
+        """
+        self._buffer += data
+        statuses = []
+        while self._buffer:
+            port = _ReceivedBytes(self._buffer)
+            packet, result = _packet_handler().rxPacket(port, False)
+            start = port.position - len(packet)
+            length = _length(packet)
+            complete = len(packet) >= packets.LENGTH_END + length
+            if result == 0 and length >= packets.SHORTEST_STATUS - packets.LENGTH_END:
+                statuses.append(_status(packet))
+                self._buffer = self._buffer[port.position :]
+                continue
+            header = self._buffer.find(packets.HEADER, start)
+            if header < 0 or not (complete or last):
+                self._buffer = self._buffer[start:]
+                break
+            self.damaged += 1
+            self._buffer = self._buffer[header + len(packets.HEADER) :]
+        return statuses
+
+
+def _length(packet: list[int]) -> int:
+    """Return the length field of a packet, or of its first bytes."""
+    head = packet[LENGTH : packets.LENGTH_END]
+    return int.from_bytes(bytes(head), "little") if len(head) == 2 else packets.MAX_PACKET
+
+
+def _status(packet: list[int]) -> StatusPacket:
+    """Return a status packet from which the SDK has removed the byte stuffing."""
+    end = packets.LENGTH_END + _length(packet) - CRC_BYTES
+    error = packet[ERROR]
+    data = bytes(packet[ERROR + 1 : end])
+    return StatusPacket(packet[ID], error & ~ALERT_BIT, bool(error & ALERT_BIT), data)
 
 
 class Protocol2:
@@ -49,21 +162,18 @@ class Protocol2:
     damaged_request_code = GARBLED
     uniform_group_reads = False
 
-    def __init__(self) -> None:
-        self._sdk = Protocol2PacketHandler()
-
     def ping(self, id: int) -> bytes:
         return self._bare(id, PING)
 
     def read(self, id: int, register: Register) -> bytes:
         recorder = _RequestRecorder()
-        self._sdk.readTx(recorder, id, register.address, register.size)
+        _packet_handler().readTx(recorder, id, register.address, register.size)
         return recorder.request
 
     def write(self, id: int, register: Register, value: int) -> bytes:
         recorder = _RequestRecorder()
         data = list(register.encode(value))
-        self._sdk.writeTxOnly(recorder, id, register.address, register.size, data)
+        _packet_handler().writeTxOnly(recorder, id, register.address, register.size, data)
         return recorder.request
 
     def reboot(self, id: int) -> bytes:
@@ -72,7 +182,7 @@ class Protocol2:
     def _bare(self, id: int, instruction: int) -> bytes:
         """Return an instruction without parameters."""
         recorder = _RequestRecorder()
-        self._sdk.txPacket(recorder, [0, 0, 0, 0, id, 3, 0, instruction, 0, 0])
+        _packet_handler().txPacket(recorder, [0, 0, 0, 0, id, 3, 0, instruction, 0, 0])
         return recorder.request
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> bytes:
@@ -89,9 +199,9 @@ class Protocol2:
         return GroupRead(packets.read_request(registers, fast=fast), reply_size, fast)
 
     def parser(self, read: GroupRead | None, sizes: tuple[tuple[int, int], ...], /) -> StatusParser:
-        if read is not None and read.fast:
-            return packets.FastParser(sizes)
-        return packets.StatusParser()
+        if read is None:
+            return SdkStatusParser()
+        return packets.FastParser(sizes) if read.fast else packets.StatusParser()
 
     def take_at_once(
         self, data: bytes, read: GroupRead, sizes: tuple[tuple[int, int], ...]

@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, Range, positive, require, several, single
-from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_serial_port
+from robot_ik.cli.connection import BusOptions, load_arm, open_servo_bus, served_or_serial_port
 from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
@@ -141,7 +141,8 @@ class ServoSetupOptions(BusOptions):
 
 def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
-    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, set_up
+    from robot_ik.hardware.discovery import LIKELY, no_reply_hint
+    from robot_ik.hardware.servo_setup import set_up
 
     one = (options.id is None) != (not options.joint)
     require(one, "--id", "which servo is it to be?", "either --id N or --joint JOINT")
@@ -178,7 +179,7 @@ def run_backup(options: ServoBackupOptions) -> int:
 
     with claimed(options.file, overwrite=options.overwrite):
         config = load_arm(options.arm)
-        with opened(options, config) as bus:
+        with open_servo_bus(options, config) as bus:
             servos = read_tables(bus, config)
         save_backup(options.file, config.name, servos)
     count = sum(len(servo.registers) for servo in servos)
@@ -211,7 +212,7 @@ def run_restore(options: ServoRestoreOptions) -> int:
     for name in options.joints:
         require(name in known, "JOINT", f"{name!r} is not in {options.file}", ", ".join(known))
     servos = [servo for servo in servos if not options.joints or servo.joint in options.joints]
-    with opened(options, load_arm(options.arm)) as bus:
+    with open_servo_bus(options, load_arm(options.arm)) as bus:
         changes = (differences if options.dry_run else restore)(bus, servos)
     verb = "would become" if options.dry_run else "is now"
     rows = [(c.joint, c.id, c.register, c.present, c.saved) for c in changes]
@@ -240,7 +241,7 @@ def run_monitor(options: ServoMonitorOptions) -> int:
     from robot_ik.hardware.health import read_states
 
     config = load_arm(options.arm)
-    with opened(options, config) as bus, ExitStack() as stack:
+    with open_servo_bus(options, config) as bus, ExitStack() as stack:
         begin, screen, live = bus.clock.now(), console.out(), None
         if screen.is_terminal and not options.json:
             live = stack.enter_context(Live(console=screen, auto_refresh=False))

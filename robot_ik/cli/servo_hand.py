@@ -18,7 +18,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, Overwrite, RecordFile, positive, several, single, wrong
-from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, model_limits
+from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
 from robot_ik.jobs.results import claimed
@@ -165,6 +165,7 @@ def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
     from robot_ik.hardware.lerobot_calibration import load_lerobot
+    from robot_ik.hardware.model_check import model_limits
     from robot_ik.jobs.hand_guiding import calibrate_by_hand, require_limp, save_calibrated
 
     limits = model_limits(config)

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
-from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
+from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, open_servo_bus
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.config import is_number
 from robot_ik.errors import distinct_texts
@@ -21,8 +21,8 @@ from robot_ik.errors import distinct_texts
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.recovery import ServoReset
     from robot_ik.hardware.servo import Joint
-    from robot_ik.hardware.startup import ServoReset
 
 
 @dataclass(frozen=True)
@@ -145,13 +145,15 @@ def run_torque(options: ServoTorqueOptions) -> int:
     require(off or not options.ids, "--ids", only, "torque off --ids N …")
     config = load_arm(options.arm)
     if options.to == "on":
-        require_model(config)  # of the joints that stay as they are, too
+        from robot_ik.hardware.model_check import check_own_model
+
+        check_own_model(config)  # the other joints belong to the same model
         arm = arm_on(options, config.only(options.joints), "hold")
         with driving(arm):
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
+    from robot_ik.hardware.leaving import leave
     from robot_ik.hardware.models import require_id
-    from robot_ik.hardware.torque import leave
 
     servos = {drive.id: drive.name for drive in config.only(options.joints).drives}
     if options.ids:
@@ -160,7 +162,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
         servos = {id: f"servo {id}" for id in options.ids}
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
-    with opened(options, config) as bus:
+    with open_servo_bus(options, config) as bus:
         everyone = not options.ids and not options.joints
         report = leave(bus, config, "torque_off", {}, servos=servos, everyone=everyone)
     if not report.ok:
@@ -184,10 +186,10 @@ class ServoResetFaultOptions(BusOptions):
 
 def run_reset_fault(options: ServoResetFaultOptions) -> int:
     """1 when something is still wrong."""
-    from robot_ik.hardware.startup import reset_servos
+    from robot_ik.hardware.recovery import reset_servos
 
     config = load_arm(options.arm).only(options.joints)
-    with opened(options, config) as bus:
+    with open_servo_bus(options, config) as bus:
         rows = reset_servos(bus, config)
     cells = []
     for row in rows:

@@ -14,14 +14,8 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, Range, positive, require, single, wrong
-from robot_ik.cli.connection import (
-    bus_argument,
-    driving,
-    load_arm,
-    port_name,
-    require_model,
-    single_keys,
-)
+from robot_ik.cli.connection import ONLY_PORT, bus_argument, driving, load_arm, port_name
+from robot_ik.cli.terminal_keys import single_keys
 from robot_ik.hardware import bus_row
 from robot_ik.robot_file import SERVO_ROBOT
 
@@ -32,7 +26,6 @@ if TYPE_CHECKING:
 
 KEYS, GAMEPAD = "keys", "gamepad"
 """As ``--leader``: no arm, but the keys of the terminal, or the first gamepad."""
-_ONLY_PORT = "the only USB serial port"
 
 
 @dataclass(frozen=True)
@@ -56,8 +49,8 @@ class TeleopOptions:
     """Arm file of what leads, `keys`, or `gamepad` (extra `gamepad`)."""
     follower: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file of what follows, or a robot of the catalogue that has one."""
-    leader_bus: Annotated[str, bus_argument(default=_ONLY_PORT)] = ""
-    follower_bus: Annotated[str, bus_argument(default=_ONLY_PORT, text="The same of the follower.")] = ""
+    leader_bus: Annotated[str, bus_argument(default=ONLY_PORT)] = ""
+    follower_bus: Annotated[str, bus_argument(default=ONLY_PORT, text="The same of the follower.")] = ""
     by: Literal["joints", "hand"] = "joints"
     """joints: those of the same name follow, range onto range; hand: the hand does, so arms may differ."""
     scale: Annotated[float, Range(0.01, 100.0)] = 1.0
@@ -75,10 +68,7 @@ def run(options: TeleopOptions) -> int:
     from robot_ik.jobs.teleop import LeaderArm, open_pair, teleoperate
 
     follower_file = load_arm(options.follower)
-    require_model(follower_file)
     leader_file = None if options.leader in (KEYS, GAMEPAD) else load_arm(options.leader)
-    if leader_file is not None:
-        require_model(leader_file)
     leader_port = "" if leader_file is None else port_name(options.leader_bus, "--leader-bus")
     follower_port = port_name(options.follower_bus, "--follower-bus")
     leader, follower = open_pair(leader_file, follower_file, leader_port, follower_port, options.on_exit)
