@@ -53,7 +53,9 @@ AT_REST = 1e-3
 FRESH_SHARE = 0.5
 """Share of a control period for which the samples of ``send`` are fresh enough for ``read``."""
 
-GO_ON_HINT = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
+GO_ON_HINT = (
+    "to go on give the command again; in a program reset_fault(), then enable(), or close()"
+)
 
 T = TypeVar("T")
 
@@ -65,7 +67,7 @@ class Arm(Closing):
         config: Arm file.
         bus: Opened by ``connect`` and closed by ``close``.  A bus that is open before stays open,
             so that several arms can be on one wire.  Its clock is the arm's.
-        on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off).  None: as the arm file says.
+        on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off).  None: as in the arm file.
         park_at: (n,) rad or m, or joint -> value.  None: the pose at which the arm was enabled,
             because the arm stood there without torque.
 
@@ -197,7 +199,7 @@ class Arm(Closing):
                 require_calibrated(self.config)
             if not self.config.stale_ms:
                 log.warning(
-                    "stale_ms = 0: the arm is not held in a pause of the commands, and a loaded joint sinks"
+                    "stale_ms = 0: nothing holds the arm in a pause, and a loaded joint sinks"
                 )
             self._obey_stop(look_into_file=True)
             self._guard.install(handle_signals=handle_signals)
@@ -316,7 +318,9 @@ class Arm(Closing):
             self._require_not_closed()
             samples = self._cycle.samples
             if self.state is ArmState.DISCONNECTED:
-                raise ArmStateError("cannot read: the arm is disconnected", hint="call connect() first")
+                raise ArmStateError(
+                    "cannot read: the arm is disconnected", hint="call connect() first"
+                )
             if self.state is ArmState.CONNECTED:
                 ticks = read_all(self.bus, self.config, "present_position")
                 samples.begin(ticks, self.clock.now())
@@ -514,7 +518,9 @@ class Arm(Closing):
             after = self._after("reset a fault")
             self._raise_stop()
             if not self.bus.is_open:
-                raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
+                raise ArmStateError(
+                    "cannot reset the fault: the port is gone", hint="call reconnect()"
+                )
             rows = reset_servos(self.bus, self.config)
             for row in rows:
                 if row.silence is not None:
@@ -541,7 +547,9 @@ class Arm(Closing):
             self._raise_stop()
             _check_timeout(timeout)
             self._release_guardian()  # it has the file descriptor of the port that went away
-            feedback = find_again(self.bus, self.config, timeout, real=self.bus.real, currents=self._currents)
+            feedback = find_again(
+                self.bus, self.config, timeout, real=self.bus.real, currents=self._currents
+            )
             if self._exit.energised:
                 self._guardian = guardian_for(self.bus, self.config)
             self._begin_anew(feedback, after)
@@ -700,7 +708,9 @@ class Arm(Closing):
     def _require_not_closed(self) -> None:
         """Raise an error if another thread leaves the arm: this thread must not move it."""
         if self._closed_elsewhere():
-            raise ArmStateError("another thread has closed the arm", hint="connect() and enable() to go on")
+            raise ArmStateError(
+                "another thread has closed the arm", hint="connect() and enable() to go on"
+            )
 
     def _leave_for_good(self, *, alone: bool) -> None:
         """Leave the arm by the last request to stop, else by ``on_exit``.

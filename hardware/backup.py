@@ -196,7 +196,9 @@ def differences(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     return changes
 
 
-def _read(bus: ServoBus, id: int, table: ControlTable, registers: Sequence[Register]) -> dict[str, int]:
+def _read(
+    bus: ServoBus, id: int, table: ControlTable, registers: Sequence[Register]
+) -> dict[str, int]:
     """Return register name -> value, in few reads.
 
     Args:
@@ -233,7 +235,8 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     for servo in servos:
         if bus.read(servo.id, servo.table["torque_enable"]).data:
             raise ArmStateError(
-                f"torque of {servo.joint!r} (id {servo.id}) is on: its EEPROM is locked; nothing was written",
+                f"torque of {servo.joint!r} (id {servo.id}) is on: its EEPROM is locked; nothing "
+                "was written",
                 hint="support the arm, then: robot-ik servo torque off",
             )
     with contextlib.ExitStack() as stack:

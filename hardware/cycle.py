@@ -208,7 +208,9 @@ class Cycle:
             start: Time of the last moment at which no packet of this cycle was sent yet, s.
             goals: Servo id -> ticks; may be empty.
         """
-        statuses = self._bus.exchange(self._goal_register, goals, self.feedback.asked(), within=self.period)
+        statuses = self._bus.exchange(
+            self._goal_register, goals, self.feedback.asked(), within=self.period
+        )
         heard_again = any(statuses[id].data is not None for id in self._unheard_ids)
         self._last_traffic = -math.inf if heard_again else start
         now = self._clock.now()
@@ -221,7 +223,9 @@ class Cycle:
                 self._check_servo(drive, statuses[id], has_no_torque=has_no_torque)
         twisted = self.samples.twisted()
         if twisted is not None:
-            raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
+            raise MotorFaultError(
+                twisted.name, ("twisted",), hint="its two servos do not stand together"
+            )
         self.feedback.check_thresholds()
         silent = self.samples.silent(now)
         if silent:
@@ -238,7 +242,9 @@ class Cycle:
         if status.alert:
             raise shutdown_fault(self._bus, drive)
         if has_no_torque and has_torque(self._bus, drive):
-            log.warning("servo %d has torque, which its feedback denies: read plainly now", drive.id)
+            log.warning(
+                "servo %d has torque, which its feedback denies: read plainly now", drive.id
+            )
             self.feedback.read_plainly(drive.id)
         if drive.id in self.samples.jumped:
             has_torque(self._bus, drive)

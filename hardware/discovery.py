@@ -149,7 +149,9 @@ def scan(
     return found
 
 
-def _candidates(baud: int, found: Sequence[FoundServo], family: ServoFamily | None) -> list[ServoFamily]:
+def _candidates(
+    baud: int, found: Sequence[FoundServo], family: ServoFamily | None
+) -> list[ServoFamily]:
     """Return the families to look for at a rate: those that know it, or the one that answered."""
     answered = {servo.family.name for servo in found if servo.number is not None}
     if family is not None:
@@ -167,7 +169,8 @@ def _scan_rate(port: str, baud: int, family: ServoFamily, progress: Progress) ->
         bus.open()
         replies, damaged = bus.collect_pings(BROADCAST_ID, bus.listening_time)
         servos = [
-            _with_state(bus, FoundServo(id, baud, family, *reply)) for id, reply in sorted(replies.items())
+            _with_state(bus, FoundServo(id, baud, family, *reply))
+            for id, reply in sorted(replies.items())
         ]
         if damaged:
             other_ids = [id for id in IDS if id not in replies]

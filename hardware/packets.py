@@ -9,7 +9,7 @@ see ``protocol2``.  The tests compare the requests with the SDK's own.  Source: 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -83,6 +83,11 @@ def build(id: int, instruction: int, params: bytes) -> bytes:
     return packet + crc(packet).to_bytes(2, "little")
 
 
+def needs_stuffing(data: bytes) -> bool:
+    """Return whether data contain the first bytes of a header."""
+    return _PLAIN in data
+
+
 def _address_and_size(register: Register) -> bytes:
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
@@ -112,20 +117,41 @@ def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:
     if all((r.address, r.size) == (first.address, first.size) for r in registers.values()):
         instruction = FAST_SYNC_READ if fast else SYNC_READ
         return build(BROADCAST_ID, instruction, _address_and_size(first) + bytes(registers))
-    body = b"".join(bytes((id,)) + _address_and_size(register) for id, register in registers.items())
+    body = b"".join(
+        bytes((id,)) + _address_and_size(register) for id, register in registers.items()
+    )
     return build(BROADCAST_ID, FAST_BULK_READ if fast else BULK_READ, body)
+
+
+def has_right_checksum(packet: bytes) -> bool:
+    """Return whether the last two bytes of a packet are the checksum of the others."""
+    return crc(packet[:-2]) == packet[-2] | packet[-1] << 8
+
+
+def parse_status(packet: bytes) -> StatusPacket | None:
+    """Return a complete status packet; None if it is damaged or another packet."""
+    if len(packet) < SHORTEST_STATUS or packet[7] != STATUS or not has_right_checksum(packet):
+        return None
+    body = packet[8:-2]
+    if _STUFFED in body:
+        body = body.replace(_STUFFED, _PLAIN)
+    return StatusPacket(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
 class StatusParser:
     """Finds status packets in a byte stream with anything between them.
 
+    Args:
+        parse: Takes a packet apart.  Returns None if it is damaged or no status packet.
+
     Attributes:
         damaged: Number of packets found so far that could not be trusted.
     """
 
-    def __init__(self) -> None:
-        self._buffer = b""
+    def __init__(self, parse: Callable[[bytes], StatusPacket | None] = parse_status) -> None:
         self.damaged = 0
+        self._parse = parse
+        self._buffer = b""
 
     def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
         """Return the packets that ``data`` completes.
@@ -149,7 +175,7 @@ class StatusParser:
             end = start + LENGTH_END + length
             if not last and length <= MAX_PACKET and len(buffer) < end:
                 break
-            packet = _status(buffer[start:end]) if len(buffer) >= end else None
+            packet = self._parse(buffer[start:end]) if len(buffer) >= end else None
             if packet is None:
                 if len(buffer) < end or buffer.startswith(_STATUS, start + LENGTH_END):
                     self.damaged += 1
@@ -159,18 +185,6 @@ class StatusParser:
             start = end
         self._buffer = buffer[start:]
         return packets
-
-
-def _status(packet: bytes) -> StatusPacket | None:
-    """Return a complete status packet; None if it is damaged or another packet."""
-    if len(packet) < SHORTEST_STATUS or packet[7] != STATUS:
-        return None
-    if crc(packet[:-2]) != packet[-2] | packet[-1] << 8:
-        return None
-    body = packet[8:-2]
-    if _STUFFED in body:
-        body = body.replace(_STUFFED, _PLAIN)
-    return StatusPacket(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
 class _FastLayout(NamedTuple):
@@ -277,7 +291,9 @@ class FastParser:
                 self.damaged = 1
                 break
             error = frame[0]
-            packets.append(StatusPacket(id, error & ~ALERT_BIT, bool(error & ALERT_BIT), frame[2:-2]))
+            packets.append(
+                StatusPacket(id, error & ~ALERT_BIT, bool(error & ALERT_BIT), frame[2:-2])
+            )
             self._crc = crc(frame[-2:], value)
             self._start = end
             self._next += 1

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 PING = 0x01
 """Instruction byte of a ping."""
 
+WRITE = 0x03
+"""Instruction byte of a write."""
+
 REBOOT = 0x08
 """Instruction byte of a reboot."""
 
@@ -35,6 +38,9 @@ ERROR = 8
 
 CRC_BYTES = 2
 """Bytes of the checksum at the end of a packet."""
+
+COMM_SUCCESS = 0
+"""Result of the SDK for a packet that is complete and has the right checksum."""
 
 
 @cache
@@ -70,85 +76,40 @@ class _RequestRecorder:
 
 
 class _ReceivedBytes:
-    """A port of the Dynamixel SDK that gives bytes that were received already.
-
-    Attributes:
-        position: Number of bytes that were read.
-    """
+    """A port of the Dynamixel SDK that gives bytes that were received already."""
 
     is_using = False
 
     def __init__(self, data: bytes) -> None:
-        self.position = 0
         self._data = data
 
     def readPort(self, length: int) -> bytes:
         """Return the next bytes."""
-        data = self._data[self.position : self.position + length]
-        self.position += len(data)
+        data = self._data[:length]
+        self._data = self._data[length:]
         return data
 
     def isPacketTimeout(self) -> bool:
         """Return whether all bytes were read."""
-        return self.position >= len(self._data)
+        return not self._data
 
 
-class SdkStatusParser:
-    """Finds the replies to single requests in a byte stream by the Dynamixel SDK.
+def parse_status(packet: bytes) -> StatusPacket | None:
+    """Return a status packet as the Dynamixel SDK parses it; None if the SDK refuses it.
 
-    The SDK reads one packet from a port and gives up if it is damaged or incomplete.  This parser
-    calls it again for the bytes that come later, and for those after the header of a damaged
-    packet.
-
-    Attributes:
-        damaged: Number of packets found so far that could not be trusted.
+    The SDK computes the checksum byte by byte in Python.  A line may be full of headers that are
+    none, so a packet with a wrong checksum does not come to the SDK.
     """
-
-    def __init__(self) -> None:
-        self._buffer = b""
-        self.damaged = 0
-
-    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
-        """Return the packets that ``data`` completes.
-
-        Args:
-            data: New bytes.
-            last: No more bytes will come.  The head of an incomplete packet is skipped: it may be
-                noise before a packet.
-        """
-        self._buffer += data
-        statuses = []
-        while self._buffer:
-            port = _ReceivedBytes(self._buffer)
-            packet, result = _packet_handler().rxPacket(port, False)
-            start = port.position - len(packet)
-            length = _length(packet)
-            complete = len(packet) >= packets.LENGTH_END + length
-            if result == 0 and length >= packets.SHORTEST_STATUS - packets.LENGTH_END:
-                statuses.append(_status(packet))
-                self._buffer = self._buffer[port.position :]
-                continue
-            header = self._buffer.find(packets.HEADER, start)
-            if header < 0 or not (complete or last):
-                self._buffer = self._buffer[start:]
-                break
-            self.damaged += 1
-            self._buffer = self._buffer[header + len(packets.HEADER) :]
-        return statuses
-
-
-def _length(packet: list[int]) -> int:
-    """Return the length field of a packet, or of its first bytes."""
-    head = packet[LENGTH : packets.LENGTH_END]
-    return int.from_bytes(bytes(head), "little") if len(head) == 2 else packets.MAX_PACKET
-
-
-def _status(packet: list[int]) -> StatusPacket:
-    """Return a status packet from which the SDK has removed the byte stuffing."""
-    end = packets.LENGTH_END + _length(packet) - CRC_BYTES
-    error = packet[ERROR]
-    data = bytes(packet[ERROR + 1 : end])
-    return StatusPacket(packet[ID], error & ~ALERT_BIT, bool(error & ALERT_BIT), data)
+    if not packets.has_right_checksum(packet):
+        return None
+    content, result = _packet_handler().rxPacket(_ReceivedBytes(packet), False)
+    if result != COMM_SUCCESS:
+        return None
+    # The SDK has removed the byte stuffing and corrected the length.
+    length = content[LENGTH] | content[LENGTH + 1] << 8
+    error = content[ERROR]
+    data = bytes(content[ERROR + 1 : packets.LENGTH_END + length - CRC_BYTES])
+    return StatusPacket(content[ID], error & ~ALERT_BIT, bool(error & ALERT_BIT), data)
 
 
 class Protocol2:
@@ -171,9 +132,12 @@ class Protocol2:
         return recorder.request
 
     def write(self, id: int, register: Register, value: int) -> bytes:
+        data = register.encode(value)
+        if packets.needs_stuffing(data):
+            # The SDK (4.1.0) computes the byte stuffing and sends the packet without it.
+            return packets.build(id, WRITE, register.address.to_bytes(2, "little") + data)
         recorder = _RequestRecorder()
-        data = list(register.encode(value))
-        _packet_handler().writeTxOnly(recorder, id, register.address, register.size, data)
+        _packet_handler().writeTxOnly(recorder, id, register.address, register.size, list(data))
         return recorder.request
 
     def reboot(self, id: int) -> bytes:
@@ -200,7 +164,7 @@ class Protocol2:
 
     def parser(self, read: GroupRead | None, sizes: tuple[tuple[int, int], ...], /) -> StatusParser:
         if read is None:
-            return SdkStatusParser()
+            return packets.StatusParser(parse_status)
         return packets.FastParser(sizes) if read.fast else packets.StatusParser()
 
     def take_at_once(
