@@ -1,4 +1,4 @@
-"""An arm of servos: takes joint values, gives joint values, and is left by its exit policy.
+"""An arm of servos: it takes and gives joint values, and is left by its exit policy.
 
 One thread drives an arm.  The heartbeat is the only other thread, and shares a lock with it.  Every
 method that talks to the servos holds that lock.  ``request_stop`` and ``close`` may be called from

@@ -1,4 +1,4 @@
-"""Registers of all servos of an arm: where they lie, what they read, and which servo fails."""
+"""Registers of all servos of an arm: their addresses, their values, and failing servos."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_ACCESS = 7
 
 
 def shared_register(config: ArmConfig, name: str) -> Register:
-    """Return a register that all servos of the arm have at one address, as group calls need it.
+    """Return a register that all servos of the arm have at one address, for group calls.
 
     Raises:
         ConfigError: The models of the arm differ in it.

@@ -1,4 +1,4 @@
-"""The servos on a wire: every id at every rate, their state, and ids that two servos share.
+"""The servos on a wire: every id at every rate, and ids that two servos share.
 
 Replies of two servos with one id collide.  What arrives is damaged, and to a broadcast ping it
 looks as if no servo had that id.  So a scan counts damaged bytes, and if there are some it asks

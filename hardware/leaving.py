@@ -1,4 +1,4 @@
-"""``leave``, the only way out of an arm: torque off or hold, each servo by itself and verified."""
+"""The only way to leave an arm: torque off or hold, each servo by itself and verified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Protocol 2 packets of the control cycle, on the host's side: group requests and their replies.
+"""Protocol 2 packets of the control cycle: group requests and their replies.
 
 A cycle must be quick.  The Dynamixel SDK takes a reply apart byte by byte in Python.  The code here
 finds and checks whole replies at once.  The SDK builds and parses the requests to a single servo,

@@ -1,6 +1,6 @@
-"""After a fault: servos restarted, the port opened again, everything verified.  Torque stays.
+"""After a fault: servos restarted, the port opened again, everything verified.
 
-Errors of the bus are raised by joint name.
+Torque stays as it is.  Errors of the bus are raised by joint name.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class _ServoState(NamedTuple):
 
 
 def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
-    """Restart servos with a hardware error, clear tripped watchdogs, and look at all servos again.
+    """Restart servos with a hardware error, clear tripped watchdogs, and read all states.
 
     Args:
         bus: Open bus.
@@ -198,7 +198,9 @@ def find_again(
 
 
 def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Mapping[int, int]) -> None:
-    """Check that no servo counts its revolutions anew: its angle would be wrong by revolutions.
+    """Check that no servo counts its revolutions anew.
+
+    Its angle would be wrong by whole revolutions.
 
     Args:
         bus: Open bus.

@@ -21,7 +21,7 @@ def set_up(
     bauds: Sequence[int] = LIKELY,
     progress: Progress = no_progress,
 ) -> FoundServo | None:
-    """Write id and baud rate into the EEPROM of the only servo on a port, and read them back there.
+    """Write id and baud rate into the EEPROM of the only servo on a port, and verify them.
 
     Args:
         port: Serial port.

@@ -36,7 +36,7 @@ def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
 
 
 def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> None:
-    """Set goals where the arm stands, arm the Bus Watchdog, and switch torque on; read all back.
+    """Set goals at the present pose, arm the Bus Watchdog, switch torque on; read all back.
 
     A Bus Watchdog counts only while its servo has torque (ROBOTIS-GIT/emanual
     _includes/en/dxl/x/bus_watchdog.md).  A watchdog that was armed before stops the servo also if

@@ -1,4 +1,4 @@
-"""Signals that end a program: raised as exceptions, and deferred while a step must not be cut off.
+"""Signals that end a program: raised as exceptions, and deferred by critical steps.
 
 ``deferred_signals``    a step runs to its end, and the signals that came meanwhile are raised then
 ``ExitGuard``           signals become exceptions while there is something to leave: an enabled arm
@@ -191,7 +191,7 @@ class ExitGuard:
 
 @contextlib.contextmanager
 def raised_signals(*numbers: int) -> Iterator[None]:
-    """Make signals raise ``SystemExit(128 + number)`` inside, so that ``with`` blocks are left.
+    """Make signals raise ``SystemExit(128 + number)``, so that ``with`` blocks are left.
 
     Args:
         numbers: Signal numbers.
@@ -302,7 +302,7 @@ class _Handlers:
             self._kept.append(arrival.number)
 
     def deliver(self, frame: FrameType) -> None:
-        """Raise the signals that came in a block or a protected function, unless an outer one runs.
+        """Raise the signals that came in a step, unless an outer step still runs.
 
         When the last guard is gone, the handlers from before are called first, each once.
 

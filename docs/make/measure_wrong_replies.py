@@ -1,4 +1,4 @@
-"""Count the wrong replies that become values: late, short, foreign and damaged, on both protocols.
+"""Count late, short, foreign and damaged replies that become values, on both protocols.
 
     python docs/make/measure_wrong_replies.py                    100,000 values a protocol
     python docs/make/measure_wrong_replies.py --values 10000     fewer
@@ -94,10 +94,8 @@ class Scenario:
     def title(self) -> str:
         """Text for the table."""
         shortest, longest = self.lateness_ms
-        late = f"{100 * self.late_share:g} % late by {shortest:g} to {longest:g} ms"
-        if self.spoil_share:
-            return f"{late}, {100 * self.spoil_share:g} % short, foreign, damaged, lost, each"
-        return late
+        late = f"{shortest:g} to {longest:g} ms late"
+        return f"{late}; short, foreign, damaged, lost" if self.spoil_share else late
 
 
 SCENARIOS = (

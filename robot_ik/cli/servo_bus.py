@@ -60,9 +60,10 @@ def run_ports(options: ServoPortsOptions) -> int:
 
 @dataclass(frozen=True)
 class ServoScanOptions(BusOptions):
-    """Lists the servos at every baud rate: id, model, firmware, supply, errors. Writes nothing.
+    """Lists the servos at every baud rate: id, model, firmware, supply, errors.
 
-    Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 if none answers.
+    Writes nothing. Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 if
+    none answers.
     """
 
     baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
