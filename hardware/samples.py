@@ -24,6 +24,9 @@ SILENT_CYCLES = 3
 A program that paused is no fault of a servo.
 """
 
+HALF_REVOLUTION = TICKS_PER_REVOLUTION / 2
+"""Ticks.  A reading that changes by more is another revolution, unless the servo moved so far."""
+
 
 class Samples:
     """Measured positions of an arm.
@@ -99,8 +102,8 @@ class Samples:
                 continue
             self._missed[row] = 0
             before = self.ticks.get(id, value)
-            reach = TICKS_PER_REVOLUTION / 2 + self._speeds[row] * (now - self._times[row])
-            if abs(value - before) > reach:
+            excess = abs(value - before) - HALF_REVOLUTION
+            if excess > 0.0 and excess > self._speeds[row] * (now - self._times[row]):
                 self.jumped.setdefault(id, before)
             self.ticks[id] = value
             self._values[row] = drive.joint.value(value, drive.servo)
