@@ -186,7 +186,7 @@ class Arm(Closing):
 
         Raises:
             ArmStateError, HardwareError, MotorFaultError, bus errors: Torque is off again, if
-                ``exit_report`` says so.  Joints that held before, after a fault, hold if
+                ``exit_report`` confirms it.  Joints that held before, after a fault, hold if
                 ``on_exit`` is ``hold``.
             StopRequestedError: The arm was left as the request asked.  Latched.
             ConfigError: The arm file's zeros are placeholders and the servos are real.  No torque
@@ -607,12 +607,12 @@ class Arm(Closing):
             self._give_up(idle)
 
     def _give_up(self, idle: float) -> None:
-        """Do what the arm file says about a program that does not command any more."""
+        """Carry out ``on_stale`` of the arm file: the program does not command any more."""
         unparked = None
         if self.config.on_stale == "park":
             unparked = self._park(stop=self._heartbeat.stopping)
             if self._closed_elsewhere():
-                return  # close leaves it, as on_exit says
+                return  # close leaves the arm by on_exit
         report = self._exit.leave("torque_off", self._cycle, unparked)
         self.fault = HardwareError(
             f"no command came for {idle:.1f} s: {report.text}",
@@ -653,7 +653,7 @@ class Arm(Closing):
         report = self._exit.leave(policy, self._cycle)
         self._stop_requests.acknowledge(ok=report.ok, text=report.text)
         stopped = StopRequestedError(f"stopped on request: {report.text}", hint=GO_ON_HINT)
-        if self.state is not ArmState.FAULT:  # an earlier fault says more
+        if self.state is not ArmState.FAULT:  # an earlier fault stays
             self.state = ArmState.FAULT
             self.fault = stopped
         log.info("%s", stopped)
@@ -666,7 +666,7 @@ class Arm(Closing):
 
     @deferred_signals()
     def close(self) -> None:
-        """Leave the arm by ``on_exit`` and close the bus; ``exit_report`` says how it was left.
+        """Leave the arm by ``on_exit``, and close the bus; ``exit_report`` is the result.
 
         May be called at any time.  A signal that comes during this call waits until the arm is
         left.  The second signal since ``enable`` ends a parking.  A motion of another thread ends

@@ -1,8 +1,8 @@
 """The time by which each command may move an arm.
 
 A caller's clock may jump, and a program that was stopped may send in one burst what it missed.  So
-a command moves the arm by the shortest of three times: what the caller says has passed, what has
-passed on the arm's own clock, and ``LONGEST_TICK`` control periods.
+a command moves the arm by the shortest of three times: the time since the last command on the
+caller's clock, the unused time on the arm's own clock, and ``LONGEST_TICK`` control periods.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def leave(
     *,
     parked: bool = False,
     servos: Mapping[int, str] | None = None,
-    everyone: bool = False,
+    broadcast: bool = False,
 ) -> ExitReport:
     """Leave an arm: torque off or hold, written to the arm's own servos only, and read back.
 
@@ -132,7 +132,7 @@ def leave(
         goals: Servo id -> goal position, ticks, for ``hold``.  Without them torque goes off.
         parked: For the report.
         servos: Servo id -> name of the servos to leave.  None: every servo of the arm.
-        everyone: First switch torque off at all servos on the wire, by a packet without a reply.
+        broadcast: First switch torque off at all servos on the wire, by a packet without a reply.
     """
     names = servos or {drive.id: drive.name for drive in config.drives}
     exit = _Exit(bus, config, names)
@@ -140,8 +140,8 @@ def leave(
     if done == "hold":
         exit.hold(goals)
     else:
-        if everyone:
-            with exit.step("torque off for everyone"):
+        if broadcast:
+            with exit.step("torque off for all servos on the wire"):
                 bus.write(BROADCAST_ID, shared_register(config, "torque_enable"), 0)
         exit.torque_off()
     unverified = tuple(dict.fromkeys(exit.remaining.values()))
@@ -203,13 +203,17 @@ class _Exit:
         remaining = self.remaining
         torque = shared_register(self._config, "torque_enable")
         goal = shared_register(self._config, "goal_position")
-        has_watchdog = self._config.family.capabilities.bus_watchdog
+        capabilities = self._config.family.capabilities
         while remaining and bus.is_open and bus.clock.now() < self._end:
             with self.step("hold"):
-                if has_watchdog:
+                if capabilities.bus_watchdog:
                     watchdog = shared_register(self._config, "bus_watchdog")
                     bus.sync_write(watchdog, dict.fromkeys(remaining, 0))
-                bus.sync_write(goal, {id: goals[id] for id in remaining})
+                if capabilities.goal_enables_torque:
+                    # A goal would give torque to a servo that has none, without its speed limit.
+                    powered = bus.sync_read(list(remaining), torque)
+                    self.limp = {id for id in remaining if powered[id].data == 0}
+                bus.sync_write(goal, {id: goals[id] for id in remaining if id not in self.limp})
                 present_goals = bus.sync_read(list(remaining), goal)
                 powered = bus.sync_read(list(remaining), torque)
                 self.limp = {id for id in remaining if powered[id].data == 0}

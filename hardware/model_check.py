@@ -18,7 +18,7 @@ def check_own_model(config: ArmConfig, robot: Robot | None = None) -> None:
     """Check that the arm was calibrated for this model.
 
     Without a calibration beside the arm file there is nothing to check, and no model is loaded.  If
-    the model that the arm file names cannot be read, the log says so.
+    the model that the arm file names cannot be read, a warning is logged.
 
     Args:
         config: Arm file.

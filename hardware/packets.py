@@ -1,9 +1,9 @@
 """Protocol 2 packets of the control cycle: group requests and their replies.
 
 A cycle must be quick.  The Dynamixel SDK takes a reply apart byte by byte in Python.  The code here
-finds and checks whole replies at once.  The SDK builds and parses the requests to a single servo,
-see ``protocol2``.  The tests compare the requests with the SDK's own.  Source: Protocol 2.0 manual,
-"Packet", "Sync Read" and the sections after it.
+finds and checks complete replies at once.  The SDK builds and parses the requests to a single
+servo, see ``protocol2``.  The tests compare the requests with the SDK's own.  Source: Protocol 2.0
+manual, "Packet", "Sync Read" and the sections after it.
 """
 
 from __future__ import annotations

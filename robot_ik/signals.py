@@ -2,7 +2,7 @@
 
 ``deferred_signals``    a step runs to its end, and the signals that came meanwhile are raised then
 ``ExitGuard``           signals become exceptions while there is something to leave: an enabled arm
-``raised_signals``      the same for a whole program, without a guard
+``raised_signals``      the same for a program without a guard
 
 A signal handler may run in the middle of a packet, so it must not talk to a bus.  It raises an
 exception, ``KeyboardInterrupt`` for SIGINT and ``SystemExit(128 + number)`` for the others.  The
@@ -223,7 +223,7 @@ class _Handlers:
 
     The first guard or block installs them and the last one restores those from before.  Another
     part of the program may install its own handlers above them meanwhile.  Then these stay below,
-    and pass signals on once the last guard and block are gone.
+    and pass signals on once the last guard and block are removed.
     """
 
     def __init__(self) -> None:
@@ -232,7 +232,7 @@ class _Handlers:
         self._raised_at: float | None = None
         # Signals that came in a protected function and are still to be raised.
         self._kept: list[int] = []
-        # Signal -> handler from before, to be called when the last guard is gone.
+        # Signal -> handler from before, to be called when the last guard is removed.
         self._owed: dict[int, Any] = {}
 
     def add(self, guard: ExitGuard) -> None:
@@ -304,7 +304,7 @@ class _Handlers:
     def deliver(self, frame: FrameType) -> None:
         """Raise the signals that came in a step, unless an outer step still runs.
 
-        When the last guard is gone, the handlers from before are called first, each once.
+        When the last guard is removed, the handlers from before are called first, each once.
 
         Args:
             frame: Frame of the caller.

@@ -159,7 +159,7 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
     Args:
         options: Options of the command.
         config: Arm file, or some of its joints.
-        on_exit: Exit policy.  Empty: as the arm file says.
+        on_exit: Exit policy.  Empty: as in the arm file.
 
     Raises:
         BusNotOpenError: No port is named and there is not exactly one.

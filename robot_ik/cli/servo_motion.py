@@ -153,7 +153,7 @@ class ServoTorqueOptions(BusOptions):
     joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints; all if none is named."""
     ids: Annotated[tuple[int, ...], several("N")] = ()
-    """For off: these servo ids, whatever the arm file says."""
+    """For off: these servo ids, also if they are not in the arm file."""
     baud: Annotated[int | None, single("RATE", "the arm file's")] = None
     """For --ids: the rate of these servos, bits/s."""
 
@@ -190,8 +190,8 @@ def _torque_off(options: ServoTorqueOptions, config: ArmConfig) -> int:
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
     with open_servo_bus(options, config) as bus:
-        everyone = not options.ids and not options.joints
-        report = leave(bus, config, "torque_off", {}, servos=servos, everyone=everyone)
+        broadcast = not options.ids and not options.joints
+        report = leave(bus, config, "torque_off", {}, servos=servos, broadcast=broadcast)
     if not report.ok:
         console.say(f"error: {report.doubt}", "bold red")
     if report.verified:

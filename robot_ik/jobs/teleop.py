@@ -154,7 +154,7 @@ def teleoperate(
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:
     """Command nothing until the leader is back.
 
-    The follower's heartbeat holds it, and later does what ``on_stale`` says.  On virtual time no
+    The follower's heartbeat holds it, and later carries out ``on_stale``.  On virtual time no
     heartbeat runs, so the arm is held here at the same moment.
 
     Raises:
@@ -186,7 +186,7 @@ def open_pair(
         follower: Arm file.
         leader_bus: A name in ``BUSES``, or a serial port.
         follower_bus: The same.
-        on_exit: Exit policy of the follower.  Empty: as its file says.
+        on_exit: Exit policy of the follower.  Empty: as in its arm file.
     """
     buses = (leader_bus, follower_bus)
     virtual_time = leader is not None and all(bus_row(bus).virtual_time for bus in buses)
