@@ -18,6 +18,7 @@ import pytest
 from robot_ik.errors import BusCorruptError, BusTimeoutError
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.late_replies import UnansweredRequests
 from robot_ik.hardware.registers import Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -110,3 +111,13 @@ def test_a_call_waits_only_where_a_late_reply_could_be_mistaken(sim):
     assert sim.clock.now() == begin
     assert sim.read(1, TABLE["goal_position"]).data == 5
     assert sim.clock.now() > begin
+
+
+@pytest.mark.parametrize("late_size", range(3, 8))
+def test_no_length_is_asked_for_that_a_late_reply_has_or_would_have_without_a_byte(late_size):
+    unanswered = UnansweredRequests()
+    unanswered.add([(1, late_size)], 0.0)
+    register = Register("asked", 132, 4)
+    (widened,) = unanswered.widen({1: register}, uniform=False).values()
+    assert widened.size >= register.size
+    assert widened.size not in (late_size, late_size - 1)
