@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.pose_prior import PosePrior
     from robot_ik.problem import Problem
+    from robot_ik.reachability.reachability_map import Reach, ReachabilityMap, map_reachability
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_arm import RobotArm, open_robot
     from robot_ik.robot_file import catalogue
@@ -82,6 +83,7 @@ _HOME = {
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.budget": ("Budget",),
     "robot_ik.problem": ("Problem",),
+    "robot_ik.reachability.reachability_map": ("Reach", "ReachabilityMap", "map_reachability"),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
@@ -118,6 +120,8 @@ __all__ = [
     "PositionGoal",
     "PostureGoal",
     "Problem",
+    "Reach",
+    "ReachabilityMap",
     "RealClock",
     "Robot",
     "RobotArm",
@@ -140,6 +144,7 @@ __all__ = [
     "load_scene",
     "make_chain",
     "make_solver",
+    "map_reachability",
     "open_robot",
     "solve",
     "solve_all",

@@ -32,6 +32,7 @@ class Family(enum.IntEnum):
     THREE_PARALLEL = 2
     SPHERICAL_SHOULDER = 3
     FIVE_JOINT = 4
+    CROSSED_WRIST = 5
 
 
 # Names of the two solutions of each choice, for ``solve_all``. Row 4·first + 2·second + third.
@@ -40,6 +41,7 @@ BRANCH_NAMES: dict[Family, tuple[str, ...]] = {
     Family.SPHERICAL_WRIST: ("shoulder", "elbow", "wrist"),
     Family.THREE_PARALLEL: ("shoulder", "wrist", "elbow"),
     Family.SPHERICAL_SHOULDER: ("wrist", "elbow", "shoulder"),
+    Family.CROSSED_WRIST: ("elbow", "wrist", "shoulder"),
 }
 
 
@@ -52,7 +54,7 @@ class Form:
         nodes: Joints of the chain, root first; tool first for a spherical shoulder.
         axes: (n, 6) direction and a point of each joint axis at q = 0, world.
         extra: (5, 3) wrist centre in the world at q = 0, the same in the tool, rows of the
-            tool's rotation at q = 0.
+            tool's rotation at q = 0. A crossed wrist has a sixth row: the centre of the shoulder.
     """
 
     family: Family
@@ -154,7 +156,12 @@ def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form |
     parallel = _parallel(axes, 1, 2) and _parallel(axes, 2, 3)
     if centre is not None and parallel and not _parallel(axes, 0, 1) and not _parallel(axes, 3, 4):
         return _form(Family.THREE_PARALLEL, chain, axes, tool, centre)
-    return None
+    shoulder = _centre(axes[:3], scale)
+    if shoulder is None or centre is None:
+        return None
+    if any(_on_axis(axes[3], point, scale, _ELBOW_OFFSET) for point in (shoulder, centre)):
+        return None  # the elbow does not change the distance of shoulder and wrist
+    return _form(Family.CROSSED_WRIST, chain, axes, tool, centre, shoulder)
 
 
 def _wrist_centre(axes: Array, scale: float) -> Array | None:
@@ -191,8 +198,10 @@ def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, Pos
     return np.array(axes), pose.compose(Pose.from_row(local))
 
 
-def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array) -> Form:
-    extra = np.vstack([centre, tool.inverse().apply(centre), tool.rotation])
+def _form(
+    family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array, *more: Array
+) -> Form:
+    extra = np.vstack([centre, tool.inverse().apply(centre), tool.rotation, *more])
     return Form(family, tuple(chain), np.ascontiguousarray(axes), np.ascontiguousarray(extra))
 
 
