@@ -10,6 +10,7 @@ are judged too: MuJoCo must find a part nearer than the margin at the place that
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 
@@ -32,30 +33,38 @@ LENGTHS = (0.02, 0.1, 0.4)
 """rad. Typical change of a joint along an edge."""
 
 EDGES_PER_HALL = 200
-PLATES = 5
+PLATES = 10
+MOST_TRIES = 60
+"""Places that are tried for plates."""
+
 THICKNESS = 5e-4
 """m."""
 
-FREE_SHARE = 0.6
-"""A plate stays only if it leaves this share of the free postures free."""
+FREE_SHARE = 0.5
+"""Plates stay only if all together leave this share of the free postures free."""
+
+NEAR = 0.05
+"""m. Typical distance of a plate from a place where a part of the robot can be."""
 
 
 def hall(robot: rik.Robot, rng: np.random.Generator) -> list[rik.Box]:
     """Return thin plates, some of them in parallel pairs with a slot between them."""
-    samples = np.array([robot.sample(rng) for _ in range(60)])
-    bare = rik.Scene(robot).free(samples).mean()
+    samples = np.array([robot.sample(rng) for _ in range(200)])
+    samples = samples[rik.Scene(robot).free(samples)]
     plates: list[rik.Box] = []
-    while len(plates) < PLATES:
-        position = rng.normal(size=3) * 0.3 + (0.0, 0.0, 0.45)
+    for k in itertools.count():
+        if len(plates) >= PLATES or k >= MOST_TRIES:
+            return plates
+        data = robot.data_at(robot.sample(rng))
+        position = data.geom_xpos[rng.integers(robot.model.ngeom)] + NEAR * rng.normal(size=3)
         pose = rik.Pose(position, rng.normal(size=4))
         size = (THICKNESS, *rng.uniform(0.1, 0.5, 2))
         trial = [rik.Box(f"plate {len(plates)}", size=size, pose=pose)]
         if rng.random() < 0.5:
             slot = rik.Pose((rng.uniform(2e-3, 2e-2), 0.0, 0.0))
             trial.append(rik.Box(f"plate {len(plates) + 1}", size=size, pose=pose.compose(slot)))
-        if rik.Scene(robot, trial).free(samples).mean() > FREE_SHARE * bare:
+        if rik.Scene(robot, [*plates, *trial]).free(samples).mean() > FREE_SHARE:
             plates += trial
-    return plates
 
 
 def has_contact(scene: rik.Scene, pairs: set[tuple[int, int]], q: np.ndarray) -> bool:

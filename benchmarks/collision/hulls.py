@@ -2,7 +2,8 @@
 
     taskset -c 0 python -m benchmarks.collision.hulls [HULLS_PER_LINK]
 
-The model is an arm of seven links. Each link is a tube of hulls of 40 vertices, and the base is one
+The model is an arm of seven links. Each link is a tube of hulls of up to 200 vertices, and the base
+is one
 hull: 211 hulls with 30 a link. Only free postures are timed, because a contact ends a check early.
 """
 
@@ -19,12 +20,15 @@ from robot_ik.kernels import collision
 
 LINKS = 7
 HULLS_PER_LINK = 30
-VERTICES = 40
-LENGTH = 0.25
+VERTICES = 200
+LENGTH = 0.1
 """m. Length of a link."""
 
-RADIUS = 0.05
+RADIUS = 0.06
 """m. Radius of a link."""
+
+BEGIN = 0.02
+"""m. Distance of the first hull from the joint."""
 
 POSTURES = 300
 
@@ -39,17 +43,22 @@ def model_text(hulls: int) -> str:
         for k in range(hulls):
             directions = rng.normal(size=(VERTICES, 3))
             directions /= np.linalg.norm(directions, axis=1)[:, None]
-            points = directions * rng.uniform(0.015, 0.035, 3)
+            points = directions * rng.uniform(0.02, 0.06, 3)
             name = f"hull {link} {k}"
             numbers = " ".join(f"{number:.6g}" for number in points.ravel())
             assets.append(f'<mesh name="{name}" vertex="{numbers}"/>')
             turn = 2.4 * k
-            place = f"{RADIUS * np.cos(turn):.4g} {RADIUS * np.sin(turn):.4g} "
-            place += f"{0.06 + (LENGTH - 0.1) * k / hulls:.4g}"
+            position = (
+                RADIUS * np.cos(turn),
+                RADIUS * np.sin(turn),
+                BEGIN + (LENGTH - 2.0 * BEGIN) * k / hulls,
+            )
+            place = " ".join(f"{number:.4g}" for number in position)
             geoms.append(f'<geom type="mesh" mesh="{name}" pos="{place}"/>')
         axis = "0 1 0" if link % 2 else "0 0 1"
         body = (
-            f'<body pos="0 0 {LENGTH}"><joint name="joint {link}" axis="{axis}" range="-2.5 2.5"/>'
+            f'<body name="link {link}" pos="0 0 {LENGTH}">'
+            f'<joint name="joint {link}" axis="{axis}" range="-2.5 2.5"/>'
             f"{''.join(geoms)}{body}</body>"
         )
     base = '<geom type="mesh" mesh="hull 0 0" pos="0 0 -.3"/>'

@@ -56,9 +56,7 @@ open_form = FORM.open
 @inlined
 def is_within_reach(cells, positions, cell):
     """Return whether the frame may stand at a position."""
-    offset = so3.subtract(
-        so3.read_vector(positions, cell, 0), so3.read_vector_at(cells.reach, 0)
-    )
+    offset = so3.subtract(so3.read_vector(positions, cell, 0), so3.read_vector_at(cells.reach, 0))
     return so3.dot(offset, offset) <= cells.reach[3] * cells.reach[3]
 
 
@@ -68,9 +66,7 @@ def put_branch(cells, form, row):
     if math.isnan(form.branches[row, 0]):
         return False
     for j in range(cells.columns.shape[0]):
-        angle, inside = image(
-            form.branches[row, j], form.start[j], form.lower[j], form.upper[j]
-        )
+        angle, inside = image(form.branches[row, j], form.start[j], form.lower[j], form.upper[j])
         if not inside:
             return False
         cells.q[cells.columns[j]] = angle
@@ -147,7 +143,7 @@ def sweep_pose(cells, run, forms, positions, cell, orientation):
             form.target[0, i] = positions[cell, i]
         for i in range(9):
             form.target[0, 3 + i] = cells.rotations[orientation, i]
-        write_branches(form, 0.0)
+        write_branches(form, 0.0, True)
         for row in range(form.branches.shape[0]):
             if not put_branch(cells, form, row):
                 continue

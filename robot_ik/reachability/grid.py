@@ -47,9 +47,7 @@ class Grid:
     rolls: int
 
     @classmethod
-    def around(
-        cls, center: Array, radius: float, cell: float, directions: int, rolls: int
-    ) -> Grid:
+    def around(cls, center: Array, radius: float, cell: float, directions: int, rolls: int) -> Grid:
         """Return the grid of the cells that a ball meets. Corners are multiples of ``cell``.
 
         Raises:

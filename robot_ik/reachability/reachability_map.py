@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.batch import usable_cores
 from robot_ik.errors import OptionError, ReachabilityMapError
-from robot_ik.geometry import INTEGER, Array, Pose, vector
+from robot_ik.geometry import INTEGER, Pose, vector
 from robot_ik.reachability import cells
 from robot_ik.reachability.cloud import PointCloud, coloured
 from robot_ik.reachability.grid import Grid
@@ -370,9 +370,7 @@ def _on_threads(sweep: Sweep, blocks: Sequence[int], threads: int) -> Iterator[B
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _on_executor(
-    sweep: Sweep, blocks: Sequence[int], executor: Executor
-) -> Iterator[BlockResult]:
+def _on_executor(sweep: Sweep, blocks: Sequence[int], executor: Executor) -> Iterator[BlockResult]:
     """Yield the result of each block as it is done. An exception of the caller cancels the rest."""
     data = pickle.dumps(sweep)
     futures = [executor.submit(run_pickled, data, block) for block in blocks]

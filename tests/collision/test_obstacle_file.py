@@ -19,8 +19,8 @@ SHAPES = """<mujoco><asset>
     <geom type="mesh" mesh="wedge" pos="0 0 .8" euler="0 0 50"/></body>
   </worldbody></mujoco>"""
 
-PROBE = """<mujoco><worldbody><body><joint name="j"/><geom name="probe" size=".01"/></body>
-  </worldbody></mujoco>"""
+PROBE = """<mujoco><worldbody><body name="probe" pos="{} {} {}"><joint name="j"/>
+  <geom size=".01"/></body></worldbody></mujoco>"""
 
 
 def test_the_obstacles_are_where_the_geoms_are(tmp_path):
@@ -34,12 +34,9 @@ def test_the_obstacles_are_where_the_geoms_are(tmp_path):
     mujoco.mj_kinematics(model, data)
     solid = [g for g in range(model.ngeom) if model.geom_contype[g]]
     rng = np.random.default_rng(1)
-    robot_text = PROBE
     for _ in range(20):
         point = rng.uniform(-2.0, 2.0, 3)
-        robot = rik.load_robot(
-            robot_text.replace("<body>", f'<body pos="{point[0]} {point[1]} {point[2]}">')
-        )
+        robot = rik.load_robot(PROBE.format(*point))
         spec = mujoco.MjSpec.from_string(SHAPES)
         spec.worldbody.add_geom(name="probe", size=[0.01, 0.0, 0.0], pos=point)
         judge = spec.compile()
@@ -47,11 +44,8 @@ def test_the_obstacles_are_where_the_geoms_are(tmp_path):
         mujoco.mj_kinematics(judge, state)
         probe = judge.geom("probe").id
         for geom, obstacle in zip(solid, obstacles, strict=True):
-            name = model.geom(geom).name
-            other = next(
-                g for g in range(judge.ngeom)
-                if g != probe and judge.geom(g).name == name and judge.geom_contype[g]
-            )
+            # The world's geoms come first, so the probe moves the others by one.
+            other = geom + 1 if geom >= probe else geom
             expected = mujoco.mj_geomDistance(judge, state, probe, other, 10.0, None)
             distance = rik.Scene(robot, [obstacle]).clearance(robot.home).distance
             assert distance == pytest.approx(expected, abs=1e-6)
@@ -59,7 +53,8 @@ def test_the_obstacles_are_where_the_geoms_are(tmp_path):
 
 def test_files_that_hold_no_obstacles_are_refused(tmp_path):
     file = tmp_path / "scene.xml"
-    file.write_text('<mujoco><worldbody><geom type="ellipsoid" size=".1 .2 .3"/></worldbody></mujoco>')
+    egg = '<geom type="ellipsoid" size=".1 .2 .3"/>'
+    file.write_text(f"<mujoco><worldbody>{egg}</worldbody></mujoco>")
     with pytest.raises(InvalidObstacleError, match="ellipsoid"):
         read_obstacles(file)
     with pytest.raises(ModelError):

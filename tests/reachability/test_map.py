@@ -50,9 +50,7 @@ def entries(made, reach, count, seed=0):
 
 def reached_by_brute_force(robot, pose, rng):
     """Whether any of many random starts leads to the pose, by MuJoCo."""
-    problem = rik.Problem(
-        robot, pose, solver="lm", tolerance=TIGHT, budget=rik.Budget(restarts=0)
-    )
+    problem = rik.Problem(robot, pose, solver="lm", tolerance=TIGHT, budget=rik.Budget(restarts=0))
     for _ in range(STARTS):
         solution = problem.solve(robot.sample(rng))
         if solution.converged:
@@ -144,7 +142,8 @@ def test_orientations_are_rotations_with_evenly_spread_directions():
     made = small_map("puma560", checked=False, cell=0.6, directions=200, rolls=3)
     rotations = made.grid.rotations
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
-    np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), [np.eye(3)] * 600, atol=1e-12)
+    products = rotations @ rotations.transpose(0, 2, 1)
+    np.testing.assert_allclose(products, [np.eye(3)] * 600, atol=1e-12)
     axes = rotations[::3, :, 2]
     nearest = np.sort(np.arccos(np.clip(axes @ axes.T, -1.0, 1.0)), axis=1)[:, 1]
     assert nearest.min() > 0.6 * nearest.max()

@@ -29,6 +29,7 @@ from robot_ik.solvers.analytic.six_axes import (
 from robot_ik.solvers.analytic.subproblems import (
     angle_between,
     angles_to_height,
+    image,
     noinline,
     split_inside,
 )
@@ -96,12 +97,19 @@ def shoulder_angles(form, target, flip, c, s):
     return q1, q2, q3, True
 
 
+@inlined
+def is_inside(form, j, angle):
+    """Return whether an angle of a joint, up to multiples of 2π, is inside its limits."""
+    return image(angle, form.start[j], form.lower[j], form.upper[j])[1]
+
+
 @outlined
-def crossed_wrist(form):
+def crossed_wrist(form, inside_only):
     """Find all branches of an arm with a spherical shoulder and two last axes that meet.
 
     Fills ``form.branches`` (8, 6), which is cleared, with the row 4·elbow + 2·wrist + shoulder. If
-    S lies on axis 5 or 6, one angle is free and keeps its start.
+    S lies on axis 5 or 6, one angle is free and keeps its start. With ``inside_only`` branches with
+    joint 4, 5 or 6 outside its limits may be left out, which saves their shoulders.
     """
     noinline()
     axes = form.axes
@@ -125,6 +133,8 @@ def crossed_wrist(form):
     b = relative_back(target, extra, between)  # W -> S, seen from the last link
     for elbow in range(2):
         q4 = middle4 + half4 if elbow == 0 else middle4 - half4
+        if inside_only and not is_inside(form, 3, q4):
+            continue
         c4 = math.cos(q4)
         s4 = math.sin(q4)
         a = so3.subtract(so3.rotate(h4, c4, -s4, f), e)  # W -> S, seen from the forearm
@@ -134,10 +144,14 @@ def crossed_wrist(form):
             continue
         for wrist in range(2):
             q6 = one_of(wrist == 0, middle6, half6, amplitude6, start[5])
+            if inside_only and not is_inside(form, 5, q6):
+                continue
             c6 = math.cos(q6)
             s6 = math.sin(q6)
             q5, weight = angle_between(h5, a, so3.rotate(h6, c6, s6, b))
             q5 = start[4] if weight < _ON_AXIS else -q5
+            if inside_only and not is_inside(form, 4, q5):
+                continue
             c = (c4, math.cos(q5), c6)
             s = (s4, math.sin(q5), s6)
             for flip in range(2):

@@ -64,6 +64,23 @@ class Form:
 
 
 @dataclass(frozen=True, eq=False)
+class LastJoint:
+    """The last of seven hinges, before which six have the closed form of a crossed wrist.
+
+    Attributes:
+        node: Node of the last joint.
+        form: Closed form of the six joints, with the last joint at 0.
+        axis: (6,) direction and a point of the last axis at q = 0, world.
+        tool: (12,) pose of the frame at q = 0, world.
+    """
+
+    node: int
+    form: Form
+    axis: Array
+    tool: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Limb:
     """Shoulder (three hinges that meet, or a ball), elbow hinge, and a wrist like the shoulder.
 
@@ -100,6 +117,21 @@ def recognise(tree: Tree, node: int, local: Array, full_pose: bool) -> Form | No
     if len(chain) == 2 and _parallel(axes, 0, 1):
         return _form(Family.PLANAR_TWO_LINK, chain, axes, tool, tool.position)
     return None
+
+
+def recognise_before_last(tree: Tree, node: int, local: Array) -> LastJoint | None:
+    """Return the last joint of an arm of seven hinges whose other six have a crossed wrist.
+
+    Arguments as for ``recognise``; None for other arms.
+    """
+    chain = tree.ancestors(node)
+    if len(chain) != 7 or any(int(tree.kind[k]) != HINGE for k in chain):
+        return None
+    axes, tool = axes_at_zero(tree, chain, local)
+    form = _six_axes(chain[:6], axes[:6], tool, _size(axes, tool))
+    if form is None or form.family is not Family.CROSSED_WRIST:
+        return None
+    return LastJoint(chain[6], form, axes[6].copy(), tool.row)
 
 
 def is_five_joint(axes: Array) -> bool:
