@@ -3,8 +3,8 @@
     taskset -c 0 python -m benchmarks.collision.hulls [HULLS_PER_LINK]
 
 The model is an arm of seven links. Each link is a tube of hulls of up to 200 vertices, and the base
-is one
-hull: 211 hulls with 30 a link. Only free postures are timed, because a contact ends a check early.
+is one hull: 211 hulls with 30 a link. Only free postures are timed, because a contact ends a check
+early.
 """
 
 from __future__ import annotations

@@ -22,8 +22,11 @@ from robot_ik.reachability.pictures import slice_png
 
 FOLDER = Path(__file__).resolve().parents[1] / "images" / "reachability"
 
-CELL = 0.05
+CELL = 0.06
 """m."""
+
+ROLLS = 4
+"""Turns of the tool about each direction."""
 
 MARGIN = 0.005
 """m. Smallest distance between parts."""
@@ -62,7 +65,7 @@ def main() -> None:
     maps = []
     for obstacles in ([], [SHELF]):
         avoid = rik.CollisionAvoidance(rik.Scene(robot, obstacles), margin=MARGIN)
-        maps.append(rik.map_reachability(robot, cell=CELL, collisions=avoid))
+        maps.append(rik.map_reachability(robot, cell=CELL, rolls=ROLLS, collisions=avoid))
     bare, beside = maps
     pictures = {
         "index": slice_png(bare, across="y", at=0.0),

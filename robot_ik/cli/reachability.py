@@ -47,7 +47,7 @@ class ReachabilityOptions:
     frame: Annotated[str | None, single("STR", "the robot's tool")] = None
     """Frame that stands in the poses: a tool, site or body of the robot."""
     scene: Annotated[Path | None, single("FILE", "none")] = None
-    """MJCF file whose geoms are obstacles."""
+    """MJCF file of the obstacles around the arm, without joints, in the world of its model."""
     margin: Annotated[float, arg(metavar="M"), Range(0.0, 10.0, " m")] = 0.0
     """Smallest allowed distance between parts, metres."""
     cell: Annotated[float, arg(metavar="M"), positive(what=" m")] = 0.05
@@ -104,10 +104,10 @@ def make_condition(robot: Robot, scene: Path | None, margin: float) -> Collision
     Parts that touch in every posture are left out, and named on stderr.
     """
     from robot_ik.collision.avoidance import CollisionAvoidance
-    from robot_ik.collision.obstacle_file import read_obstacles
+    from robot_ik.collision.obstacle_file import load_obstacles
     from robot_ik.collision.scene import Scene
 
-    whole = Scene(robot, [] if scene is None else read_obstacles(scene))
+    whole = Scene(robot, [] if scene is None else load_obstacles(scene))
     touching = [item.pair for item in whole.touching]
     for first, second in touching:
         console.say(f"{first} and {second} touch in every posture and are not compared", "dim")

@@ -28,6 +28,12 @@ MOST_POSES = 4_000_000_000
 """Poses of a map. Beyond, its two tables of bytes do not fit into the memory of a machine."""
 
 
+def require_count(name: str, value: object, most: int) -> None:
+    """Raise ``OptionError`` unless a value is a whole number from 1 to ``most``."""
+    if not isinstance(value, INTEGER) or not 1 <= value <= most:
+        raise OptionError(name, f"{value!r}", f"a whole number from 1 to {most}")
+
+
 @dataclass(frozen=True)
 class Grid:
     """Cells in space times orientations of the frame.
@@ -55,12 +61,8 @@ class Grid:
         """
         if not is_real(cell, 1e-3, radius):
             raise OptionError("cell", f"{cell!r}", f"0.001 to {radius:.3g} m, the reach of the arm")
-        for name, value, most in (
-            ("directions", directions, MOST_DIRECTIONS),
-            ("rolls", rolls, MOST_ROLLS),
-        ):
-            if not isinstance(value, INTEGER) or not 1 <= value <= most:
-                raise OptionError(name, f"{value!r}", f"a whole number from 1 to {most}")
+        require_count("directions", directions, MOST_DIRECTIONS)
+        require_count("rolls", rolls, MOST_ROLLS)
         first = np.floor((center - radius) / cell).astype(int)
         end = np.ceil((center + radius) / cell).astype(int)
         shape = [int(n) for n in end - first]

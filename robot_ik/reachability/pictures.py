@@ -54,15 +54,21 @@ def draw_slice(
     layer = min(int((at - low) / grid.cell), grid.shape[axis] - 1)
     values = np.take(made.quantity(quantity), layer, axis=axis)
     first, second = (k for k in range(3) if k != axis)
-    extent = []
-    for k in (first, second):
-        extent += [grid.corner[k], grid.corner[k] + grid.cell * grid.shape[k]]
-    height = 0.8 * _WIDTH * (extent[3] - extent[2]) / (extent[1] - extent[0]) + 0.6
+    left = grid.corner[first]
+    right = left + grid.cell * grid.shape[first]
+    bottom = grid.corner[second]
+    top = bottom + grid.cell * grid.shape[second]
+    height = 0.8 * _WIDTH * (top - bottom) / (right - left) + 0.6
     figure = Figure(figsize=(_WIDTH, height), dpi=_DPI, layout="constrained")
     axes = figure.subplots()
     highest = 1.0 if quantity == "index" else None
     picture = axes.imshow(
-        values.T, origin="lower", extent=extent, vmin=0.0, vmax=highest, cmap="viridis"
+        values.T,
+        origin="lower",
+        extent=(left, right, bottom, top),
+        vmin=0.0,
+        vmax=highest,
+        cmap="viridis",
     )
     axes.set_xlabel(f"{'xyz'[first]}, m")
     axes.set_ylabel(f"{'xyz'[second]}, m")

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from robot_ik.batch import solve_batch
 from robot_ik.errors import OptionError, ReachabilityMapError
-from robot_ik.geometry import INTEGER, Array, Pose, is_real
+from robot_ik.geometry import Array, Pose, is_real
 from robot_ik.reachability import cells
+from robot_ik.reachability.grid import require_count
 
 if TYPE_CHECKING:
     from robot_ik.reachability.grid import Grid
@@ -62,9 +63,8 @@ def place_base(
         raise OptionError("poses", f"{poses!r}", "a list of at least one Pose")
     if not is_real(height):
         raise OptionError("height", f"{height!r}", "a finite number, m")
-    for name, value, most in (("yaws", yaws, MOST_YAWS), ("tries", tries, MOST_TRIES)):
-        if not isinstance(value, INTEGER) or not 1 <= value <= most:
-            raise OptionError(name, f"{value!r}", f"a whole number from 1 to {most}")
+    require_count("yaws", yaws, MOST_YAWS)
+    require_count("tries", tries, MOST_TRIES)
     if made.collisions is None and np.isfinite(made.clearance).any():
         raise ReachabilityMapError(
             "this map was made with a condition on collisions",

@@ -24,10 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.batch import usable_cores
 from robot_ik.errors import OptionError, ReachabilityMapError
-from robot_ik.geometry import INTEGER, Pose, vector
+from robot_ik.geometry import Pose, vector
 from robot_ik.reachability import cells
 from robot_ik.reachability.cloud import PointCloud, coloured
-from robot_ik.reachability.grid import Grid
+from robot_ik.reachability.grid import Grid, require_count
 from robot_ik.reachability.placement import BasePlacement, place_base
 from robot_ik.reachability.store import MapStore
 from robot_ik.reachability.sweep import BlockResult, Sweep, arm_form, run_pickled
@@ -44,6 +44,9 @@ DEFAULT_DIRECTIONS = 60
 
 DEFAULT_ROLLS = 6
 """Turns about the approach axis: one every 60 degrees."""
+
+MOST_THREADS = 1024
+"""Threads of one process."""
 
 QUANTITIES = {
     "index": "share of the directions that are reached",
@@ -283,8 +286,8 @@ def map_reachability(
         from robot_ik.collision.avoidance import require_same_robot
 
         require_same_robot(robot, collisions)
-    if threads is not None and not (isinstance(threads, INTEGER) and threads >= 1):
-        raise OptionError("threads", f"{threads!r}", "a whole number, 1 or more")
+    if threads is not None:
+        require_count("threads", threads, MOST_THREADS)
     name = robot.frame(frame).name
     arm = arm_form(robot, name)
     ball = robot.reach(name)

@@ -1,61 +1,87 @@
-"""Obstacles of an MJCF file: MuJoCo measures the same distances to both."""
+"""Obstacles of an MJCF file: each has the distances of the geom that it stands for, by MuJoCo."""
 
 import mujoco
 import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.collision.obstacle_file import read_obstacles
 from robot_ik.errors import InvalidObstacleError, ModelError
 
-SHAPES = """<mujoco><asset>
-  <mesh name="wedge" vertex="0 0 0  .3 0 0  0 .2 0  0 0 .1  .1 .1 .1"/></asset><worldbody>
-  <geom name="floor" type="plane" size="1 1 .1" pos="0 0 -1" euler="5 10 0"/>
-  <geom name="box" type="box" size=".1 .2 .3" pos="1 0 0" euler="10 20 30"/>
-  <geom name="ball" size=".2" pos="0 1 0"/>
-  <geom name="rod" type="capsule" size=".05 .3" pos="-1 0 0" euler="40 0 10"/>
-  <geom name="ghost" size=".4" contype="0" conaffinity="0"/>
-  <body pos="0 -1 .2" euler="0 30 0"><geom name="can" type="cylinder" size=".1 .2" pos=".1 0 0"/>
-    <geom type="mesh" mesh="wedge" pos="0 0 .8" euler="0 0 50"/></body>
-  </worldbody></mujoco>"""
+FURNITURE = """<mujoco><asset>
+<mesh name="wedge" vertex="0 0 0  .3 0 0  0 .2 0  0 0 .25"/></asset><worldbody>
+<geom name="floor" type="plane" size="1 1 .1" pos="0 0 -.5"/>
+<geom name="picture" type="box" size="9 9 9" contype="0" conaffinity="0"/>
+<body name="table" pos=".5 .1 .2" euler="0 0 30"><geom type="box" size=".3 .2 .02"/>
+ <geom type="cylinder" size=".02 .2" pos="0 0 -.2"/>
+ <body name="lamp" pos="0 0 .1" euler="40 0 0"><geom name="bulb" size=".05"/>
+  <geom name="rod" type="capsule" fromto="0 0 0 .1 .1 .1" size=".01"/></body></body>
+<geom name="ramp" type="mesh" mesh="wedge" pos="-.6 0 .1" euler="10 20 30"/>
+</worldbody></mujoco>"""
 
-PROBE = """<mujoco><worldbody><body name="probe" pos="{} {} {}"><joint name="j"/>
-  <geom size=".01"/></body></worldbody></mujoco>"""
+PROBE = """<mujoco><worldbody><body name="probe"><joint type="slide"/><geom size=".04"/></body>
+</worldbody></mujoco>"""
 
 
-def test_the_obstacles_are_where_the_geoms_are(tmp_path):
-    file = tmp_path / "scene.xml"
-    file.write_text(SHAPES)
-    obstacles = read_obstacles(file)
-    assert [item.name for item in obstacles[:4]] == ["floor", "box", "ball", "rod"]
-    assert len(obstacles) == 6
-    model = mujoco.MjModel.from_xml_string(SHAPES)
+def write(tmp_path, text):
+    path = tmp_path / "scene.xml"
+    path.write_text(text)
+    return path
+
+
+def test_each_obstacle_is_where_its_geom_is_and_has_its_shape(tmp_path):
+    obstacles = rik.load_obstacles(write(tmp_path, FURNITURE))
+    names = [obstacle.name for obstacle in obstacles]
+    assert names == ["floor", "ramp", "table", "table 2", "bulb", "rod"]
+    robot = rik.load_robot(PROBE)
+    # The same sphere among the geoms of the file, compiled by MuJoCo itself.
+    probe = '<body name="probe" mocap="true"><geom name="probe" size=".04"/></body></worldbody>'
+    model = mujoco.MjModel.from_xml_string(FURNITURE.replace("</worldbody>", probe))
     data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    solid = [g for g in range(model.ngeom) if model.geom_contype[g]]
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        point = rng.uniform(-2.0, 2.0, 3)
-        robot = rik.load_robot(PROBE.format(*point))
-        spec = mujoco.MjSpec.from_string(SHAPES)
-        spec.worldbody.add_geom(name="probe", size=[0.01, 0.0, 0.0], pos=point)
-        judge = spec.compile()
-        state = mujoco.MjData(judge)
-        mujoco.mj_kinematics(judge, state)
-        probe = judge.geom("probe").id
-        for geom, obstacle in zip(solid, obstacles, strict=True):
-            # The world's geoms come first, so the probe moves the others by one.
-            other = geom + 1 if geom >= probe else geom
-            expected = mujoco.mj_geomDistance(judge, state, probe, other, 10.0, None)
-            distance = rik.Scene(robot, [obstacle]).clearance(robot.home).distance
-            assert distance == pytest.approx(expected, abs=1e-6)
+    rng = np.random.default_rng(3)
+    solid = [g for g in range(model.ngeom) if model.geom_contype[g] and g != model.geom("probe").id]
+    assert len(solid) == len(obstacles)
+    for obstacle, geom in zip(obstacles, solid, strict=True):
+        for _ in range(5):
+            position = rng.uniform(-0.6, 0.6, 3)
+            data.mocap_pos[0] = position
+            mujoco.mj_kinematics(model, data)
+            expected = mujoco.mj_geomDistance(model, data, model.geom("probe").id, geom, 9.0, None)
+            # The robot's sphere stands at the origin, so the obstacle is moved instead.
+            pose = rik.Pose(obstacle.pose.position - position, obstacle.pose.wxyz)
+            scene = rik.Scene(robot, [obstacle])
+            scene.move(obstacle.name, pose)
+            assert scene.clearance(robot.home).distance == pytest.approx(expected, abs=1e-6)
 
 
-def test_files_that_hold_no_obstacles_are_refused(tmp_path):
-    file = tmp_path / "scene.xml"
-    egg = '<geom type="ellipsoid" size=".1 .2 .3"/>'
-    file.write_text(f"<mujoco><worldbody>{egg}</worldbody></mujoco>")
-    with pytest.raises(InvalidObstacleError, match="ellipsoid"):
-        read_obstacles(file)
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "no geom"),
+        ("<geom size='.1' contype='0' conaffinity='0'/>", "no geom"),
+        ("<body name='arm'><joint/><geom size='.1'/></body>", "arm"),
+        ("<geom name='egg' type='ellipsoid' size='.1 .1 .2'/>", "egg"),
+    ],
+)
+def test_what_is_no_obstacle_is_refused(text, named, tmp_path):
+    file = write(tmp_path, f"<mujoco><worldbody>{text}</worldbody></mujoco>")
+    with pytest.raises(InvalidObstacleError, match=named):
+        rik.load_obstacles(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no XML",
+        "<mujoco><worldbody><geom size='0'/></worldbody></mujoco>",
+        "<mujoco><worldbody><geom size='.1' pos='nan 0 0'/></worldbody></mujoco>",
+        "<mujoco><worldbody><geom size='1e400'/></worldbody></mujoco>",
+    ],
+)
+def test_a_file_that_mujoco_cannot_read_is_refused(text, tmp_path):
     with pytest.raises(ModelError):
-        read_obstacles(tmp_path / "nothing.xml")
+        rik.load_obstacles(write(tmp_path, text))
+
+
+def test_a_file_that_does_not_exist_is_named(tmp_path):
+    with pytest.raises(ModelError, match=r"there is no scene file .*nowhere\.xml"):
+        rik.load_obstacles(tmp_path / "nowhere.xml")
