@@ -4,7 +4,7 @@
 
 docs/images/reachability/index.png: the reachability index of the PUMA, cut upright.
 docs/images/reachability/shelf.png: the same beside a shelf, cut level through the shelf.
-docs/images/reachability/clearance.png: the largest clearance beside the shelf.
+docs/images/reachability/manipulability.png: the largest manipulability, cut upright.
 docs/images/reachability/cloud.png: the cloud that the command writes, of the half behind y = 0.
 Nothing is random: the same program draws the same pictures. Needs matplotlib (the extra `plots`).
 """
@@ -40,9 +40,9 @@ DPI = 110
 """Pixels an inch."""
 
 
-def cloud_png(made: rik.ReachabilityMap) -> bytes:
+def cloud_png(reach_map: rik.ReachabilityMap) -> bytes:
     """Return a picture of the half of the cloud behind y = 0."""
-    cloud = made.cloud()
+    cloud = reach_map.cloud()
     behind = cloud.points[:, 1] > 0.0
     points = cloud.points[behind]
     figure = Figure(figsize=(6.0, 5.0), dpi=DPI, layout="constrained")
@@ -70,7 +70,7 @@ def main() -> None:
     pictures = {
         "index": slice_png(bare, across="y", at=0.0),
         "shelf": slice_png(beside, across="z", at=HEIGHT),
-        "clearance": slice_png(beside, across="z", at=HEIGHT, quantity="clearance"),
+        "manipulability": slice_png(bare, across="y", at=0.0, quantity="manipulability"),
         "cloud": cloud_png(bare),
     }
     for name, picture in pictures.items():

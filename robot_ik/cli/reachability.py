@@ -77,7 +77,7 @@ def run(options: ReachabilityOptions) -> int:
     with contextlib.ExitStack() as stack:
         executor = stack.enter_context(connected(options.cluster)) if options.cluster else None
         bar = stack.enter_context(console.progress())
-        made = map_reachability(
+        reach_map = map_reachability(
             robot,
             frame=options.frame,
             cell=options.cell,
@@ -89,8 +89,8 @@ def run(options: ReachabilityOptions) -> int:
             progress=console.counted_on(bar, "sweeping", "blocks"),
         )
     seconds = time.perf_counter() - began
-    files = write_files(made, folder)
-    facts = map_facts(made) | {"seconds": seconds, "files": [str(file) for file in files]}
+    files = write_files(reach_map, folder)
+    facts = map_facts(reach_map) | {"seconds": seconds, "files": [str(file) for file in files]}
     if options.json:
         console.print_json(facts)
     else:
@@ -138,9 +138,9 @@ def connected(address: str) -> Iterator[Executor]:
         yield client.get_executor()
 
 
-def write_files(made: ReachabilityMap, folder: Path) -> list[Path]:
+def write_files(reach_map: ReachabilityMap, folder: Path) -> list[Path]:
     """Write the point cloud and, with matplotlib, a slice across each axis; return the files."""
-    files = [folder / "map.zarr", made.cloud().save(folder / "cloud.ply")]
+    files = [folder / "map.zarr", reach_map.cloud().save(folder / "cloud.ply")]
     if importlib.util.find_spec("matplotlib") is None:
         console.say('no slices: they need matplotlib (the extra "plots")', "dim")
         return files
@@ -148,30 +148,30 @@ def write_files(made: ReachabilityMap, folder: Path) -> list[Path]:
 
     for across, axis in AXES.items():
         # Through the middle of the arm's reach.
-        at = made.grid.corner[axis] + 0.5 * made.grid.cell * made.grid.shape[axis]
+        at = reach_map.grid.corner[axis] + 0.5 * reach_map.grid.cell * reach_map.grid.shape[axis]
         file = folder / f"slice-{across}.png"
-        write_atomically(file, slice_png(made, across=across, at=at))
+        write_atomically(file, slice_png(reach_map, across=across, at=at))
         files.append(file)
     return files
 
 
-def map_facts(made: ReachabilityMap) -> dict[str, Any]:
+def map_facts(reach_map: ReachabilityMap) -> dict[str, Any]:
     """Return what is printed of a map."""
     from robot_ik.reachability.reachability_map import Reach
 
-    counts = {reach.name.lower(): int((made.status == reach).sum()) for reach in Reach}
-    reached = made.index > 0.0
+    counts = {reach.name.lower(): int((reach_map.status == reach).sum()) for reach in Reach}
+    reached = reach_map.index > 0.0
     return {
         "schema": SCHEMA,
-        "robot": made.robot.name,
-        "frame": made.frame,
-        "cell": made.grid.cell,
-        "cells": list(made.grid.shape),
-        "orientations": made.grid.orientations,
-        "poses": made.grid.poses,
+        "robot": reach_map.robot.name,
+        "frame": reach_map.frame,
+        "cell": reach_map.grid.cell,
+        "cells": list(reach_map.grid.shape),
+        "orientations": reach_map.grid.orientations,
+        "poses": reach_map.grid.poses,
         "counts": counts,
-        "reached_volume": float(reached.sum() * made.grid.cell**3),
-        "largest_index": float(made.index.max()),
+        "reached_volume": float(reached.sum() * reach_map.grid.cell**3),
+        "largest_index": float(reach_map.index.max()),
     }
 
 

@@ -180,11 +180,11 @@ def sweep_cells(address, forms, collisions, positions, status, branches, dexteri
         cells.best_clearance = -math.inf
         within = is_within_reach(cells, positions, cell)
         for orientation in range(cells.rotations.shape[0]):
-            found = UNREACHABLE
+            known = UNREACHABLE
             count = 0
             if within:
-                found, count = sweep_pose(cells, run, forms, positions, cell, orientation)
-            status[cell, orientation] = found
+                known, count = sweep_pose(cells, run, forms, positions, cell, orientation)
+            status[cell, orientation] = known
             branches[cell, orientation] = count
         dexterity[cell] = cells.best_manipulability
         clearance[cell] = cells.best_clearance if cells.best_clearance > -math.inf else math.nan

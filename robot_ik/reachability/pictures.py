@@ -25,12 +25,12 @@ _DPI = 110
 
 
 def draw_slice(
-    made: ReachabilityMap, *, across: str = "y", at: float = 0.0, quantity: str = "index"
+    reach_map: ReachabilityMap, *, across: str = "y", at: float = 0.0, quantity: str = "index"
 ) -> Figure:
     """Return a figure of the layer of cells that a plane cuts.
 
     Args:
-        made: The map.
+        reach_map: The map.
         across: Axis of the world across which the map is cut: "x", "y" or "z".
         at: Coordinate of the plane on this axis, m.
         quantity: One of ``QUANTITIES``.
@@ -46,13 +46,13 @@ def draw_slice(
     if across not in AXES:
         raise OptionError("across", f"{across!r}", ", ".join(AXES))
     axis = AXES[across]
-    grid = made.grid
+    grid = reach_map.grid
     low = grid.corner[axis]
     high = low + grid.cell * grid.shape[axis]
     if not is_real(at, low, high):
         raise OptionError("at", f"{at!r}", f"{low:g} to {high:g} m")
     layer = min(int((at - low) / grid.cell), grid.shape[axis] - 1)
-    values = np.take(made.quantity(quantity), layer, axis=axis)
+    values = np.take(reach_map.quantity(quantity), layer, axis=axis)
     first, second = (k for k in range(3) if k != axis)
     left = grid.corner[first]
     right = left + grid.cell * grid.shape[first]
@@ -73,16 +73,18 @@ def draw_slice(
     axes.set_xlabel(f"{'xyz'[first]}, m")
     axes.set_ylabel(f"{'xyz'[second]}, m")
     center = grid.centers(axis)[layer]
-    axes.set_title(f"{made.robot.name}, {made.frame}, {across} = {center:.3f} m", fontsize=10)
+    axes.set_title(
+        f"{reach_map.robot.name}, {reach_map.frame}, {across} = {center:.3f} m", fontsize=10
+    )
     figure.colorbar(picture, ax=axes, label=QUANTITIES[quantity])
     return figure
 
 
 def slice_png(
-    made: ReachabilityMap, *, across: str = "y", at: float = 0.0, quantity: str = "index"
+    reach_map: ReachabilityMap, *, across: str = "y", at: float = 0.0, quantity: str = "index"
 ) -> bytes:
     """Return ``draw_slice`` as a PNG file."""
     stream = io.BytesIO()
-    figure = draw_slice(made, across=across, at=at, quantity=quantity)
+    figure = draw_slice(reach_map, across=across, at=at, quantity=quantity)
     figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()

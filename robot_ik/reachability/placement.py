@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 MOST_YAWS = 720
 """Directions that the robot may face: one every half degree."""
 
+MOST_PLACES = 20_000_000
+"""Places of one direction. Poses that need more are hundreds of metres apart."""
+
 MOST_TRIES = 10_000
 """Places that inverse kinematics checks."""
 
@@ -55,7 +58,7 @@ class BasePlacement:
 
 
 def place_base(
-    made: ReachabilityMap, poses: Sequence[Pose], height: float, yaws: int, tries: int
+    reach_map: ReachabilityMap, poses: Sequence[Pose], height: float, yaws: int, tries: int
 ) -> BasePlacement:
     """Return a place for the robot's base, see ``ReachabilityMap.best_base``."""
     given: Any = poses
@@ -65,24 +68,24 @@ def place_base(
         raise OptionError("height", f"{height!r}", "a finite number, m")
     require_count("yaws", yaws, MOST_YAWS)
     require_count("tries", tries, MOST_TRIES)
-    if made.collisions is None and np.isfinite(made.clearance).any():
+    if reach_map.collisions is None and np.isfinite(reach_map.clearance).any():
         raise ReachabilityMapError(
             "this map was made with a condition on collisions",
             hint="load it with the same condition: ReachabilityMap.load(path, collisions=…)",
         )
-    proposals = _proposals(made, poses, height, yaws, tries)
-    best = _confirmed(made, poses, *proposals[0])
+    proposals = _proposals(reach_map, poses, height, yaws, tries)
+    best = _confirmed(reach_map, poses, *proposals[0])
     for votes, base in proposals[1:]:
         if best.solved.all():
             break
-        placement = _confirmed(made, poses, votes, base)
+        placement = _confirmed(reach_map, poses, votes, base)
         if placement.solved.sum() > best.solved.sum():
             best = placement
     return best
 
 
 def _proposals(
-    made: ReachabilityMap, poses: Sequence[Pose], height: float, yaws: int, tries: int
+    reach_map: ReachabilityMap, poses: Sequence[Pose], height: float, yaws: int, tries: int
 ) -> list[tuple[int, Pose]]:
     """Return the ``tries`` places with the most votes, best first, and their votes."""
     scores = []
@@ -90,13 +93,13 @@ def _proposals(
     for turn in range(yaws):
         yaw = 2.0 * math.pi * turn / yaws
         unturned = Pose((0.0, 0.0, -height)).compose(_facing(-yaw))
-        seen = [unturned.compose(pose) for pose in poses]
-        table, first = _votes(made, seen)
+        targets = [unturned.compose(pose) for pose in poses]
+        table, first = _votes(reach_map, targets)
         # Only the best of each table can be among the best of all.
         chosen = np.argsort(table, axis=None)[::-1][:tries]
         for index in chosen.tolist():
             i, j = np.unravel_index(index, table.shape)
-            shift = made.grid.cell * (first + np.array([i, j]))
+            shift = reach_map.grid.cell * (first + np.array([i, j]))
             place = _facing(yaw).apply(np.array([shift[0], shift[1], 0.0]))
             scores.append(float(table[i, j]))
             bases.append(Pose((place[0], place[1], height), _facing(yaw).wxyz))
@@ -110,20 +113,20 @@ def _facing(yaw: float) -> Pose:
     return Pose((0.0, 0.0, 0.0), (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)))
 
 
-def _votes(made: ReachabilityMap, seen: Sequence[Pose]) -> tuple[Array, NDArray[np.int64]]:
+def _votes(reach_map: ReachabilityMap, targets: Sequence[Pose]) -> tuple[Array, NDArray[np.int64]]:
     """Return the votes of poses for places whose robot faces along x.
 
     Args:
-        made: The map.
-        seen: The poses, in the axes of the robot.
+        reach_map: The map.
+        targets: The poses, in the axes of the robot.
 
     Returns:
         The score (a, b) of each place, votes · (poses + 1) + sum of the indices of the cells, and
         the coordinates (2,) of the first place in cells.
     """
-    grid: Grid = made.grid
-    rotations = np.array([pose.rotation for pose in seen])
-    positions = np.array([pose.position for pose in seen])
+    grid: Grid = reach_map.grid
+    rotations = np.array([pose.rotation for pose in targets])
+    positions = np.array([pose.position for pose in targets])
     orientations = grid.orientation_of(rotations)
     # Cells of the poses if the robot stood at the origin.
     at_origin = grid.cell_of(positions)
@@ -131,13 +134,20 @@ def _votes(made: ReachabilityMap, seen: Sequence[Pose]) -> tuple[Array, NDArray[
     width = np.array(grid.shape[:2])
     first = at_origin[:, :2].min(axis=0) - width + 1
     last = at_origin[:, :2].max(axis=0)
+    count = int(np.prod(last - first + 1))
+    if count > MOST_PLACES:
+        raise OptionError(
+            "poses",
+            f"they are up to {np.ptp(positions[:, :2], axis=0).max():.3g} m apart",
+            hint="give poses that one robot can reach from one place",
+        )
     table = np.zeros(last - first + 1)
     for cell, orientation in zip(at_origin, orientations.tolist(), strict=True):
         layer = int(cell[2])
         if not 0 <= layer < grid.shape[2]:
             continue
-        reached = made.status[:, :, layer, orientation] == cells.REACHED
-        value = (len(seen) + 1.0 + made.index[:, :, layer]) * reached
+        reached = reach_map.status[:, :, layer, orientation] == cells.REACHED
+        value = (len(targets) + 1.0 + reach_map.index[:, :, layer]) * reached
         # Cell 0 of the layer belongs to the place farthest along x and y.
         i, j = cell[:2] - width + 1 - first
         table[i : i + width[0], j : j + width[1]] += value[::-1, ::-1]
@@ -145,9 +155,11 @@ def _votes(made: ReachabilityMap, seen: Sequence[Pose]) -> tuple[Array, NDArray[
 
 
 def _confirmed(
-    made: ReachabilityMap, poses: Sequence[Pose], votes: int, base: Pose
+    reach_map: ReachabilityMap, poses: Sequence[Pose], votes: int, base: Pose
 ) -> BasePlacement:
     """Return the placement at a base, with all poses solved by inverse kinematics."""
-    seen = [base.inverse().compose(pose) for pose in poses]
-    solution = solve_batch(made.robot, seen, frame=made.frame, collisions=made.collisions)
+    targets = [base.inverse().compose(pose) for pose in poses]
+    solution = solve_batch(
+        reach_map.robot, targets, frame=reach_map.frame, collisions=reach_map.collisions
+    )
     return BasePlacement(base, votes, solution.converged, solution.q)

@@ -1,4 +1,4 @@
-"""How maps are made: the same bits for any number of workers, and again after a kill."""
+"""How maps are reach_map: the same bits for any number of workers, and again after a kill."""
 
 import os
 import signal
@@ -61,9 +61,11 @@ def test_a_dask_cluster_gives_the_same_bits(expected):
 
 def test_a_map_on_disk_is_the_map(expected, tmp_path):
     pytest.importorskip("zarr")
-    made = make(out=tmp_path / "map.zarr")
-    assert_same(made, expected)
-    loaded = rik.ReachabilityMap.load(tmp_path / "map.zarr", made.robot, collisions=made.collisions)
+    reach_map = make(out=tmp_path / "map.zarr")
+    assert_same(reach_map, expected)
+    loaded = rik.ReachabilityMap.load(
+        tmp_path / "map.zarr", reach_map.robot, collisions=reach_map.collisions
+    )
     assert_same(loaded, expected)
     assert loaded.is_complete
     assert loaded.grid == expected.grid
