@@ -69,10 +69,14 @@ def arm_form(robot: Robot, frame: str | None, values: int = SWEPT_VALUES) -> Arm
         ModelError: The arm has no closed form for a pose of the frame.
     """
     node, local = robot.attachment(frame)
-    if form := recognise(robot.tree, node, local, full_pose=True):
-        return ArmForm((form,), (robot,), None, np.zeros(1))
     chain = robot.tree.ancestors(node)
-    if len(chain) == 7 and all(robot.tree.kind[k] == HINGE for k in chain):
+    # A closed form moves each joint by itself.
+    is_coupled = bool(np.isin(robot.tree.coupled[:, 0], chain).any())
+    form = None if is_coupled else recognise(robot.tree, node, local, full_pose=True)
+    if form is not None:
+        return ArmForm((form,), (robot,), None, np.zeros(1))
+    hinges = all(robot.tree.kind[k] == HINGE for k in chain)
+    if len(chain) == 7 and hinges and not is_coupled:
         for k in reversed(chain):
             v = robot.tree.vadr[k]
             lower = float(robot.tree.sample_lower[v])

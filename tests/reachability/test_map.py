@@ -7,6 +7,7 @@ import robot_ik as rik
 from robot_ik.errors import ModelError, OptionError, UnknownFrameError
 from robot_ik.reachability.reachability_map import QUANTITIES
 from robot_ik.reachability.sweep import SWEPT_VALUES
+from tests.solvers.analytic.test_six_axes import UPRIGHT
 
 MARGIN = 0.002
 TIGHT = rik.Tolerance(position=1e-7, angle=1e-7)
@@ -180,6 +181,16 @@ def test_slices_are_drawn(reach_map):
         draw_slice(reach_map, across="w")
     with pytest.raises(OptionError, match="at"):
         draw_slice(reach_map, at=50.0)
+
+
+def test_joints_that_follow_others_have_no_closed_form():
+    coupled = UPRIGHT.replace('axis="0 1 0" range="-1.5', 'name="a" axis="0 1 0" range="-1.5')
+    coupled = coupled.replace('axis="0 1 0" range="-2.4', 'name="b" axis="0 1 0" range="-2.4')
+    equality = '<equality><joint joint1="b" joint2="a"/></equality></mujoco>'
+    tiny = {"cell": 0.5, "directions": 1, "rolls": 1}
+    rik.map_reachability(rik.load_robot(coupled), **tiny)
+    with pytest.raises(ModelError, match="no closed form"):
+        rik.map_reachability(rik.load_robot(coupled.replace("</mujoco>", equality)), **tiny)
 
 
 def test_wrong_arguments_are_refused():
