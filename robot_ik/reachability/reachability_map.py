@@ -1,8 +1,8 @@
 """``ReachabilityMap`` and ``map_reachability``, which makes one.
 
     reach_map = rik.map_reachability(robot, cell=0.05, out="puma.zarr")
-    reach_map.index                     # (x, y, z) share of the directions in which the tool can come
-    reach_map.best_base(poses).base     # where the robot has to stand to reach all poses
+    reach_map.index                  # (x, y, z) share of the directions in which the tool can come
+    reach_map.best_base(poses).base  # where the robot has to stand to reach all poses
 
 A map proposes, and inverse kinematics decides: a pose between two entries of the map may differ.
 """
