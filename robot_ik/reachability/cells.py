@@ -6,8 +6,8 @@ import math
 from robot_ik.kernels import so3
 from robot_ik.kernels.block import Layout
 from robot_ik.kernels.collision import FREE as NO_CONTACT
-from robot_ik.kernels.collision import least_distance, verdict
 from robot_ik.kernels.collision import open_run as open_collisions
+from robot_ik.kernels.collision import smallest_distance, verdict
 from robot_ik.kernels.jit import inlined, kernel, outlined
 from robot_ik.kernels.kinematics import forward, velocity_of
 from robot_ik.kernels.tree import TREE
@@ -88,7 +88,7 @@ def is_free(cells, run):
             return True
     elif verdict(run, cells.q, best) != NO_CONTACT:
         return verdict(run, cells.q, cells.margin) == NO_CONTACT
-    distance, _ = least_distance(run, cells.q, FARTHEST_CLEARANCE)
+    distance, _ = smallest_distance(run, cells.q, FARTHEST_CLEARANCE)
     cells.best_clearance = max(best, distance)
     return True
 

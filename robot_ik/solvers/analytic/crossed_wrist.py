@@ -22,7 +22,7 @@ from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.solvers.analytic.six_axes import (
     ALIGNED,
     centre,
-    one_of,
+    pick_angle,
     relative_back,
     relative_rotation,
 )
@@ -143,7 +143,7 @@ def crossed_wrist(form, inside_only):
         if not possible:
             continue
         for wrist in range(2):
-            q6 = one_of(wrist == 0, middle6, half6, amplitude6, start[5])
+            q6 = pick_angle(wrist == 0, middle6, half6, amplitude6, start[5])
             if inside_only and not is_inside(form, 5, q6):
                 continue
             c6 = math.cos(q6)
