@@ -527,6 +527,10 @@ class UnsupportedGeomError(CollisionError):
         )
 
 
+class ReachabilityMapError(RobotIkError):
+    """A folder that holds no reachability map, or a map that does not fit its robot."""
+
+
 class GoalError(RobotIkError, ValueError):
     """Root of the errors of goals."""
 
