@@ -1,0 +1,86 @@
+"""Obstacles of the planning benchmark and of the pictures: boxes and a shelf, and their problems."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import robot_ik as rik
+
+BOARD = 0.02
+"""m. Thickness of the boards of a shelf."""
+
+SHELF_SIZE = (0.3, 0.8, 0.8)
+"""m. Depth, width and height of the shelf."""
+
+FLOORS = 2
+"""Compartments of the shelf above each other, and beside each other."""
+
+BOXES = 10
+"""Boxes around a robot."""
+
+BATCH = 4000
+"""Random postures that are drawn at once."""
+
+
+def shelf(middle: tuple[float, float, float]) -> list[rik.Box]:
+    """Return the boards of a shelf that is open towards -x.
+
+    Args:
+        middle: Its middle in the world, m.
+    """
+    depth, width, height = SHELF_SIZE
+    boards = [rik.Box("shelf back", size=(BOARD, width, height), pose=_moved(middle, x=depth / 2))]
+    for k in range(FLOORS + 1):
+        share = k / FLOORS - 0.5
+        floor = _moved(middle, z=share * height)
+        side = _moved(middle, y=share * width)
+        boards.append(rik.Box(f"shelf floor {k}", size=(depth, width, BOARD), pose=floor))
+        boards.append(rik.Box(f"shelf side {k}", size=(depth, BOARD, height), pose=side))
+    return boards
+
+
+def _moved(
+    middle: tuple[float, float, float], x: float = 0.0, y: float = 0.0, z: float = 0.0
+) -> rik.Pose:
+    return rik.Pose((middle[0] + x, middle[1] + y, middle[2] + z))
+
+
+def boxes(robot: rik.Robot, seed: int) -> list[rik.Box]:
+    """Return boxes around a robot, none of which touches it at home."""
+    rng = np.random.default_rng(seed)
+    made: list[rik.Box] = []
+    while len(made) < BOXES:
+        direction = rng.normal(size=3)
+        position = rng.uniform(0.4, 0.8) * direction / np.linalg.norm(direction) + (0.0, 0.0, 0.4)
+        size = tuple(rng.uniform(0.05, 0.3, 3).tolist())
+        box = rik.Box(f"box {len(made)}", size=size, pose=rik.Pose(position, rng.normal(size=4)))
+        if rik.Scene(robot, [box]).free(robot.home, 0.02):
+            made.append(box)
+    return made
+
+
+def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.ndarray:
+    """Return random postures (count, nq) that keep twice the margin."""
+    rng = np.random.default_rng(seed)
+    robot = avoid.scene.robot
+    kept = np.empty((0, robot.nq))
+    while len(kept) < count:
+        rows = np.array([robot.sample(rng) for _ in range(BATCH)])
+        kept = np.vstack([kept, rows[avoid.scene.free(rows, 2.0 * avoid.margin)]])
+    return kept[:count]
+
+
+def postures_in_shelf(
+    avoid: rik.CollisionAvoidance, middle: tuple[float, float, float], count: int, seed: int
+) -> np.ndarray:
+    """Return free postures (count, nq) whose tool is inside the shelf."""
+    robot = avoid.scene.robot
+    half = 0.5 * np.array(SHELF_SIZE)
+    kept = np.empty((0, robot.nq))
+    while len(kept) < count:
+        rows = free_postures(avoid, BATCH, seed)
+        tools = robot.forward_many(rows)[:, :3, 3]
+        inside = (np.abs(tools - middle) < half).all(axis=1)
+        kept = np.vstack([kept, rows[inside]])
+        seed += 1
+    return kept[:count]
