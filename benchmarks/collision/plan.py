@@ -33,7 +33,7 @@ MARGIN = 0.002
 OMPL_SECONDS = 10.0
 """s. Time after which OMPL gives up a problem."""
 
-SHELVES = {"puma560": (0.75, 0.15, 0.75), "panda": (0.75, 0.0, 0.5)}
+SHELVES = {"puma560": (0.75, 0.15, 0.9), "panda": (0.72, 0.0, 0.5)}
 """m. Middle of the shelf of each robot."""
 
 _WORKER = Path(__file__).with_name("ompl_worker.py")

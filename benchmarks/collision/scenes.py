@@ -18,8 +18,14 @@ FLOORS = 2
 BOXES = 10
 """Boxes around a robot."""
 
-BATCH = 4000
-"""Random postures that are drawn at once."""
+SCATTER = 0.04
+"""m. The tool is at most this far from the middle of a compartment, along each axis."""
+
+INSIDE = 0.06
+"""m. The tool is this far before the middle of the shelf."""
+
+INTO_SHELF = (0.5, 0.5, 0.5, 0.5)
+"""Orientation (w x y z) of a tool whose z axis points along x."""
 
 
 def shelf(middle: tuple[float, float, float]) -> list[rik.Box]:
@@ -54,18 +60,18 @@ def boxes(robot: rik.Robot, seed: int) -> list[rik.Box]:
         position = rng.uniform(0.4, 0.8) * direction / np.linalg.norm(direction) + (0.0, 0.0, 0.4)
         size = tuple(rng.uniform(0.05, 0.3, 3).tolist())
         box = rik.Box(f"box {len(made)}", size=size, pose=rik.Pose(position, rng.normal(size=4)))
-        if rik.Scene(robot, [box]).free(robot.home, 0.02):
+        if rik.Scene(robot, [box]).free(robot.home):
             made.append(box)
     return made
 
 
 def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.ndarray:
-    """Return random postures (count, nq) that keep twice the margin."""
+    """Return random postures (count, nq) of hinges that keep twice the margin."""
     rng = np.random.default_rng(seed)
-    robot = avoid.scene.robot
-    kept = np.empty((0, robot.nq))
+    tree = avoid.scene.robot.tree
+    kept = np.empty((0, tree.nq))
     while len(kept) < count:
-        rows = np.array([robot.sample(rng) for _ in range(BATCH)])
+        rows = rng.uniform(tree.sample_lower, tree.sample_upper, (2 * count, tree.nq))
         kept = np.vstack([kept, rows[avoid.scene.free(rows, 2.0 * avoid.margin)]])
     return kept[:count]
 
@@ -73,14 +79,27 @@ def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.nd
 def postures_in_shelf(
     avoid: rik.CollisionAvoidance, middle: tuple[float, float, float], count: int, seed: int
 ) -> np.ndarray:
-    """Return free postures (count, nq) whose tool is inside the shelf."""
+    """Return free postures (count, nq) that point into the compartments of a shelf, in turn."""
+    rng = np.random.default_rng(seed)
     robot = avoid.scene.robot
-    half = 0.5 * np.array(SHELF_SIZE)
-    kept = np.empty((0, robot.nq))
+    problem = rik.Problem(robot, into_shelf(middle, 0, rng), collisions=avoid)
+    kept: list[np.ndarray] = []
     while len(kept) < count:
-        rows = free_postures(avoid, BATCH, seed)
-        tools = robot.forward_many(rows)[:, :3, 3]
-        inside = (np.abs(tools - middle) < half).all(axis=1)
-        kept = np.vstack([kept, rows[inside]])
-        seed += 1
-    return kept[:count]
+        target = into_shelf(middle, len(kept), rng)
+        start = rng.uniform(robot.tree.sample_lower, robot.tree.sample_upper)
+        solution = problem.solve(start, target=target)
+        if solution.converged and avoid.scene.free(solution.q, 1.5 * avoid.margin):
+            kept.append(solution.q)
+    return np.array(kept)
+
+
+def into_shelf(
+    middle: tuple[float, float, float], number: int, rng: np.random.Generator
+) -> rik.Pose:
+    """Return a pose of the tool that points into a compartment, given by its number, along x."""
+    _, width, height = SHELF_SIZE
+    side = number % FLOORS - 0.5 * (FLOORS - 1)
+    floor = number // FLOORS % FLOORS - 0.5 * (FLOORS - 1)
+    centre = (middle[0], middle[1] + side * width / FLOORS, middle[2] + floor * height / FLOORS)
+    position = np.array(centre) + rng.uniform(-SCATTER, SCATTER, 3) - (INSIDE, 0.0, 0.0)
+    return rik.Pose(position, INTO_SHELF)

@@ -5,10 +5,6 @@ grows from the start, the other from all goal postures. Each iteration draws a r
 extends one tree towards it by one edge, and then extends the other tree to the new node until an
 edge is blocked. The smaller tree is the one that is extended towards the random posture.
 
-A node next to an obstacle is the nearest node of many random postures behind the obstacle. After an
-edge from it was blocked, it accepts only random postures within a radius (Yershova, Jaillet, Siméon
-& LaValle, Dynamic-domain RRTs, 2005; Jaillet et al., Adaptive tuning of the sampling domain, 2005).
-
 Edges are checked at samples. The caller proves the edges of a path and removes those that are
 refuted (``REMOVED``). Then the search goes on.
 """
@@ -31,16 +27,12 @@ from robot_ik.kernels.search import uniform
 ROOT = -1
 REMOVED = -2
 
-# Share by which the radius of a node changes after an edge from it.
-_RADIUS_CHANGE = 0.05
-
 # With nq, c nodes at most.
 NODES = Layout(
     "Nodes",
     count="int",
     q="table c nq",
     parent="ints c",  # a node, ROOT or REMOVED
-    radius="floats c",  # largest distance of a random posture that the node accepts
 )
 
 TREE_SEARCH = Layout(
@@ -48,7 +40,6 @@ TREE_SEARCH = Layout(
     iterations="int",  # random postures so far
     random_state="int",
     longest="float",  # rad or m, longest edge
-    first_radius="float",  # rad or m, radius of a node after its first blocked edge
     root="int",  # next goal root to which the straight edge from the start is tried
     start_node="int",  # nodes at which the trees meet
     goal_node="int",
@@ -87,7 +78,6 @@ def add_node(nodes, q, parent):
     for j in range(q.shape[0]):
         nodes.q[node, j] = q[j]
     nodes.parent[node] = parent
-    nodes.radius[node] = math.inf
     nodes.count += 1
     return node
 
@@ -110,23 +100,6 @@ def extend(search, nodes, node, target):
     if not edge_is_free(search.edges, nodes.q[node], search.fresh):
         return -1
     return add_node(nodes, search.fresh, node)
-
-
-@outlined
-def extend_at_random(search, nodes):
-    """Extend a tree towards a random posture; return the new node, or -1."""
-    draw_target(search)
-    near = nearest_node(nodes, search.target)
-    radius = nodes.radius[near]
-    if distance_between(nodes.q[near], search.target) > radius:
-        return -1
-    node = extend(search, nodes, near, search.target)
-    if node < 0:
-        smaller = max(search.longest, (1.0 - _RADIUS_CHANGE) * radius)
-        nodes.radius[near] = search.first_radius if radius == math.inf else smaller
-    else:
-        nodes.radius[near] = (1.0 + _RADIUS_CHANGE) * radius
-    return node
 
 
 @outlined
@@ -194,7 +167,8 @@ def grow_trees(address, iterations):
         from_start = start_tree.count <= goal_tree.count
         growing = start_tree if from_start else goal_tree
         other = goal_tree if from_start else start_tree
-        node = extend_at_random(search, growing)
+        draw_target(search)
+        node = extend(search, growing, nearest_node(growing, search.target), search.target)
         if node < 0:
             continue
         joined = connect(search, other, growing.q[node])

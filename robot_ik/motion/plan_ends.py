@@ -215,6 +215,7 @@ def _other_solutions(
     rng = np.random.default_rng(seed)
     solutions = []
     for _ in range(MOST_STARTS):
+        problem.seed = int(rng.integers(1 << 31))  # else each solve restarts at the same postures
         other_start = start.copy()
         other_start[moved] = problem.robot.sample(rng)[moved]
         solution = problem.solve(problem.robot.apply_couplings(other_start))

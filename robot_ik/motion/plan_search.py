@@ -30,14 +30,15 @@ RESOLUTION = 1.0 / 32.0
 LONGEST_EDGE = 1.0
 """rad or m. Longest edge of a tree."""
 
-FIRST_RADIUS = 4.0
-"""rad or m. Radius of a node after its first blocked edge, see ``kernels/tree_search.py``."""
+FIRST_ITERATIONS = 1024
+"""Iterations after which the first search begins anew. A new search is often quicker than an old
+one. Each time when all shares of the reserve have been tried, the number is doubled."""
 
-ITERATIONS_EACH = 4096
-"""Iterations after which a search begins anew: a new search is often quicker than an old one."""
+MOST_DOUBLINGS = 8
+"""Doublings of the iterations. More would not fit the trees."""
 
-MOST_NODES = 8192
-"""Nodes of a tree."""
+MOST_NODES = 16_384
+"""Nodes of a tree. A full tree ends its search."""
 
 SLICE = 64
 """Iterations between two looks at the clock: some milliseconds."""
@@ -118,7 +119,6 @@ class _Search:
         given = {"edges": self.edges, "lower": box[0].copy(), "upper": box[1].copy()}
         self.trees = tree_search.TREE_SEARCH.allocate(sizes, given)
         self.trees["longest"] = LONGEST_EDGE
-        self.trees["first_radius"] = FIRST_RADIUS
         self.shortcut = path_shortcut.SHORTCUT.allocate(sizes, {"edges": self.edges})
         self.rooms = self._rooms(np.vstack([start, goals]))
         jit.announce(tree_search.grow_trees, "the path search")
@@ -156,13 +156,15 @@ class _Search:
     def _search_once(self, restart: int) -> Array | None:
         """Search with new trees; return a short path, or None."""
         # Ends that have little room need a small reserve. Goals with less room are left out.
-        share = RESERVE_SHARES[restart % len(RESERVE_SHARES)]
+        cycle, number = divmod(restart, len(RESERVE_SHARES))
+        share = RESERVE_SHARES[number]
         room = min(self.rooms[0], self.rooms[1:].max())
         reserve = share * min(RESERVE, 0.5 * room)
         self.edges["reserve"] = reserve
         goals = np.ascontiguousarray(self.goals[self.rooms[1:] >= reserve])
         tree_search.begin_search(self.trees.address, self.start, goals, self._random_state())
-        end = min(self.budget.iterations, self.trees["iterations"] + ITERATIONS_EACH)
+        most = FIRST_ITERATIONS * 2 ** min(cycle, MOST_DOUBLINGS)
+        end = min(self.budget.iterations, self.trees["iterations"] + most)
         while True:
             if tree_search.join_straight(self.trees.address, len(goals)):
                 joined = True
