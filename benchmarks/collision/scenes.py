@@ -1,4 +1,4 @@
-"""Obstacles of the planning benchmark and of the pictures: boxes and a shelf, and their problems."""
+"""Obstacles of the planning benchmark and of its pictures, and postures among them."""
 
 from __future__ import annotations
 

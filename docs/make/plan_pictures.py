@@ -49,10 +49,10 @@ PICTURE_SIZE = (400, 400)
 SHOWN = (0.0, 0.5, 1.0)
 """Shares of the duration that the picture shows."""
 
-FILM_SIZE = (480, 360)
+FILM_SIZE = (420, 320)
 """Width and height of the film, pixels."""
 
-FILM_RATE = 12.0
+FILM_RATE = 10.0
 """Hz. Pictures a second of the film."""
 
 REST = 0.8
@@ -140,9 +140,7 @@ class View:
     def picture(self, q: NDArray[np.float64]) -> Image:
         """Return the robot at ``q`` (nq,) with the way of the tool, BGR."""
         body = Body(self.model, self.scene.robot.qpos(q))
-        photo = photograph(
-            [body], self.optics, self.camera, SEAMLESS, floor=0.0, subject=SHELF[:2]
-        )
+        photo = photograph([body], self.optics, self.camera, SEAMLESS, floor=0.0, subject=SHELF[:2])
         image = photo.image.copy()
         pixels = self.optics.project(self.camera.inverse().apply(self.tools))
         line = np.rint(pixels * 2**SUBPIXEL_BITS).astype(np.int32)

@@ -61,7 +61,7 @@ def edge_is_free(edges, first, last):
     """
     if not sample_is_free(edges, last):
         return False
-    count = int(math.ceil(distance_between(first, last) / edges.resolution))
+    count = math.ceil(distance_between(first, last) / edges.resolution)
     stride = 1
     while stride < count:
         stride *= 2

@@ -101,13 +101,13 @@ class Plan:
         """One sentence for people: the status, with pair and distance or with what was tried."""
         if self.blocked is not None and self.blocked.pair is not None:
             first, second = self.blocked.pair
-            distance = 1e3 * self.blocked.distance
-            contact = (
-                f"{first} touches {second} by {-distance:.1f} mm"
-                if distance < 0.0
-                else f"{first} is {distance:.1f} mm from {second} (margin {1e3 * self.margin:.1f} mm)"
+            distance_mm = 1e3 * self.blocked.distance
+            if distance_mm < 0.0:
+                return f"{self.status.value}: {first} touches {second} by {-distance_mm:.1f} mm"
+            return (
+                f"{self.status.value}: {first} is {distance_mm:.1f} mm from {second} "
+                f"(margin {1e3 * self.margin:.1f} mm)"
             )
-            return f"{self.status.value}: {contact}"
         if self.solution is not None:
             return f"{self.status.value}: {self.solution.meaning}"
         if self.status is PlanStatus.NO_PATH:
@@ -325,9 +325,7 @@ class _Planner:
         upper = np.where(is_moved, tree.sample_upper, ends.max(axis=0))
         return lower, upper
 
-    def _with_motion(
-        self, result: Plan, departure: Array, path: Array, arrival: Array
-    ) -> Plan:
+    def _with_motion(self, result: Plan, departure: Array, path: Array, arrival: Array) -> Plan:
         """Return a plan with its trajectory: out of a contact, along the path, into a contact."""
         rest = self.contacts.rest
         stages = [(path, self.contacts.collisions)]

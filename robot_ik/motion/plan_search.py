@@ -22,7 +22,7 @@ RESERVE = 0.003
 """m. Samples of an edge keep this beside the margin: then nearly all edges can be proven."""
 
 RESERVE_SHARES = (1.0, 0.25, 0.0)
-"""Share of the reserve in one search after the other: a passage may be narrower than the reserve."""
+"""Shares of the reserve, in one search after the other. A passage may be too narrow for all of it."""
 
 RESOLUTION = 1.0 / 32.0
 """rad or m. Largest distance of two samples of an edge."""

@@ -238,7 +238,9 @@ class _SmoothPath:
     def points(self, s: Array) -> Array:
         """Return the path (n, nq) at values (n,) of its parameter from 0 to 1."""
         along = s * self.edges[-1]
-        index = np.clip(np.searchsorted(self.edges, along, side="right") - 1, 0, len(self.parts) - 1)
+        index = np.clip(
+            np.searchsorted(self.edges, along, side="right") - 1, 0, len(self.parts) - 1
+        )
         widths = np.diff(self.edges)
         shares = np.clip((along - self.edges[index]) / widths[index], 0.0, 1.0)
         rows = np.empty((len(s), len(self.parts[0].begin)))

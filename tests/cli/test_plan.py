@@ -1,5 +1,6 @@
 """``robot-ik plan``: the motion that it writes keeps away from the obstacles of the scene file."""
 
+import itertools
 import json
 import os
 import signal
@@ -33,7 +34,7 @@ def ends(robot, scene):
     rows = np.array([robot.sample(rng) for _ in range(400)])
     rows = rows[scene.free(rows, 3 * MARGIN)]
     shares = np.linspace(0.0, 1.0, 200)[:, None]
-    for first, last in zip(rows[:-1], rows[1:], strict=True):
+    for first, last in itertools.pairwise(rows):
         if not scene.free(first + shares * (last - first), MARGIN).all():
             return first, last
     raise AssertionError("no blocked line")
@@ -115,6 +116,7 @@ WALL = """<mujoco><worldbody>
   <body name="car"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
     <joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom type="sphere" size=".05"/></body>
 </worldbody></mujoco>"""
+
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for a child")
 def test_ctrl_c_ends_an_endless_search(tmp_path):
