@@ -201,7 +201,7 @@ def _print_tables(robot: Robot, result: Plan, options: PlanOptions) -> None:
         ("search", f"{', '.join(searched)}, {sum(result.nodes)} nodes"),
         ("time", f"{1e3 * result.seconds:.1f} ms"),
     ]
-    tables = [console.table("plan", robot.name, rows=rows)]
+    tables: list[Any] = [console.table("plan", robot.name, rows=rows)]
     if result.corners is not None:
         tables += ["", _corner_table(robot, result.corners)]
     console.show(*tables)

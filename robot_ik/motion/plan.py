@@ -222,11 +222,13 @@ def plan(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _checked_pairs(allowed: Any) -> tuple[tuple[str, ...], ...]:
+def _checked_pairs(allowed: Any) -> tuple[tuple[str, str], ...]:
     """Return the pairs as tuples; ``CollisionAvoidance`` checks the names."""
-    if isinstance(allowed, str) or not np.iterable(allowed):
+    is_list = np.iterable(allowed) and not isinstance(allowed, str)
+    pairs = list(allowed) if is_list else [allowed]
+    if any(isinstance(pair, str) or np.size(pair) != 2 for pair in pairs):
         raise OptionError("allowed", f"{allowed!r}", 'pairs of names: [("gripper", "part")]')
-    return tuple(pair if isinstance(pair, str) else tuple(pair) for pair in allowed)
+    return tuple((first, second) for first, second in pairs)
 
 
 def _task_goals(goal: Any) -> list[Goal] | None:

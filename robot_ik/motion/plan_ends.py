@@ -190,7 +190,7 @@ def goal_postures(
         seed: Seed of the other starts.
     """
     problem = Problem(robot, goals, solver=solver, tolerance=tolerance, seed=seed, collisions=rest)
-    moved = moved_numbers(problem)
+    moved = np.asarray(moved_numbers(problem), dtype=np.int64)
     solution = problem.solve(start)
     if not solution.converged:
         return GoalPostures(np.empty((0, robot.nq)), solution, moved)

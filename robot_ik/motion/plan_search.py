@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,11 @@ RESERVE = 0.003
 """m. Samples of an edge keep this beside the margin: then nearly all edges can be proven."""
 
 RESERVE_SHARES = (1.0, 0.25, 0.0)
-"""Shares of the reserve, in one search after the other. A passage may be too narrow for all of it."""
+"""Shares of the reserve in one search after the other. A passage may be too narrow for it all."""
 
-RESOLUTION = 1.0 / 32.0
-"""rad or m. Largest distance of two samples of an edge."""
+RESOLUTION = 1.0 / 12.0
+"""rad or m. Largest distance of two samples of an edge. The samples only find most contacts
+cheaply: every edge of a path is proven."""
 
 LONGEST_EDGE = 1.0
 """rad or m. Longest edge of a tree."""
@@ -116,7 +118,7 @@ class _Search:
         self.edges["margin"] = collisions.margin
         self.edges["resolution"] = RESOLUTION
         sizes = {"nq": robot.nq, "c": MOST_NODES, "w": MOST_CORNERS}
-        given = {"edges": self.edges, "lower": box[0].copy(), "upper": box[1].copy()}
+        given: dict[str, Any] = {"edges": self.edges, "lower": box[0].copy(), "upper": box[1].copy()}
         self.trees = tree_search.TREE_SEARCH.allocate(sizes, given)
         self.trees["longest"] = LONGEST_EDGE
         self.shortcut = path_shortcut.SHORTCUT.allocate(sizes, {"edges": self.edges})
