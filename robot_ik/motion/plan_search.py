@@ -118,7 +118,11 @@ class _Search:
         self.edges["margin"] = collisions.margin
         self.edges["resolution"] = RESOLUTION
         sizes = {"nq": robot.nq, "c": MOST_NODES, "w": MOST_CORNERS}
-        given: dict[str, Any] = {"edges": self.edges, "lower": box[0].copy(), "upper": box[1].copy()}
+        given: dict[str, Any] = {
+            "edges": self.edges,
+            "lower": box[0].copy(),
+            "upper": box[1].copy(),
+        }
         self.trees = tree_search.TREE_SEARCH.allocate(sizes, given)
         self.trees["longest"] = LONGEST_EDGE
         self.shortcut = path_shortcut.SHORTCUT.allocate(sizes, {"edges": self.edges})
