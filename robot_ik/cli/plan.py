@@ -150,13 +150,10 @@ def _pairs(items: Sequence[str], option: str) -> list[tuple[str, str]]:
 
 def _collisions(options: PlanOptions, robot: Robot) -> CollisionAvoidance:
     """Return the condition: the robot among the obstacles of the scene file."""
-    from robot_ik.collision.avoidance import CollisionAvoidance
-    from robot_ik.collision.obstacle_file import load_obstacles
-    from robot_ik.collision.scene import Scene
+    from robot_ik.jobs.obstacles import condition_among
 
-    obstacles = () if options.scene is None else load_obstacles(options.scene)
     ignore = _pairs(options.ignore, "--ignore")
-    return CollisionAvoidance(Scene(robot, obstacles), options.margin, ignore=ignore)
+    return condition_among(robot, options.scene, options.margin, ignore)
 
 
 def plan_facts(robot: Robot, result: Plan, options: PlanOptions) -> dict[str, Any]:

@@ -111,6 +111,35 @@ def test_an_existing_file_is_kept(robot_ik, tmp_path):
     assert out.read_text() == "mine"
 
 
+def test_reach_refuses_a_blocked_motion_and_goes_round_with_avoid(robot_ik, tmp_path):
+    robot = rik.load_robot("puma560")
+    goal = robot.home.copy()
+    goal[0] += 0.9
+    middle = robot.forward(0.5 * (robot.home + goal)).position
+    position = " ".join(map(str, middle.tolist()))
+    post = f'<geom name="post" type="box" size=".02 .02 .1" pos="{position}"/>'
+    file = tmp_path / "post.xml"
+    file.write_text(f"<mujoco><worldbody>{post}</worldbody></mujoco>")
+    scene = rik.Scene(robot, load_obstacles(file))
+    assert scene.free(robot.home, 0.006)
+    assert scene.free(goal, 0.006)
+    pose = robot.forward(goal)
+    numbers = [*pose.position.tolist(), *pose.wxyz.tolist()]
+    out = tmp_path / "reach"
+    common = ("reach", "--bus", "sim", "--goal", *numbers, "--scene", file, "--out", out)
+    refused = robot_ik(*common, "--overwrite")
+    assert refused.code == 1
+    assert "would touch post" in refused.err
+    round_it = robot_ik(*common, "--overwrite", "--avoid", "--json")
+    assert round_it.code == 0, round_it
+    motion = rik.Trajectory.load_csv(out / "trajectory.csv")
+    assert len(motion) > 10
+    assert all(scene.clearance(q).distance > 0.0045 for q in motion.q)
+    robot_ik("reach", "--avoid", "--line").assert_one_screen_error()
+    robot_ik("reach", "--avoid", "--follow").assert_one_screen_error()
+    robot_ik("reach", "--scene", tmp_path / "missing.xml").assert_one_screen_error()
+
+
 WALL = """<mujoco><worldbody>
   <geom name="wall" type="box" size=".01 3 3"/>
   <body name="car"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
