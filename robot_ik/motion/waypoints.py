@@ -10,7 +10,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.errors import MotionBlockedError, TrajectoryError
@@ -145,7 +144,7 @@ def _free_cuts(corners: Array, collisions: CollisionAvoidance) -> Array:
         for cut in of_corner
     ]
     free = collisions.free(np.concatenate(rows)).reshape(len(longest), CUTS, CUT_POINTS)
-    is_free: NDArray[np.bool_] = free.all(axis=2)
+    is_free = np.asarray(free.all(axis=2))
     first = np.argmax(is_free, axis=1)
     chosen = tried[np.arange(len(longest)), first]
     cuts[1:-1] = np.where(is_free.any(axis=1), chosen, 0.0)
