@@ -55,8 +55,9 @@ class PlanStatus(enum.Enum):
 
 
 _BLOCKED = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
-_NO_SEARCH = SearchResult(None, 0, 0, (0, 0), False)
 _BUDGET = Budget()
+# NumPy takes seeds from 0: a negative seed counts from the end.
+_SEEDS = 1 << 62
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,14 +207,15 @@ def plan(
     if task_goals is None:
         goal_q = joint_vector(robot, goal, "goal")  # type: ignore[arg-type]
         require_inside(robot, goal_q)
-    planner = _Planner(robot, contacts, limits, rate, budget or _BUDGET, int(seed))
+    seed = int(seed) % _SEEDS
+    planner = _Planner(robot, contacts, limits, rate, budget or _BUDGET, seed)
     if not contacts.rest.free(first):
         result = planner.blocked(PlanStatus.START_BLOCKED, first)
     elif task_goals is None:
         result = planner.to_postures(first, np.array([goal_q]), np.zeros(0, dtype=np.int64))
     else:
         ends = goal_postures(
-            robot, task_goals, first, contacts.rest, solver, tolerance or Tolerance(), int(seed)
+            robot, task_goals, first, contacts.rest, solver, tolerance or Tolerance(), seed
         )
         if len(ends.rows):
             result = planner.to_postures(first, ends.rows, ends.moved)

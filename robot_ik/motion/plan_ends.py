@@ -133,14 +133,15 @@ class Contacts:
         before = min(self.allowed.clearance(end).distance, self.collisions.margin)
         return bool(self.allowed.clearance(q).distance < before - DEEPENING)
 
-    def _simplified(self, rows: Array) -> Array:
-        """Return the ends of the way (k, nq) if the straight line between them will do."""
+    def _simplified(self, rows: Array) -> Array | None:
+        """Return a way (k, nq) that is proven: its ends alone if they will do; None if it is not."""
         shares = np.linspace(0.0, 1.0, len(rows))[1:-1, None]
         between = rows[0] + shares * (rows[-1] - rows[0])
-        if any(self._is_deeper(rows[0], q) for q in between):
-            return rows
         ends = rows[[0, -1]]
-        return ends if is_certified(ends, self.rest) else rows
+        deeper = any(self._is_deeper(rows[0], q) for q in between)
+        if not deeper and is_certified(ends, self.rest):
+            return ends
+        return rows if is_certified(rows, self.rest) else None
 
 
 def is_certified(rows: Array, collisions: CollisionAvoidance) -> bool:

@@ -14,9 +14,13 @@ import numpy as np
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.errors import MotionBlockedError, TrajectoryError
 from robot_ik.geometry import Array
-from robot_ik.motion.certificate import certify
 from robot_ik.motion.timing import Profile, fastest_timing, trapezoid
-from robot_ik.motion.trajectory import MOST_SAMPLES, Trajectory, sample_count
+from robot_ik.motion.trajectory import (
+    MOST_SAMPLES,
+    Trajectory,
+    certified_trajectory,
+    sample_count,
+)
 from robot_ik.robot import Robot
 
 SAME_CORNER = 1e-9
@@ -70,14 +74,14 @@ def waypoint_move(
     corners = _without_repetition(corners)
     if len(corners) == 1:
         still = Trajectory([0.0], corners, robot.joints)
-        return _with_certificate(still, collisions)
+        return certified_trajectory(still, robot, collisions)
     cuts = _free_cuts(corners, collisions)
     for _ in range(MOST_ROUNDS):
         if not cuts.any():
             break
         trajectory = _timed(corners, cuts, limits, rate, robot.joints)
         try:
-            trajectory = _with_certificate(trajectory, collisions)
+            trajectory = certified_trajectory(trajectory, robot, collisions)
         except MotionBlockedError:
             cuts = 0.5 * cuts
             continue
@@ -85,7 +89,8 @@ def waypoint_move(
             return trajectory
         cuts = 0.5 * cuts
     stops = np.zeros(len(corners))
-    return _with_certificate(_timed(corners, stops, limits, rate, robot.joints), collisions)
+    stopping = _timed(corners, stops, limits, rate, robot.joints)
+    return certified_trajectory(stopping, robot, collisions)
 
 
 def joined(parts: Sequence[Trajectory], certified: bool) -> Trajectory:
@@ -103,16 +108,6 @@ def joined(parts: Sequence[Trajectory], certified: bool) -> Trajectory:
     clearance = min(part.clearance or 0.0 for part in parts) if certified else None
     return Trajectory(
         np.concatenate(times), np.concatenate(rows), parts[0].joints, clearance=clearance
-    )
-
-
-def _with_certificate(trajectory: Trajectory, collisions: CollisionAvoidance) -> Trajectory:
-    """Return the trajectory with its certificate, if there is one."""
-    certificate = certify(trajectory.q, collisions, trajectory.times)
-    if not certificate.certified:
-        return trajectory
-    return Trajectory(
-        trajectory.times, trajectory.q, trajectory.joints, clearance=certificate.clearance
     )
 
 

@@ -137,7 +137,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_another_path():
     avoid = rik.CollisionAvoidance(rik.Scene(robot, rack((0.5, 0.0, 0.5))), margin=MARGIN)
     start, goal = blocked_ends(avoid, 1)[0]
     first, again, other = (
-        rik.plan(robot, start, goal, collisions=avoid, seed=seed) for seed in (4, 4, 5)
+        rik.plan(robot, start, goal, collisions=avoid, seed=seed) for seed in (4, 4, -5)
     )
     assert np.array_equal(first.require().q, again.require().q)
     assert np.array_equal(first.require().times, again.require().times)
