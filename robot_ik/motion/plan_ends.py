@@ -134,7 +134,7 @@ class Contacts:
         return bool(self.allowed.clearance(q).distance < before - DEEPENING)
 
     def _simplified(self, rows: Array) -> Array | None:
-        """Return a way (k, nq) that is proven: its ends alone if they will do; None if it is not."""
+        """Return a proven way (k, nq), its ends alone if they will do; None without a proof."""
         shares = np.linspace(0.0, 1.0, len(rows))[1:-1, None]
         between = rows[0] + shares * (rows[-1] - rows[0])
         ends = rows[[0, -1]]
