@@ -25,10 +25,10 @@ from robot_ik.solution import Solution
 from robot_ik.solvers.avoiding import moved_numbers
 from robot_ik.solvers.base import Solver
 
-MOST_STARTS = 12
+MAX_STARTS = 12
 """Random starts from which other postures of a goal are searched."""
 
-MOST_POSTURES = 8
+MAX_POSTURES = 8
 """Postures of a goal that are kept."""
 
 SAME_POSTURE = 0.1
@@ -200,7 +200,7 @@ def goal_postures(
     if others is None:
         others = _other_solutions(problem, start, moved, seed)
     for q in others:
-        if len(postures) == MOST_POSTURES:
+        if len(postures) == MAX_POSTURES:
             break
         if all(np.abs(q - known).max() > SAME_POSTURE for known in postures):
             postures.append(q)
@@ -215,7 +215,7 @@ def _other_solutions(
     """Return solutions from random starts. Joints that move no goal stay as at ``start`` (nq,)."""
     rng = np.random.default_rng(seed)
     solutions = []
-    for _ in range(MOST_STARTS):
+    for _ in range(MAX_STARTS):
         problem.seed = int(rng.integers(1 << 31))  # else each solve restarts at the same postures
         other_start = start.copy()
         other_start[moved] = problem.robot.sample(rng)[moved]

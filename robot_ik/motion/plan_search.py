@@ -36,10 +36,10 @@ FIRST_ITERATIONS = 1024
 """Iterations after which the first search begins anew. A new search is often quicker than an old
 one. Each time when all shares of the reserve have been tried, the number is doubled."""
 
-MOST_DOUBLINGS = 8
+MAX_DOUBLINGS = 8
 """Doublings of the iterations. More would not fit the trees."""
 
-MOST_NODES = 16_384
+MAX_NODES = 16_384
 """Nodes of a tree. A full tree ends its search."""
 
 SLICE = 64
@@ -51,7 +51,7 @@ SHORTCUTS = 100
 PATIENCE = 25
 """Shortcuts that fail one after the other before the path counts as short."""
 
-MOST_CORNERS = 512
+MAX_CORNERS = 512
 """Corners of a path while it is shortened."""
 
 
@@ -117,7 +117,7 @@ class _Search:
         self.edges = path_edges.EDGE_CHECK.allocate({"nq": robot.nq}, checks)
         self.edges["margin"] = collisions.margin
         self.edges["resolution"] = RESOLUTION
-        sizes = {"nq": robot.nq, "c": MOST_NODES, "w": MOST_CORNERS}
+        sizes = {"nq": robot.nq, "c": MAX_NODES, "w": MAX_CORNERS}
         given: dict[str, Any] = {
             "edges": self.edges,
             "lower": box[0].copy(),
@@ -135,7 +135,7 @@ class _Search:
         distances = np.zeros(len(postures))
         nearest = np.zeros(len(postures), dtype=np.int64)
         reach = self.edges["margin"] + 2.0 * RESERVE
-        collision.least_distances(address, postures, reach, distances, nearest)
+        collision.smallest_distances(address, postures, reach, distances, nearest)
         return np.clip(distances - self.edges["margin"], 0.0, reach)
 
     def run(self) -> SearchResult:
@@ -144,9 +144,9 @@ class _Search:
         while True:
             corners = self._search_once(restarts)
             out_of_time = self._is_late()
-            spent = self.trees["iterations"] >= self.budget.iterations
-            last = self.budget.restarts is not None and restarts >= self.budget.restarts
-            if corners is not None or spent or last or out_of_time:
+            is_spent = self.trees["iterations"] >= self.budget.iterations
+            is_last = self.budget.restarts is not None and restarts >= self.budget.restarts
+            if corners is not None or is_spent or is_last or out_of_time:
                 nodes = (self._tree("start_tree")["count"], self._tree("goal_tree")["count"])
                 iterations = self.trees["iterations"]
                 return SearchResult(corners, iterations, restarts, nodes, out_of_time)
@@ -169,8 +169,8 @@ class _Search:
         self.edges["reserve"] = reserve
         goals = np.ascontiguousarray(self.goals[self.rooms[1:] >= reserve])
         tree_search.begin_search(self.trees.address, self.start, goals, self._random_state())
-        most = FIRST_ITERATIONS * 2 ** min(cycle, MOST_DOUBLINGS)
-        end = min(self.budget.iterations, self.trees["iterations"] + most)
+        limit = FIRST_ITERATIONS * 2 ** min(cycle, MAX_DOUBLINGS)
+        end = min(self.budget.iterations, self.trees["iterations"] + limit)
         while True:
             if tree_search.join_straight(self.trees.address, len(goals)):
                 joined = True
@@ -185,7 +185,7 @@ class _Search:
                     return self._shortened(path)
 
     def _is_full(self) -> bool:
-        return max(self._tree(name)["count"] for name in ("start_tree", "goal_tree")) >= MOST_NODES
+        return max(self._tree(name)["count"] for name in ("start_tree", "goal_tree")) >= MAX_NODES
 
     def _random_state(self) -> int:
         """Return the first state of a generator of the kernels: not 0."""
@@ -245,7 +245,7 @@ class _Search:
     def _run_shortcuts(self, path: Array, *, proven: bool) -> Array:
         """Return a shorter path; ``proven`` accepts proven edges only, which takes longer."""
         shortcut = self.shortcut
-        if len(path) + 2 > MOST_CORNERS:
+        if len(path) + 2 > MAX_CORNERS:
             return path
         shortcut.arrays["path"][: len(path)] = path
         shortcut["count"] = len(path)

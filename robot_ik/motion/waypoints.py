@@ -16,7 +16,7 @@ from robot_ik.errors import MotionBlockedError, TrajectoryError
 from robot_ik.geometry import Array
 from robot_ik.motion.timing import Profile, fastest_timing, trapezoid
 from robot_ik.motion.trajectory import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     Trajectory,
     certified_trajectory,
     sample_count,
@@ -44,10 +44,10 @@ CUT_KNOTS = 12
 SLOWER = 1.002
 """Each slowdown aims below the bound by this factor, so that few rounds are needed."""
 
-MOST_SLOWDOWNS = 12
+MAX_SLOWDOWNS = 12
 """Rounds of slowing down."""
 
-MOST_ROUNDS = 3
+MAX_ROUNDS = 3
 """Rounds in which all cuts are halved, before the motion stops at each corner."""
 
 
@@ -76,7 +76,7 @@ def waypoint_move(
         still = Trajectory([0.0], corners, robot.joints)
         return certified_trajectory(still, robot, collisions)
     cuts = _free_cuts(corners, collisions)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         if not cuts.any():
             break
         trajectory = _timed(corners, cuts, limits, rate, robot.joints)
@@ -273,12 +273,12 @@ def _timed_between_stops(
     path = _SmoothPath.through(corners, cuts)
     profile = _profile_of(path, limits)
     duration = profile.duration
-    if not duration * rate <= MOST_SAMPLES:
+    if not duration * rate <= MAX_SAMPLES:
         raise TrajectoryError(
             f"the motion takes {duration:.3g} s, too many samples at {rate:g} Hz",
             hint="give a higher speed, higher velocity_limits or a lower rate",
         )
-    for _ in range(MOST_SLOWDOWNS):
+    for _ in range(MAX_SLOWDOWNS):
         count = max(1, sample_count(duration, rate))
         rows = path.points(profile.progress(np.arange(count + 1) / count))
         rows[0] = corners[0]
