@@ -291,6 +291,23 @@ def test_a_grasp_is_left_straight_and_only_the_allowed_pair_is_near():
     assert np.array_equal(back.require().q[-1], start)
 
 
+def test_an_arm_backs_out_of_a_part_that_its_hand_touches():
+    robot = rik.load_robot("puma560")
+    part = rik.Sphere("part", radius=0.02, pose=robot.forward(robot.home))
+    scene = rik.Scene(robot, [part])
+    assert scene.clearance(robot.home).distance < 0.0
+    avoid = rik.CollisionAvoidance(scene, margin=MARGIN)
+    goal = robot.home.copy()
+    goal[0] += 0.8
+    result = rik.plan(robot, robot.home, goal, collisions=avoid, allowed=[("hand", "part")])
+    trajectory = result.require()
+    assert trajectory.certified
+    distances = np.array([scene.clearance(q).distance for q in densely(trajectory.q)])
+    leaves = int(np.argmax(distances >= MARGIN))
+    assert distances[:leaves].min() >= distances[0] - 1e-3
+    assert distances[leaves:].min() >= MARGIN - 1e-6
+
+
 def test_a_gripper_moves_only_between_its_two_values():
     names = [*(f"joint{k}" for k in range(1, 6)), "gripper_joint_1", "gripper_joint_2"]
     robot = rik.load_robot("omx_f", joints=names)
