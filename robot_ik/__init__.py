@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     )
     from robot_ik.inverse_kinematics import solve, warm_up
     from robot_ik.motion.line import line_move
+    from robot_ik.motion.plan import Plan, PlanStatus, plan
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.pose_prior import PosePrior
@@ -81,6 +82,7 @@ _HOME = {
     ),
     "robot_ik.pose_prior": ("PosePrior",),
     "robot_ik.motion.line": ("line_move",),
+    "robot_ik.motion.plan": ("Plan", "PlanStatus", "plan"),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.budget": ("Budget",),
@@ -113,6 +115,8 @@ __all__ = [
     "Mesh",
     "NotConvergedError",
     "OrientationGoal",
+    "Plan",
+    "PlanStatus",
     "Plane",
     "PlaneGoal",
     "Pose",
@@ -149,6 +153,7 @@ __all__ = [
     "make_solver",
     "map_reachability",
     "open_robot",
+    "plan",
     "solve",
     "solve_all",
     "solve_batch",

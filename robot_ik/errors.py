@@ -622,5 +622,17 @@ class MotionBlockedError(TrajectoryError, CollisionError):
         )
 
 
+class PlanningError(TrajectoryError):
+    """``plan`` found no motion. Only ``Plan.require()`` raises it.
+
+    Attributes:
+        plan: The plan with its status.
+    """
+
+    def __init__(self, message: str, plan: object, *, hint: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.plan = plan
+
+
 NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
 """Errors that mean "tried and not achieved". All others mean wrong input or environment."""

@@ -50,6 +50,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "reach": ("reach", "see a marker, reach it, and let a camera judge: the whole product"),
     "solve": ("solve", "a goal in, joint angles out (JSON on stdout)"),
     "reachability": ("reachability", "where an arm can reach: a map, slices and a point cloud"),
+    "plan": ("plan", "a motion around obstacles, proven free"),
     "robots": ("listing", "the robots that come along, or one in detail"),
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
