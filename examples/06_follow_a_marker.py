@@ -1,10 +1,9 @@
-"""Follow a marker that moves in a circle, and print the lag of the gripper.
+"""Follows a marker that moves in a circle, with camera and servos simulated in virtual time.
 
     python examples/06_follow_a_marker.py           goals for the time at which they are used
     python examples/06_follow_a_marker.py late      goals for the time of their picture
 
-Camera and servos are simulated in virtual time, with ten pictures a second. The example prints the
-age of the pictures when they were used, and the distances of goal and gripper from the marker.
+Prints the age of the pictures when they were used, and the errors of the goals and of the gripper.
 """
 
 import sys
@@ -18,52 +17,38 @@ from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.targets import marker
 from robot_ik.jobs.scene import scene_for
 
-# Circle of the marker: radius in metres, angular speed in rad/s. The marker moves at 80 mm/s.
-RADIUS = 0.04
-SPEED = 2.0
-
 
 def main(late: bool = False) -> None:
-    """Follow the marker for three seconds."""
     arm = rik.open_robot("puma560", bus="sim")
     robot = arm.robot
     scene = scene_for(robot)
+    target = marker(scene.marker_id, scene.marker_size, scene.dictionary)
 
     def marker_pose(now: float) -> rik.Pose:
-        angle = SPEED * (now - begin)
-        position = (RADIUS * np.sin(angle), RADIUS * (1.0 - np.cos(angle)), 0.0)
+        angle = 2.0 * (now - begin)
+        position = (0.04 * np.sin(angle), 0.04 - 0.04 * np.cos(angle), 0.0)
         return scene.pose_world_marker @ rik.Pose(position)
 
-    goal_errors = []
-    tool_errors = []
+    errors = []
 
     def measure(tick) -> None:
-        target = (marker_pose(arm.clock.now()) @ scene.pose_marker_tool).position
+        wanted = (marker_pose(arm.clock.now()) @ scene.pose_marker_tool).position
         tool = robot.forward(tick.measured).position
-        goal_errors.append(np.linalg.norm(target - tick.goal.target.position))
-        tool_errors.append(np.linalg.norm(target - tool))
+        errors.append([np.linalg.norm(wanted - p) for p in (tick.goal.target.position, tool)])
 
     with arm:
         arm.enable()
         begin = arm.clock.now()
         synthetic = scene.synthetic(robot).with_marker(scene.marker_id, pose=marker_pose)
-        goals = MarkerGoalSource(
-            SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock),
-            scene.intrinsics,
-            marker(scene.marker_id, scene.marker_size, scene.dictionary),
-            scene.pose_world_camera,
-            scene.pose_marker_tool,
-            robot.tool,
-            predict=not late,
-            clock=arm.clock,
-        )
+        camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock)
+        poses = (scene.pose_world_camera, scene.pose_marker_tool)
+        options = {"frame": robot.tool, "predict": not late, "clock": arm.clock}
+        goals = MarkerGoalSource(camera, scene.intrinsics, target, *poses, **options)
+        follow = {"sinks": [arm], "solver": "lm", "source": arm, "duration": 3.0}
         with LatestGoals(goals, arm.clock, rate_hz=10.0) as latest:
-            rik.follow(
-                robot, latest, sinks=[arm], solver="lm", source=arm, duration=3.0, on_tick=measure
-            )
+            rik.follow(robot, latest, on_tick=measure, **follow)
 
-    goal = 1e3 * np.median(goal_errors[-80:])
-    tool = 1e3 * np.median(tool_errors[-80:])
+    goal, tool = 1e3 * np.median(errors[-80:], axis=0)
     print(f"pictures when they were used: {goals.picture_ages.summary()}")
     print(f"goal {goal:.1f} mm, gripper {tool:.1f} mm from where the marker was by then")
 
