@@ -58,10 +58,8 @@ def shade_factors(
     products = slopes[:, None] * weighted[None, :]
     matrix = np.bincount(places.ravel(), products.ravel(), side**4).reshape(side**2, side**2)
     right = np.bincount(nodes[:, used].ravel(), (weighted * grey[used]).ravel(), side**2)
-    matrix += _prior_information(side)
     # The prior mean is a factor of 1 at each node.
-    right += _FACTOR_SIGMA**-2
-    factors = np.linalg.solve(matrix, right)
+    factors = np.linalg.solve(matrix + _prior_information(side), right + _FACTOR_SIGMA**-2)
     return np.clip((shares * factors[nodes]).sum(axis=0), _MIN_FACTOR, _MAX_FACTOR)
 
 
