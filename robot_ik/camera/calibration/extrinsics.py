@@ -200,9 +200,8 @@ def locate_camera(
     weights = _weights(errors)
     squares = float(weights @ errors**2)
     redundancy = max(2.0 * float(weights.sum()) - 6.0, 0.0)
-    information = fit.jacobian.T @ fit.jacobian
-    covariance = np.linalg.pinv(information, hermitian=True)
-    covariance *= (_PRIOR + squares) / (_PRIOR + redundancy)
+    inverse = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, hermitian=True)
+    covariance = np.asarray((_PRIOR + squares) / (_PRIOR + redundancy) * inverse, dtype=float)
     pixels = view.sigma * float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
     depths = camera.inverse().apply(points)[:, 2]
     if not (np.isfinite(pixels) and depths.min() > 0.0):
