@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
-from robot_ik.config import read_text
+from robot_ik.config import read_text, shown
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal
@@ -176,7 +176,7 @@ def _load_trajectory(path: Path, robot: Robot) -> Trajectory:
     trajectory = Trajectory.load_csv(path)
     if tuple(trajectory.joints) != tuple(robot.joints):
         raise ConfigError(
-            f"has the joints {', '.join(trajectory.joints)}",
+            f"has the joints {shown(', '.join(trajectory.joints))}",
             file=path,
             key="line 1",
             allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
