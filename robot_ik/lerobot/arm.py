@@ -22,6 +22,7 @@ from robot_ik.hardware import bus_row, open_bus
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.model_check import model_limits
 from robot_ik.lerobot import calibration as calibrations
 from robot_ik.lerobot.bus_view import BusView
 from robot_ik.lerobot.config_arm import RobotIkArmConfig
@@ -31,7 +32,7 @@ from robot_ik.lerobot.scene_camera import SceneCamera
 from robot_ik.lerobot.units import Units
 from robot_ik.ports import Array, RealClock
 from robot_ik.robot import load_robot
-from robot_ik.robot_arm import RobotArm, model_limits, open_robot, robot_of_arm
+from robot_ik.robot_arm import RobotArm, open_robot, robot_of_arm
 
 log = logging.getLogger(__name__)
 
@@ -215,8 +216,9 @@ class RobotIkArm(Robot):  # type: ignore[misc, unused-ignore]
         """Return the arm file of a real arm with the zeros of the calibration file."""
         if self._is_virtual or not self.calibration:
             return arm_file
-        limits = model_limits(load_robot(arm_file.robot, joints=arm_file.names))
-        return calibrations.with_calibration(arm_file, self.calibration_fpath, limits)
+        return calibrations.with_calibration(
+            arm_file, self.calibration_fpath, model_limits(arm_file)
+        )
 
     def _open_arm(self) -> None:
         on_exit = None if self.config.disable_torque_on_disconnect else "hold"

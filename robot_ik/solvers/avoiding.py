@@ -3,6 +3,7 @@
 The method solves without regard to collisions. If its solution touches, another one is searched:
 
     closed form      the nearest free branch. If none is free or singular, that is a proof.
+    seven hinges     first of all a closed form for each angle of the last joint, see ``swept.py``
     other methods    the same method from other starts, first near the start, then anywhere
 
 Only a solution that keeps the margin is CONVERGED. The compiled check decides. If it
@@ -27,14 +28,15 @@ from robot_ik.solution import Solution, Status
 from robot_ik.solvers.analytic import Analytic, PreparedClosedForm
 from robot_ik.solvers.analytic.branch import listed_branches
 from robot_ik.solvers.analytic.five_joint import PreparedFiveJoint
-from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared
+from robot_ik.solvers.analytic.swept import PreparedSwept, last_joint_of
+from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared, run_each
 
 if TYPE_CHECKING:
     from robot_ik.budget import Budget
     from robot_ik.problem import Problem
 
 # Starts that are tried after a solution that touches, if the budget has no limit of restarts.
-_MOST_STARTS = 200
+_MAX_STARTS = 200
 # The share of the way to a random posture grows by this from start to start.
 _SHARE_STEP = 0.25
 # Random restarts of the method from each start.
@@ -42,7 +44,8 @@ _RESTARTS_EACH = 10
 # Below this smallest singular value of its Jacobian a branch is one of a continuum.
 _SINGULAR = 1e-6
 # Methods whose solution may be replaced by another branch.
-_WITH_BRANCHES = ("auto", "analytic")
+_AUTO = "auto"
+_WITH_BRANCHES = (_AUTO, "analytic")
 
 
 class PreparedAvoiding:
@@ -64,6 +67,10 @@ class PreparedAvoiding:
             self._closed_form = Analytic().prepare(problem)
         self._memory = collisions.memory()
         self._address = self._memory.address
+        self._swept: PreparedSwept | None = None
+        last = last_joint_of(problem) if problem.solver.name == _AUTO else None
+        if last is not None:
+            self._swept = PreparedSwept(last, problem, self._memory, collisions.margin)
         announce()
         example = np.zeros(problem.robot.nq)
         arguments = self._address, example, collisions.margin
@@ -80,6 +87,11 @@ class PreparedAvoiding:
 
     def run(self, problem: Problem, budget: Budget) -> Solution:
         """Solve, and look for a free solution if the first one touches."""
+        if self._swept is not None:
+            swept = self._swept.run(problem, budget)
+            if swept is not None:
+                swept.avoidance = self.collisions
+                return swept
         solution = self.method.run(problem, budget)
         solution.avoidance = self.collisions
         if solution.status is not Status.CONVERGED or self.is_free(solution.q):
@@ -107,6 +119,9 @@ class PreparedAvoiding:
         budget: Budget,
     ) -> None:
         """Solve all rows, then look for free solutions of the rows that touch."""
+        if self._swept is not None:
+            run_each(self, problem, targets, starts, results, budget)
+            return
         self.method.run_many(problem, targets, starts, results, budget)
         converged = np.flatnonzero(results.status == Status.CONVERGED)
         free = self.collisions.free(results.q[converged].reshape(-1, problem.robot.nq))
@@ -163,7 +178,7 @@ class PreparedAvoiding:
         """Return a free solution from another start, else ``first`` as BLOCKED_BY_COLLISION."""
         rng = np.random.default_rng(problem.seed)
         max_starts = (
-            _MOST_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
+            _MAX_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
         )
         for attempt in range(max_starts):
             seconds = None
