@@ -290,11 +290,16 @@ class _Leaving:
         bus, left = self._bus, self.left
         torque, goal = (shared_register(self._config, name) for name in ("torque_enable", "goal_position"))
         armed = self._config.family.capabilities.bus_watchdog
+        goal_enables_torque = self._config.family.capabilities.goal_enables_torque
         while left and bus.is_open and bus.clock.now() < self._end:
             with self.step("hold"):
                 if armed:
                     bus.sync_write(shared_register(self._config, "bus_watchdog"), dict.fromkeys(left, 0))
-                bus.sync_write(goal, {id: goals[id] for id in left})
+                if goal_enables_torque:
+                    # A goal would give torque to a servo that has none, without its speed limit.
+                    powered = bus.sync_read(list(left), torque)
+                    self.limp = {id for id in left if powered[id].data == 0}
+                bus.sync_write(goal, {id: goals[id] for id in left if id not in self.limp})
                 there = bus.sync_read(list(left), goal)
                 powered = bus.sync_read(list(left), torque)
                 self.limp = {id for id in left if powered[id].data == 0}
