@@ -65,6 +65,9 @@ At 100 Hz and one lost packet in ten, a servo has two unanswered requests within
 It has eight once in a thousand cycles.  That cycle does not ask this servo.
 """
 
+SHORTENED = (0, 1)
+"""Bytes of data that a late reply may lack although its checksum is right."""
+
 MAX_PLANS = 1000
 """Number of group reads whose bytes are kept."""
 
@@ -155,7 +158,9 @@ class _Unanswered(dict[tuple[int, int], float]):
 
     def _free_lengths(self, id: int, register: Register) -> Iterator[int]:
         """Yield the numbers of extra bytes that no late reply of this servo has."""
-        return (extra for extra in range(LENGTHS) if (id, register.size + extra) not in self)
+        for extra in range(LENGTHS):
+            if all((id, register.size + extra + lost) not in self for lost in SHORTENED):
+                yield extra
 
 
 _NO_IDS: frozenset[int] = frozenset()

@@ -4,9 +4,13 @@
     python docs/make/measure_wrong_replies.py --values 5000      fewer
 
 A bus drives six simulated servos on virtual time. Their registers hold other numbers before every
-call. A share of the status packets is late, short, foreign, damaged, lost or out of order.
+call. A share of the status packets is late, short, foreign, damaged, lost, doubled or out of order.
 A value is wrong if its register did not hold it during the call. A read without a value is not
 wrong: the program learns that it has none.
+
+The two copies of a doubled reply arrive together, in time or late, as an adapter delivers them. A
+copy that arrives while the next request is sent is not covered: on a half-duplex wire it would
+collide with that request.
 """
 
 from __future__ import annotations
@@ -46,9 +50,8 @@ LATENESS = (0.002, 0.15)
 SPOIL_SHARE = 0.02
 """Share of the status packets that are spoilt, for each way of spoiling."""
 
-EXCLUDED = ("late", "duplicate")
-"""Ways of spoiling that are not used. The port itself makes replies late. A servo does not send a
-reply twice, and the second copy of a late one could not be told from a reply."""
+EXCLUDED = ("late",)
+"""Ways of spoiling that are not used: the port itself makes replies late."""
 
 MODELS = {"dynamixel_x": "XM430-W350", "feetech_sts": "STS3215"}
 """Servo family -> model that is measured."""
