@@ -34,7 +34,8 @@ def test_every_fault_of_the_page_has_its_test():
         for node in ast.parse(file.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef) and node.name.startswith("test_row_"):
                 rows[int(node.name[-2:])] = ast.get_docstring(node)
-    listed = re.findall(r"^\| (\d+) \| ([^|]+) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    section = PAGE.read_text(encoding="utf-8").partition("## The 26 faults\n")[2]
+    listed = re.findall(r"^\| (\d+) \| ([^|]+) \|", section, re.MULTILINE)
     assert [(int(number), name.strip()) for number, name in listed] == sorted(rows.items())
     assert sorted(rows) == list(range(1, 27))
 
