@@ -54,9 +54,9 @@ class WaitingPort(InProcessPort):
         self._pass(len(data) * self.seconds_per_byte if data or length <= 0 else left + 1e-6)
         return data
 
-    def drain(self, quiet: float, longest: float = 0.1) -> None:
-        super().drain(quiet)
-        self._pass(quiet)
+    def drain(self, quiet: float) -> None:
+        while self.receive(self._clock.now() + quiet):
+            pass
 
     # those of a real port
     setPacketTimeout = SleepingPortHandler.setPacketTimeout
