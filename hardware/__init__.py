@@ -1,4 +1,4 @@
-"""Servos: joint values to a bus and back, with checks. Import as ``robot_ik.hardware``.
+"""Servos: joint values to a bus and back, with safety checks. Import as ``robot_ik.hardware``.
 
 ``open_arm(ArmConfig.load(...), "pty")`` returns an arm. ``BUSES`` lists the ways to reach servos.
 Importing this package opens nothing and loads neither the SDK nor pyserial.
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.pty import PtyPort
     from robot_ik.ports import Clock
+    from robot_ik.robot import Robot
 
 __all__ = [
     "BUSES",
@@ -127,10 +128,12 @@ def open_arm(
     virtual_bus: VirtualBus | None = None,
     start: ArrayLike | Mapping[str, float] | None = None,
     park_at: ArrayLike | Mapping[str, float] | None = None,
+    robot: Robot | None = None,
 ) -> Arm:
     """Return an arm on a bus, not connected yet.
 
-    A ``with`` block connects it. ``Arm.enable`` switches torque on.
+    A ``with`` block connects it. ``Arm.enable`` switches torque on. If a calibration is beside the
+    arm file, the model must be the one that was calibrated. This check cannot be skipped.
 
     Args:
         config: Arm file.
@@ -140,14 +143,18 @@ def open_arm(
             default new servos without faults.
         start: (n,) rad. Joint values of the new servos at first.
         park_at: (n,) rad, for ``park``; by default the pose at which the arm was enabled.
+        robot: Model of the arm; by default the robot that the arm file names.
 
     Raises:
+        CalibrationMismatchError: The model is not the one of the calibration.
         ConfigError: ``config`` is no ``ArmConfig``, ``on_exit`` or ``start`` is impossible, or
             ``virtual_bus`` or ``start`` is given for a real port.
     """
     from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.model_check import check_own_model
 
     servos = _servos(config, bus, virtual_bus, start)
+    check_own_model(config, robot)
     made = bus_row(bus).make(bus, config, servos)
     return Arm(config, made, on_exit=on_exit, park_at=park_at)
 

@@ -19,20 +19,20 @@ import itertools
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BusStatus, ServoBus
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.family import CycleBlock
 from robot_ik.hardware.models import control_table
-from robot_ik.hardware.registers import ControlTable, Register
+from robot_ik.hardware.registers import Register
 from robot_ik.hardware.servo import Drive, StopAt
 
 log = logging.getLogger(__name__)
 
-_PARTS = ("torque_enable", "present_position")
-_BLOCK = "torque and position"
+_SHORT = "torque and position"
+"""Name of the register that holds torque and position only."""
 
 SUSTAINED = 0.5
 """s for which every sample of a servo must be beyond its threshold.
@@ -60,10 +60,6 @@ class Measurement(NamedTuple):
     torque: bool | None
 
 
-_Block = tuple[Register, list[Register]]
-"""Bytes of one servo that are read at once, and the registers in them."""
-
-
 class Feedback:
     """Which register is read from each servo, and what its value means.
 
@@ -77,7 +73,8 @@ class Feedback:
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
-        self._blocks: dict[int, _Block] = {}  # blocks longer than torque and position
+        # Blocks longer than torque and position.
+        self._blocks: dict[int, CycleBlock] = {}
         self._thresholds = {
             drive.id: Thresholds(drive)
             for drive in config.drives
@@ -104,35 +101,41 @@ class Feedback:
         for id, servo in self._servos.items():
             with contextlib.suppress(ConfigError):  # unknown firmware: keep the usual table
                 self._tables[id] = control_table(servo.model, firmware[id])
-        for id, table in self._tables.items():
-            try:
-                parts = _PARTS + (_health_of(table) if id in self._thresholds else ())
-                block = _indirect_block(bus, id, table, parts)
-                size = sum(table[name].size for name in _PARTS)  # first bytes of the block
-                self.registers[id] = Register(_BLOCK, block[0].address, size, signed=True)
-                if id in self._thresholds:
-                    self._blocks[id] = block
-            except (HardwareError, KeyError) as error:
-                if not bus.is_open:
-                    raise
-                log.info("servo %d takes no indirect addresses and is read plainly: %s", id, error)
-                self.read_plainly(id)
+        if self._family.capabilities.indirect_addresses:
+            for id in self._tables:
+                self._read_indirectly(bus, id)
         bus.use_fast_reads(
             [id for id, table in self._tables.items() if "fast_read" in table.abilities]
         )
 
+    def _read_indirectly(self, bus: ServoBus, id: int) -> None:
+        """Read this servo by its indirect addresses if it takes them, otherwise plainly."""
+        with_health = id in self._thresholds
+        try:
+            block = self._family.short_block(bus, id, self._tables[id], with_health=with_health)
+        except HardwareError as error:
+            if not bus.is_open:
+                raise
+            log.info("servo %d takes no indirect addresses and is read plainly: %s", id, error)
+            self.read_plainly(id)
+            return
+        size = sum(part.size for part in block.parts[:2])  # torque and position come first
+        self.registers[id] = Register(_SHORT, block.register.address, size, signed=True)
+        if with_health:
+            self._blocks[id] = block
+
     def read_plainly(self, id: int) -> None:
         """Read this servo without its indirect addresses from now on. That takes more bytes."""
-        register, parts = self._family.plain_block(self._tables[id])
-        self._blocks[id] = register, list(parts)
-        self.registers[id] = self._blocks[id][0]
+        block = self._family.plain_block(self._tables[id])
+        self._blocks[id] = block
+        self.registers[id] = block.register
 
     def asked(self) -> Mapping[int, Register]:
         """Return servo id -> register of the next cycle, with the full block of one servo."""
         if not self._thresholds:
             return self.registers
         turn = next(self._turns)
-        self._asked = {**self.registers, turn: self._blocks[turn][0]}
+        self._asked = {**self.registers, turn: self._blocks[turn].register}
         return self._asked
 
     def measurement(self, status: BusStatus, now: float) -> Measurement:
@@ -141,11 +144,11 @@ class Feedback:
         id = status.id
         if value is None:
             return Measurement(None, None)
-        if self._asked[id].name == _BLOCK:
+        if self._asked[id].name == _SHORT:
             torque = bool(value & 0xFF)
             return Measurement(value >> 8 if torque else None, torque)
-        block, parts = self._blocks[id]
-        values = block.take_apart(value, parts)
+        block = self._blocks[id]
+        values = block.register.take_apart(value, block.parts)
         if not self._family.is_in_control(values):
             return Measurement(None, False)
         if id in self._thresholds:
@@ -205,31 +208,3 @@ class Thresholds:
                     "let it cool. Then run robot-ik servo reset-fault, or call Arm.reset_fault()",
                 )
         return None
-
-
-def _health_of(table: ControlTable) -> tuple[str, ...]:
-    """Return the registers read beyond torque and position: five bytes, so the block has ten."""
-    effort = "present_current" if "present_current" in table else "present_load"
-    return (effort, "present_temperature", "present_input_voltage")
-
-
-def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _Block:
-    """Return the block of a servo after its indirect addresses point at the parts.
-
-    Raises:
-        HardwareError: The servo does not take the addresses or does not answer.
-        KeyError: The servo has no indirect addresses.
-    """
-    addresses = [a for name in parts for a in range(table[name].address, table[name].end)]
-    first = table["indirect_address_1"]
-    data = table["indirect_data_1"]
-    size = 2 * len(addresses)
-    pointers = Register("indirect addresses", first.address, size, writable=True)
-    wanted = int.from_bytes(b"".join(a.to_bytes(2, "little") for a in addresses), "little")
-    if bus.read(id, pointers).data != wanted:
-        bus.write(id, pointers, wanted)
-        if bus.read(id, pointers).data != wanted:
-            raise HardwareError("the indirect addresses read back otherwise")
-    block = Register("torque, position and health", data.address, len(addresses), signed=True)
-    registers = [table[name] for name in parts]
-    return block, [replace(r, address=data.address + addresses.index(r.address)) for r in registers]
