@@ -50,7 +50,7 @@ NEARBY = 0.05
 """m. A tool action this near to the last command must not change the way the tool is held."""
 
 
-class RobotIkArm(Robot):  # type: ignore[misc, unused-ignore]
+class RobotIkArm(Robot):
     """An arm of servos with limits, caps and an exit policy, driven by LeRobot.
 
     A simulated arm has the zeros of its arm file. A real one has those of LeRobot's calibration

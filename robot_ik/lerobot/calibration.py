@@ -12,7 +12,8 @@ from pathlib import Path
 
 from robot_ik.errors import HardwareError
 from robot_ik.files import write_atomically
-from robot_ik.hardware.bus import ServoBus, read_all
+from robot_ik.hardware.arm_registers import read_all
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.lerobot_calibration import FULL_TURN, MotorCalibration, load_lerobot

@@ -21,7 +21,7 @@ BACKGROUND = 200
 """Grey level of the table and of the wall."""
 
 
-class SceneCamera(Camera):  # type: ignore[misc, unused-ignore]
+class SceneCamera(Camera):
     """Draws one picture a call. There is no thread and no waiting.
 
     Args:

@@ -9,7 +9,7 @@ import pytest
 
 from robot_ik.errors import ConfigError
 from robot_ik.hardware import open_bus, simulated_servos
-from robot_ik.hardware.bus import read_all
+from robot_ik.hardware.arm_registers import read_all
 from robot_ik.hardware.calibration import CalibrationMismatchError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.servo import Joint
