@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robot_ik.budget import Budget
     from robot_ik.chain import DHRow, from_dh, make_chain
     from robot_ik.collision.avoidance import CollisionAvoidance
+    from robot_ik.collision.obstacle_file import load_obstacles
     from robot_ik.collision.obstacles import Box, Capsule, Cylinder, Mesh, Plane, Sphere
     from robot_ik.collision.scene import Clearance, Scene, load_scene
     from robot_ik.errors import NotConvergedError, RobotIkError
@@ -57,6 +58,7 @@ _HOME = {
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("DHRow", "from_dh", "make_chain"),
     "robot_ik.collision.avoidance": ("CollisionAvoidance",),
+    "robot_ik.collision.obstacle_file": ("load_obstacles",),
     "robot_ik.collision.obstacles": ("Box", "Capsule", "Cylinder", "Mesh", "Plane", "Sphere"),
     "robot_ik.collision.scene": ("Clearance", "Scene", "load_scene"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
@@ -136,6 +138,7 @@ __all__ = [
     "from_dh",
     "joint_move",
     "line_move",
+    "load_obstacles",
     "load_robot",
     "load_scene",
     "make_chain",

@@ -46,7 +46,8 @@ class TeleopOptions:
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
     is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
-    leader is back they are engaged anew. Ctrl-C ends it. The leader is always left without torque.
+    leader is back they are engaged anew. With [collisions] in its arm file the follower stops before it
+    would touch. Ctrl-C ends it. The leader is always left without torque.
 
     Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or environment.
     130: Ctrl-C.
@@ -73,9 +74,11 @@ def run(options: TeleopOptions) -> int:
     """Leads; 1 where an arm failed."""
     _check(options)
     from robot_ik.jobs.teleop import LeaderArm, open_pair, teleoperate
+    from robot_ik.workcell.arm_guard import guard_of
 
     follower_file = load_arm(options.follower)
     require_model(follower_file)
+    guard = guard_of(follower_file)
     leader_file = None if options.leader in (KEYS, GAMEPAD) else load_arm(options.leader)
     if leader_file is not None:
         require_model(leader_file)
@@ -92,7 +95,14 @@ def run(options: TeleopOptions) -> int:
             operator = made(stack, follower, follower_file, options)
         # The keys of the terminal have another reader.
         stack.enter_context(driving(follower, space=options.leader != KEYS))
-        teleoperate(operator, follower, seconds=options.seconds, over=lambda: operator.over, done=_show)
+        teleoperate(
+            operator,
+            follower,
+            seconds=options.seconds,
+            over=lambda: operator.over,
+            done=_show,
+            guard=guard,
+        )
     return console.DONE
 
 
@@ -106,9 +116,10 @@ def _check(options: TeleopOptions) -> None:
 def _show(report: TeleopReport) -> None:
     lost = f", the leader lost {console.count_of(report.lost, 'time')}" if report.lost else ""
     engaged = console.count_of(report.engaged, "time")
+    blocked = f", {console.count_of(report.blocked, 'time')} held back by a collision" if report.blocked else ""
     console.say(
         f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
-        f"engaged {engaged}{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
+        f"engaged {engaged}{lost}{blocked}; {1e3 * report.delay:.1f} ms from the leader to the packet"
     )
 
 

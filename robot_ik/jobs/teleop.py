@@ -7,6 +7,7 @@ jumps.  A leader that is lost commands nothing: then the follower's own ``on_sta
 
 from __future__ import annotations
 
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -29,7 +30,10 @@ from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
+from robot_ik.workcell.arm_guard import ArmGuard
 from robot_ik.workcell.guided_motion import approach_profile
+
+log = logging.getLogger(__name__)
 
 LOST = 0.2
 """s without a good sample of the leader after which it counts as lost; a wire loses a packet now and then."""
@@ -52,6 +56,9 @@ class Operator(ABC):
     @abstractmethod
     def command(self, now: float) -> Angles:
         """Joint -> rad (m of a slide) at ``now``, s; HardwareError: it is lost."""
+
+    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - most lead by where they are
+        """Take ``command`` (joint -> rad, m of a slide) as the last one: a collision held it back."""
 
     def feel(self, follower: Angles) -> None:  # noqa: B027 - most give nothing back
         """Where the follower is, for those who give it back to the hand."""
@@ -258,6 +265,10 @@ class Jog(Operator):
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
         self._hand.engage(self.angles)
 
+    def go_on_from(self, command: Angles) -> None:
+        self.angles |= command
+        self._hand.engage(self.angles)
+
     def change(self) -> None:
         """The hand instead of joints, or joints instead of the hand."""
         self.hand = not self.hand
@@ -336,6 +347,7 @@ class TeleopReport:
     Attributes:
         engaged, lost: How often leader and follower were engaged, and the leader was lost.
         delay: Median seconds from reading the leader to the follower's packet.
+        blocked: Number of commands that were held back, because parts would have touched.
         end: Why it ended, as text; as it is where an arm failed, or Ctrl-C ended it.
     """
 
@@ -344,6 +356,7 @@ class TeleopReport:
     lost: int = 0
     seconds: float = 0.0
     delay: float = 0.0
+    blocked: int = 0
     end: str = "it was broken off"
 
 
@@ -358,11 +371,13 @@ def teleoperate(
     patience: float = 10.0,
     over: Callable[[], bool] = lambda: False,
     done: Callable[[TeleopReport], None] = lambda report: None,
+    guard: ArmGuard | None = None,
 ) -> TeleopReport:
     """Leads the connected follower, which is enabled here, until it is over; the caller leaves the arms.
 
     ``seconds``: how long; None: until ``over``, which is asked once a tick.  ``patience``: s to wait for a
     leader that was lost.  ``done`` is given the report however it ends: by an error or Ctrl-C, too.
+    ``guard`` holds the follower where the next step would touch, and logs what is in the way.
 
     Raises:
         HardwareError: The follower failed, or the leader did not come back.
@@ -384,6 +399,8 @@ def teleoperate(
                     here = follower.positions()
                     operator.engage(here)
                     blend = Blend(here, operator.command(now), follower.config, now)
+                    if guard is not None:
+                        guard.begin(here)
                     report.engaged += 1
                 read = time.perf_counter()
                 wanted = operator.command(now)
@@ -394,7 +411,10 @@ def teleoperate(
                 _wait_for(operator, follower, patience)
                 schedule.origin = clock.now() - report.ticks / rate
                 continue
-            follower.send(blend(wanted, now), now)
+            command: Angles = blend(wanted, now)
+            if guard is not None:
+                command = _guarded(command, guard, operator, report)
+            follower.send(command, now)
             if len(delays) < _DELAYS:
                 delays.append(time.perf_counter() - read)
             operator.feel(follower.positions())
@@ -404,6 +424,20 @@ def teleoperate(
         report.delay = float(np.median(delays)) if delays else 0.0
         done(report)
     return report
+
+
+def _guarded(command: Angles, guard: ArmGuard, operator: Operator, report: TeleopReport) -> Angles:
+    """Return the command that the guard allows; log what is in the way when that changes."""
+    before = guard.contact
+    allowed = guard.command(command)
+    if guard.contact:
+        report.blocked += 1
+        operator.go_on_from(allowed)
+    if guard.contact and not before:
+        log.warning("the arm holds: %s", guard.contact)
+    elif before and not guard.contact:
+        log.warning("the way is free again")
+    return allowed
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:

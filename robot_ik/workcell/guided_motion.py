@@ -51,20 +51,20 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
     return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 
 
-def approach_profile(distance: Array, caps: ArmConfig) -> Profile:
-    """Return a quintic over the distances (n,) at ``APPROACH`` of the caps.
+def approach_profile(distance: Array, caps: ArmConfig, share: float = APPROACH) -> Profile:
+    """Return a quintic over the distances (n,) at a share of the caps.
 
     Its duration is zero if all distances are zero.
     """
-    limits = APPROACH * np.array([caps.velocity, caps.acceleration])
+    limits = share * np.array([caps.velocity, caps.acceleration])
     with np.errstate(divide="ignore"):  # a joint with no distance needs no time
         velocity, acceleration = np.min(limits / np.abs(distance), axis=1)
     return quintic(float(velocity), float(acceleration))
 
 
-def approach(start: Array, end: Array, caps: ArmConfig) -> Trajectory:
-    """Return the motion from rest to rest by a quintic, at ``APPROACH`` of the caps."""
-    profile = approach_profile(end - start, caps)
+def approach(start: Array, end: Array, caps: ArmConfig, share: float = APPROACH) -> Trajectory:
+    """Return the straight motion from rest to rest by a quintic, at a share of the caps."""
+    profile = approach_profile(end - start, caps, share)
     seconds = max(profile.duration, 2.0 / caps.rate_hz)
     times = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
     q = start + np.outer(profile.progress(times / seconds), end - start)

@@ -24,7 +24,7 @@ from robot_ik.execution import execute
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import Progress
 from robot_ik.jobs.arm_camera.samples import SampleSet
-from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
+from robot_ik.jobs.arm_camera.view_planning import ViewTask, is_visible, plan_views
 from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.vision import open_calibrated
@@ -155,14 +155,14 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
     beside = Pose((_BESIDE * reach, 0.0, -_BEHIND * reach), rotation_exp([0.0, -_INWARDS, 0.0])).compose(
         Pose(wxyz=rotation_exp([0.0, 0.0, 0.4]))
     )
-    clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
+    hand = robot.forward(robot.home, frame)
     view_points = (
         _VIEW_DEPTH * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
     )
     for angle in _SIDES if reach > 0.0 else ():
         side = Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside)
         camera = hand.compose(side)
-        if clearance.sees(robot.home, camera.position, camera.apply(view_points)):
+        if is_visible(robot, robot.home, camera.position, camera.apply(view_points)):
             return side
     return beside
 
@@ -359,13 +359,20 @@ def visit_stations(
         HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
     """
     progress("planning", 0.0)
-    planned = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
+    planned = plan_views(
+        setup.robot,
+        scene.task,
+        request.views,
+        start=setup.q,
+        seed=request.seed,
+        collisions=setup.collisions,
+    )
     report.stations, count = tuple(planned), len(planned)
     if request.dry_run:
         return
     setup.enable_torque()
     for number, asked in enumerate(planned):
-        trajectory = joint_move(setup.robot, setup.q, asked, **setup.caps(request.speed))
+        trajectory = setup.checked(joint_move(setup.robot, setup.q, asked, **setup.caps(request.speed)))
 
         def show(tick: Any, number: int = number, ticks: int = max(1, len(trajectory))) -> None:
             progress(f"view {number + 1} of {count}", (number + min(1.0, tick.index / ticks)) / count)
