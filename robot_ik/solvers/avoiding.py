@@ -228,12 +228,13 @@ class PreparedAvoiding:
         for _ in range(_MOST_STEPS):
             if search.is_over or status is not Status.ITERATION_LIMIT:
                 break
+            before = posture
             status = step.advance(posture)
             search.first.iterations += 1
             is_slow = step.cost > (1.0 - _LEAST_GAIN) * cost
             posture = step.posture
             cost = step.cost
-            if is_slow and self.is_free(posture):
+            if np.array_equal(before, posture) or (is_slow and self.is_free(posture)):
                 break
         if not np.isfinite(posture).all() or not self.is_free(posture):
             return None

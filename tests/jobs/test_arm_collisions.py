@@ -94,30 +94,33 @@ def test_an_opened_robot_has_the_condition_of_its_arm_file(tmp_path: Path, robot
 
 
 def test_the_fingers_of_a_gripper_count_where_they_are(tmp_path: Path, robot: rik.Robot) -> None:
-    """A ball beside the open fingers, and beside the closed ones none."""
-    closed = {**dict(zip(robot.joints, robot.home.tolist(), strict=True)), "finger_left": 0.0}
-    opened = {**closed, "finger_left": 0.018}
-    whole = rik.load_robot(NAME, joints=[*robot.joints, "finger_left", "finger_right"])
-    names = [n for n in range(whole.model.ngeom) if "finger" in whole.model.body(whole.model.geom_bodyid[n]).name]
-    assert names
-    extent = {}
-    for key, angles in (("closed", closed), ("open", opened)):
-        q = whole.apply_couplings([angles.get(name, 0.0) for name in whole.joints])
-        data = whole.data_at(q)
-        extent[key] = data.geom_xpos[names].copy()
-    moved = np.linalg.norm(extent["open"] - extent["closed"], axis=1)
-    farthest = int(moved.argmax())
-    way = extent["open"][farthest] - extent["closed"][farthest]
-    place = extent["open"][farthest] + 0.012 * way / np.linalg.norm(way)
-    guard = ArmGuard(ArmConfig.load(with_ball(tmp_path, place, 0.004)))
-    up = robot.home.copy()
-    up[0] += 0.01
-    move = rik.joint_move(robot, robot.home, up)
-    near = [guard._guard.collisions.near(guard._posture(np.array([a[n] for n in guard._names])))
-            for a in (closed, opened)]
-    assert not len(near[0])
-    assert len(near[1])
-    assert guard.checked(move, closed).certified
+    """At the end of the motion a ball touches the fingers if they are open."""
+    fingers = ["finger_left", "finger_right"]
+    whole = rik.load_robot(NAME, joints=[*robot.joints, *fingers])
+
+    def posture(q: Array, opening: float) -> Array:
+        angles = dict(zip(robot.joints, q.tolist(), strict=True)) | {"finger_left": opening}
+        return whole.apply_couplings([angles.get(name, 0.0) for name in whole.joints])
+
+    begin = robot.home.copy()
+    begin[5] += 0.5
+    body = whole.model.body("finger_left").id
+    closed, opened = (whole.data_at(posture(robot.home, x)).xpos[body].copy() for x in (0.0, 0.018))
+    outwards = (opened - closed) / np.linalg.norm(opened - closed)
+    for distance in np.linspace(0.0, 0.06, 61):
+        file = with_ball(tmp_path, opened + distance * outwards, 0.004)
+        scene = rik.Scene(whole, rik.load_obstacles(tmp_path / "scene.xml"))
+        clear = [scene.clearance(posture(robot.home, x)).distance for x in (0.0, 0.018)]
+        if clear[0] > 0.008 and clear[1] < 0.003:
+            break
+    else:
+        pytest.fail("no place touches the open fingers only")
+    guard = ArmGuard(ArmConfig.load(file))
+    move = rik.joint_move(robot, begin, robot.home)
+    positions = dict(zip(robot.joints, begin.tolist(), strict=True))
+    assert guard.checked(move, positions | {"finger_left": 0.0}).certified
+    with pytest.raises(MotionBlockedError, match="finger_left would .* ball"):
+        guard.checked(move, positions | {"finger_left": 0.018})
 
 
 def test_reach_refuses_before_torque_and_says_why(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
