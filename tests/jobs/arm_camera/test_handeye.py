@@ -62,11 +62,13 @@ class Drawn(FrameSource):
 PLANS: dict[tuple[object, ...], list[Array]] = {}
 
 
-def planned(robot: Robot, task: ViewTask, count: int, *, start: Array, seed: int) -> list[Array]:
+def planned(
+    robot: Robot, task: ViewTask, count: int, *, start: Array, seed: int, collisions: None
+) -> list[Array]:
     """Stations, searched for once: the scenes of this file differ in robot, mounting and camera alone."""
     key = (robot.name, task.mount.mounting, task.intrinsics, count, start.tobytes(), seed)
     if key not in PLANS:
-        PLANS[key] = plan_views(robot, task, count, start=start, seed=seed)
+        PLANS[key] = plan_views(robot, task, count, start=start, seed=seed, collisions=collisions)
     return PLANS[key]
 
 
