@@ -154,6 +154,14 @@ class RobotSetup:
         """Who takes commands; the setup itself keeps the last one."""
         return [*([] if self.opened is None else [self.opened]), self, *self.recorder]
 
+    @property
+    def stream_sinks(self) -> list[JointSink]:
+        """Sinks for commands that no one has checked before: they stop before parts touch."""
+        if self.guard is None or self.arm is None:
+            return self.sinks
+        self.guard.begin(self.arm.positions())
+        return [_GuardedSink(self, self.guard, self.arm)]
+
     def send(self, q: Array, now: float) -> None:
         """Keeps ``q`` (nq,) as what was sent last."""
         self.commanded = np.array(q, dtype=float)
@@ -256,6 +264,23 @@ class RobotSetup:
             return {}
         found: dict[str, int] = asdict(self.arm.bus.counters)
         return found
+
+
+@dataclass(frozen=True)
+class _GuardedSink:
+    """Sends what the guard allows; recorder and setup get what was really sent."""
+
+    setup: RobotSetup
+    guard: ArmGuard
+    arm: Arm
+
+    def send(self, q: Array, now: float) -> None:
+        """Send joint angles (nq,) of the robot."""
+        joints = self.setup.robot.joints
+        sent = self.guard.send(self.arm, dict(zip(joints, q.tolist(), strict=True)))
+        command = np.array([sent[joint] for joint in joints])
+        for sink in (self.setup, *self.setup.recorder):
+            sink.send(command, now)
 
 
 def prepare_robot(request: ArmRequest) -> RobotSetup:

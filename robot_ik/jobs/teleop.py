@@ -411,10 +411,10 @@ def teleoperate(
                 _wait_for(operator, follower, patience)
                 schedule.origin = clock.now() - report.ticks / rate
                 continue
-            command: Angles = blend(wanted, now)
-            if guard is not None:
-                command = _guarded(command, guard, operator, report)
-            follower.send(command, now)
+            if guard is None:
+                follower.send(blend(wanted, now), now)
+            else:
+                _send_guarded(follower, blend(wanted, now), guard, operator, report)
             if len(delays) < _DELAYS:
                 delays.append(time.perf_counter() - read)
             operator.feel(follower.positions())
@@ -426,18 +426,19 @@ def teleoperate(
     return report
 
 
-def _guarded(command: Angles, guard: ArmGuard, operator: Operator, report: TeleopReport) -> Angles:
-    """Return the command that the guard allows; log what is in the way when that changes."""
+def _send_guarded(
+    follower: Arm, command: Angles, guard: ArmGuard, operator: Operator, report: TeleopReport
+) -> None:
+    """Send what the guard allows of a command; log what is in the way when that changes."""
     before = guard.contact
-    allowed = guard.command(command)
+    sent = guard.send(follower, command)
     if guard.contact:
         report.blocked += 1
-        operator.go_on_from(allowed)
+        operator.go_on_from({name: sent[name] for name in command})
     if guard.contact and not before:
         log.warning("the arm holds: %s", guard.contact)
     elif before and not guard.contact:
         log.warning("the way is free again")
-    return allowed
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:

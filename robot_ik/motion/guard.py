@@ -2,7 +2,7 @@
 
     guard = MotionGuard(avoid)
     trajectory = guard.checked(joint_move(robot, q, goal))    # or MotionBlockedError
-    guard.blocking(q, q + step)                               # None, or what is in the way
+    guard.blocked_at(q, q + step)                             # None, or where parts come too near
 
 An arm often stands in contact: it rests on the table, or its model is not exact. So the parts that
 are nearer than the margin at the start of a motion may stay so near. They must not come nearer.
@@ -10,11 +10,12 @@ are nearer than the margin at the start of a motion may stay so near. They must 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.pairs import Ints
-from robot_ik.collision.scene import Clearance
 from robot_ik.errors import MotionBlockedError
 from robot_ik.geometry import Array
 from robot_ik.kernels import certificate, collision
@@ -30,8 +31,14 @@ LONGEST_PART = 1000
 STEP_ROUNDING = 1e-9
 """m. Parts that touch may come nearer by this in one step of a stream, through rounding."""
 
-STEP_SAMPLES = 4
-"""Postures of one step that are checked while parts touch."""
+NEAR = 1e-3
+"""m. Parts that are nearer than the margin and this are led apart without a proof of the margin."""
+
+HELD_SHARE = 0.9
+"""Share of the margin that is proven while parts are led apart."""
+
+LONGEST_SAMPLE = 0.02
+"""rad or m. Distance of the postures of a step that are checked while parts touch."""
 
 
 class MotionGuard:
@@ -44,6 +51,12 @@ class MotionGuard:
     def __init__(self, collisions: CollisionAvoidance) -> None:
         self.collisions = collisions
         self._proof = proof_memory(collisions)
+        self._near_q = np.full(collisions.scene.robot.nq, np.nan)
+        self._near_pairs = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
+        # The first proof on a machine compiles, which must not happen while an arm moves.
+        home = collisions.scene.robot.home
+        self._is_proven(home, np.zeros(collisions.scene.robot.nv), 0.0)
+        self._near(home)
 
     def checked(self, trajectory: Trajectory) -> Trajectory:
         """Return an allowed trajectory, certified if that is proven.
@@ -106,35 +119,73 @@ class MotionGuard:
             trajectory.q[row],
         )
 
-    def blocking(self, q: Array, end: Array) -> Clearance | None:
-        """Return what is in the way of a short straight step; None if the step is allowed.
+    def blocked_at(self, q: Array, end: Array) -> Array | None:
+        """Return where a straight step is blocked; None if the step is allowed.
 
         Args:
             q: The last command (nq,).
-            end: The next command (nq,), a few millimetres away.
+            end: Where the step ends (nq,).
 
         Returns:
-            The clearance where the step is blocked.
+            The posture (nq,) at which parts would be nearer than allowed.
         """
         change = end - q
         if not change.any():
             return None
-        condition = self.collisions
-        self._proof["checks"] = 0
-        arguments = self._proof.address, q[None], change[None], condition.margin
-        if certificate.prove_path(*arguments) == collision.FREE:
+        margin = self.collisions.margin
+        if self._is_proven(q, change, margin):
             return None
-        if not len(condition.near(q)):
-            return condition.clearance(self._proof.arrays["q"].copy())
-        margin = condition.margin
+        blocked = self._proof.arrays["q"].copy()
+        geoms, distances = self._near(q)
+        if not len(geoms):
+            return blocked
+        if distances.min() > HELD_SHARE * margin:
+            # A motion away from the margin cannot be proven to keep it, but less can be proven.
+            if not self._is_proven(q, change, HELD_SHARE * margin):
+                return self._proof.arrays["q"].copy()
+        else:
+            geoms = self.collisions.tables.geoms
+            distances = self.collisions.scene.pair_distances(q, geoms, margin)
+        return self._nearer_at(q, change, geoms, np.minimum(distances, margin))
+
+    def forget(self) -> None:
+        """Measure all distances anew: obstacles may have moved."""
+        self._near_q.fill(np.nan)
+
+    def _is_proven(self, q: Array, change: Array, margin: float) -> bool:
+        """Return whether a straight step is proven to keep a margin."""
+        self._proof["checks"] = 0
+        verdict = certificate.prove_path(self._proof.address, q[None], change[None], margin)
+        return bool(verdict == collision.FREE)
+
+    def _near(self, q: Array) -> tuple[Ints, Array]:
+        """Return the pairs (p, 2) that are near the margin at ``q``, and their distances (p,)."""
+        if np.array_equal(q, self._near_q):
+            return self._near_pairs
+        condition = self.collisions
+        reach = condition.margin + NEAR
+        run = self._proof.nested["collision"]
+        collision.near_pairs(run.address, q, reach)
+        check = run.nested["check"]
+        count = check["near_count"]
         geoms = condition.tables.geoms
-        before = condition.scene.pair_distances(q, geoms, margin)
-        for share in np.arange(1, STEP_SAMPLES + 1) / STEP_SAMPLES:
+        if count < len(check.arrays["near_pair"]):
+            geoms = geoms[check.arrays["near_pair"][:count]]
+        distances = condition.scene.pair_distances(q, geoms, reach)
+        is_near = distances < reach
+        self._near_q = q.copy()
+        self._near_pairs = geoms[is_near], distances[is_near]
+        return self._near_pairs
+
+    def _nearer_at(self, q: Array, change: Array, geoms: Ints, allowed: Array) -> Array | None:
+        """Return where a pair (p, 2) comes nearer than allowed (p,) in a step; None if none does."""
+        scene = self.collisions.scene
+        reach = float(allowed.max())
+        count = max(2, math.ceil(float(np.abs(change).max()) / LONGEST_SAMPLE))
+        for share in np.arange(1, count + 1) / count:
             posture = q + share * change
-            after = condition.scene.pair_distances(posture, geoms, margin)
-            nearer = after < before - STEP_ROUNDING
-            if nearer.any():
-                return condition.scene.clearance(posture, geoms[nearer])
+            if (scene.pair_distances(posture, geoms, reach) < allowed - STEP_ROUNDING).any():
+                return np.asarray(posture)
         return None
 
 

@@ -254,7 +254,7 @@ class ArmLink:
             guard.begin(self._arm.positions())
         before = guard.contact
         wanted = dict(zip(self._opened.robot.joints, q.tolist(), strict=True))
-        self._arm.send(guard.command(wanted), self._arm.clock.now())
+        guard.send(self._arm, wanted)
         if guard.contact or before:
             self._message = f"the arm holds: {guard.contact}" if guard.contact else ""
 

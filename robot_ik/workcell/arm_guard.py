@@ -19,17 +19,13 @@ from robot_ik.robot import load_robot
 from robot_ik.robot_arm import arm_collisions
 
 if TYPE_CHECKING:
+    from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.robot import Robot
 
 
 class ArmGuard:
-    """Checks the motions of one arm.
-
-    Attributes:
-        contact: What the last refused command of the stream would touch, in words. Empty if the
-            last command was allowed.
-    """
+    """Checks the motions of one arm."""
 
     def __init__(self, config: ArmConfig, robot: str | os.PathLike[str] | None = None) -> None:
         """Load the model and the scene.
@@ -42,8 +38,9 @@ class ArmGuard:
             ConfigError: As ``arm_collisions``.
             ModelError: The model cannot be read.
         """
-        # Here, because it loads the compiled collision checks, 0.05 s that few arms need.
+        # Here, because they load the compiled collision checks, 0.05 s that few arms need.
         from robot_ik.motion.guard import MotionGuard
+        from robot_ik.motion.guarded_stream import GuardedStream
 
         self._robot = robot_with_followers(robot or config.robot, config.names)
         collisions = arm_collisions(config, self._robot)
@@ -55,9 +52,13 @@ class ArmGuard:
         shown = [name for name in config.names if name in self._robot.joints]
         self._of_arm = [config.names.index(name) for name in shown]
         self._of_robot = [self._robot.joints.index(name) for name in shown]
-        self._largest_step = config.velocity / config.rate_hz
-        self._command: Array | None = None
-        self.contact = ""
+        # Followers do not move by themselves.
+        velocity_limits = self._spread(config.velocity, 0.0)
+        acceleration_limits = self._spread(config.acceleration, 1.0)
+        self._stream = GuardedStream(
+            self._guard, velocity_limits, acceleration_limits, config.rate_hz
+        )
+        self._wanted = np.zeros(len(config.names))
 
     def checked(self, trajectory: Trajectory, positions: Mapping[str, float]) -> Trajectory:
         """Return a trajectory of some joints of the arm, if it is allowed.
@@ -79,37 +80,47 @@ class ArmGuard:
         return Trajectory(trajectory.times, trajectory.q, trajectory.joints, clearance=clearance)
 
     def begin(self, positions: Mapping[str, float]) -> None:
-        """Begin a stream of commands where the joints (rad, m of a slide) are now."""
-        self._command = np.array([positions[name] for name in self._names])
-        self.contact = ""
+        """Begin a stream of commands where the joints (rad, m of a slide) are now, at rest."""
+        self._wanted = np.array([positions[name] for name in self._names])
+        self._stream.begin(self._posture(self._wanted))
 
-    def command(self, wanted: Mapping[str, float]) -> dict[str, float]:
-        """Return the next command of a stream, for the joints of ``wanted``.
+    def send(self, arm: Arm, wanted: Mapping[str, float]) -> dict[str, float]:
+        """Send the next command of a stream, which can always stop before parts touch.
 
-        The joints move straight towards ``wanted`` within their speed limits, and stay where they
-        are if that would bring parts nearer than allowed. ``contact`` says what is in the way.
+        The joints follow ``wanted`` within their limits, and brake before they bring parts nearer
+        than allowed. ``contact`` says what is in the way.
 
         Args:
+            arm: Enabled.
             wanted: Joint -> rad (m of a slide). The other joints stay.
+
+        Returns:
+            What was sent for the joints of ``wanted``.
         """
-        if self._command is None:
-            raise RuntimeError("command() before begin()")
-        last = self._command
-        goal = last.copy()
         for name, value in wanted.items():
-            goal[self._names.index(name)] = value
-        change = goal - last
-        excess = float(np.max(np.abs(change) / self._largest_step, initial=0.0))
-        step = change / excess if excess > 1.0 else change
-        touching = self._guard.blocking(self._posture(last), self._posture(last + step))
-        if touching is None:
-            self._command = last + step
-            self.contact = ""
-        else:
-            margin = self._guard.collisions.margin
-            self.contact = contact_text(touching.pair or ("", ""), touching.distance, margin)
-        command = dict(zip(self._names, self._command.tolist(), strict=True))
-        return {name: command[name] for name in wanted}
+            self._wanted[self._names.index(name)] = value
+        posture = self._stream.next(self._posture(self._wanted))
+        command = self._wanted.copy()
+        command[self._of_arm] = posture[self._of_robot]
+        named = {name: float(command[self._names.index(name)]) for name in wanted}
+        sent = arm.send(named, arm.clock.now())
+        self._stream.was_sent(self._posture(sent))
+        return dict(zip(self._names, sent.tolist(), strict=True))
+
+    @property
+    def contact(self) -> str:
+        """What holds the last command of the stream back, in words. Empty if nothing does."""
+        contact = self._stream.contact
+        if contact is None:
+            return ""
+        margin = self._guard.collisions.margin
+        return contact_text(contact.pair or ("", ""), contact.distance, margin)
+
+    def _spread(self, limits: Array, follower: float) -> Array:
+        """Return limits (n,) of the arm as limits (nv,) of the model, with one for followers."""
+        spread = np.full(self._robot.nv, follower)
+        spread[self._of_robot] = limits[self._of_arm]
+        return spread
 
     def _posture(self, q: Array) -> Array:
         """Return the posture (nq,) of the model with the joints of the arm at ``q`` (n,)."""

@@ -25,6 +25,8 @@ SMOOTHING = 0.1
 def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Trajectory, float]:
     """Return a motion within limits and velocity caps, at the rate of the arm, and its stretch.
 
+    With a table ``[collisions]`` the motion is within the acceleration caps too.
+
     Args:
         motion: The recording.
         caps: Limits, velocity caps and rate of the arm.
@@ -35,8 +37,11 @@ def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Traject
     """
     smooth = smoothed(motion, caps.rate_hz)
     q = np.clip(smooth.q, caps.lower, caps.upper)
-    peak_velocity = Trajectory(smooth.times, q, motion.joints).peak_velocity
-    stretch = max(1.0 / speed, float((peak_velocity / caps.velocity).max()))
+    clipped = Trajectory(smooth.times, q, motion.joints)
+    stretch = max(1.0 / speed, float((clipped.peak_velocity / caps.velocity).max()))
+    if caps.collisions is not None:
+        # The limiter would leave the path that is checked if it had to cap an acceleration.
+        stretch = max(stretch, float(np.sqrt((clipped.peak_acceleration / caps.acceleration).max())))
     stretched = Trajectory(stretch * smooth.times, q, motion.joints)
     return stretched.resampled(caps.rate_hz), stretch
 

@@ -6,6 +6,7 @@ import pytest
 import robot_ik as rik
 from robot_ik.errors import MotionBlockedError
 from robot_ik.motion.guard import MotionGuard, parts_of
+from robot_ik.motion.guarded_stream import GuardedStream
 
 MARGIN = 0.005
 """m."""
@@ -132,9 +133,9 @@ def test_a_stream_of_steps_stops_at_the_margin_and_goes_on_elsewhere(robot):
         """Steps of at most 0.02 rad towards a goal, and what stopped them."""
         for _ in range(200):
             change = np.clip(goal - q, -0.02, 0.02)
-            contact = guard.blocking(q, q + change)
-            if contact is not None:
-                return q, contact
+            blocked = guard.blocked_at(q, q + change)
+            if blocked is not None:
+                return q, scene.clearance(blocked)
             q = q + change
             assert scene.clearance(q).distance >= MARGIN - 1e-9
         return q, None
@@ -161,9 +162,9 @@ def test_a_thin_plate_between_two_commands_of_a_stream_is_found(robot):
     avoid = rik.CollisionAvoidance(scene, margin=0.0)
     if not avoid.free(np.array([first, last])).all():
         pytest.fail("an end touches")
-    contact = MotionGuard(avoid).blocking(first, last)
-    assert contact is not None
-    assert "plate" in contact.pair
+    blocked = MotionGuard(avoid).blocked_at(first, last)
+    assert blocked is not None
+    assert "plate" in scene.clearance(blocked).pair
 
 
 def test_a_stream_in_contact_may_leave_it_but_not_press_on(robot):
@@ -178,7 +179,7 @@ def test_a_stream_in_contact_may_leave_it_but_not_press_on(robot):
     for _ in range(80):
         end = first + 0.01 * rng.normal(size=robot.nv)
         after = scene.pair_distances(end, near, MARGIN)
-        if guard.blocking(first, end) is None:
+        if guard.blocked_at(first, end) is None:
             allowed += 1
             assert (after >= before - 1e-8).all()
         else:
@@ -207,3 +208,77 @@ def test_parts_that_are_always_near_are_named():
     assert [item.pair for item in avoid.always_near] == [("a", "c")]
     assert not rik.CollisionAvoidance(scene, margin=0.03, ignore=[("a", "c")]).always_near
     assert not rik.CollisionAvoidance(scene, margin=0.001).always_near
+
+
+def stream_towards(stream, goal, ticks):
+    """Commands (ticks, nq) of a stream that is led to a goal."""
+    return np.array([stream.next(goal) for _ in range(ticks)])
+
+
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+def test_a_stream_keeps_the_margin_and_its_limits_at_full_speed(robot, rate):
+    first = robot.home
+    last = first.copy()
+    last[0] += 1.6
+    last[3] -= 0.5
+    ball = sphere_at(robot.forward(0.5 * (first + last)).position)
+    scene = rik.Scene(robot, [ball])
+    velocity = np.full(robot.nv, 3.0)
+    acceleration = np.array([4.0, 8.0, 16.0, 8.0, 20.0, 9.0])  # it needs up to 64 degrees to stop
+    guard = MotionGuard(rik.CollisionAvoidance(scene, MARGIN))
+    stream = GuardedStream(guard, velocity, acceleration, rate)
+    stream.begin(first)
+    assert scene.clearance(first).distance > 2.0 * MARGIN
+    there = stream_towards(stream, last, int(3.0 * rate))
+    assert "ball" in stream.contact.pair
+    assert min(scene.clearance(q).distance for q in there) >= 0.9 * MARGIN
+    assert scene.clearance(there[-1]).distance < 0.02
+    back = stream_towards(stream, first, int(3.0 * rate))
+    assert stream.contact is None
+    assert min(scene.clearance(q).distance for q in back) >= 0.9 * MARGIN
+    assert back[-1] == pytest.approx(first, abs=1e-9)
+    q = np.concatenate([[first], there, back])
+    speeds = np.diff(q, axis=0) * rate
+    assert (np.abs(speeds) <= velocity).all()
+    assert (np.abs(np.diff(speeds, axis=0)) * rate <= acceleration).all()
+
+
+def test_a_stream_does_not_overshoot(robot):
+    guard = MotionGuard(rik.CollisionAvoidance(rik.Scene(robot), 0.0))
+    stream = GuardedStream(guard, np.full(robot.nv, 2.0), np.full(robot.nv, 5.0), 100.0)
+    stream.begin(robot.home)
+    goal = robot.home.copy()
+    goal[0] += 0.4
+    q = stream_towards(stream, goal, 300)
+    assert q[:, 0].max() <= goal[0] + 1e-9
+    assert q[-1] == pytest.approx(goal, abs=1e-9)
+
+
+def test_a_stream_goes_on_from_what_was_sent(robot):
+    """A limiter that halves every step: the stream still keeps the margin."""
+    first = robot.home
+    last = first.copy()
+    last[0] += 0.8
+    scene = rik.Scene(robot, [sphere_at(robot.forward(0.5 * (first + last)).position)])
+    guard = MotionGuard(rik.CollisionAvoidance(scene, MARGIN))
+    stream = GuardedStream(guard, np.full(robot.nv, 2.0), np.full(robot.nv, 8.0), 100.0)
+    stream.begin(first)
+    sent = first
+    for _ in range(400):
+        sent = sent + 0.5 * (stream.next(last) - sent)
+        stream.was_sent(sent)
+        assert scene.clearance(sent).distance >= 0.9 * MARGIN
+    assert stream.contact is not None
+
+
+def test_a_stream_follows_a_motion_closely(robot):
+    """The lag behind a slow swing is far below the distance that braking takes."""
+    guard = MotionGuard(rik.CollisionAvoidance(rik.Scene(robot), 0.0))
+    stream = GuardedStream(guard, np.full(robot.nv, 2.0), np.full(robot.nv, 4.0), 100.0)
+    stream.begin(robot.home)
+    lag = []
+    for k in range(300):
+        wanted = robot.home.copy()
+        wanted[0] += 0.5 * (1.0 - np.cos(2.0 * k / 100.0))
+        lag.append(abs(stream.next(wanted)[0] - wanted[0]))
+    assert max(lag) < 0.02

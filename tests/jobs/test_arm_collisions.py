@@ -22,6 +22,7 @@ from robot_ik.jobs.teleop import KeyboardJog, LeaderArm, teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot_arm import open_robot
 from robot_ik.workcell.arm_guard import ArmGuard
+from robot_ik.workcell.guided_motion import playable
 
 NAME = "tabletop_puma"
 
@@ -267,3 +268,42 @@ def test_a_scene_that_is_wrong_is_refused_before_anything_is_opened(tmp_path: Pa
     ):
         with pytest.raises(ConfigError, match=key):
             prepare_robot(ReachRequest(robot=NAME, bus="sim", arm_file=arm_with(tmp_path, keys)))
+
+
+def test_a_script_that_follows_a_circle_through_the_ball_stops_before_it(
+    tmp_path: Path, robot: rik.Robot
+) -> None:
+    center = robot.forward(robot.home).position + np.array((0.0, 0.05, 0.0))
+    file = with_ball(tmp_path, center + np.array((0.0, 0.05, 0.0)))
+    scene = rik.Scene(robot, rik.load_obstacles(tmp_path / "scene.xml"))
+    assert scene.clearance(robot.home).distance > 0.02
+    step = f"""[[steps]]
+do = "follow"
+path = "circle"
+seconds = 4.0
+center = {center.round(4).tolist()}
+radius = 0.05
+period = 4.0
+"""
+    record = tmp_path / "commands.csv"
+    script = parse_script(SCRIPT.format(steps=step), tmp_path / "s.toml")
+    report = run_script(script, ScriptRequest(arm_file=file, record=record))
+    assert not report.passed
+    sent = rik.Trajectory.load_csv(record)
+    order = [sent.joints.index(name) for name in robot.joints]
+    distances = [scene.clearance(q[order]).distance for q in sent.q]
+    assert 0.9 * 0.004 <= min(distances) < 0.02
+
+
+def test_a_recording_is_played_within_the_acceleration_caps(tmp_path: Path) -> None:
+    """Else the limiter would leave the path that is checked."""
+    plain = ArmConfig.load(NAME)
+    guarded = ArmConfig.load(arm_with(tmp_path, ""))
+    q = np.tile(rik.load_robot(NAME, joints=plain.names).home, (101, 1))
+    times = np.linspace(0.0, 2.0, 101)
+    q[:, 0] += 0.2 * np.sin(9.0 * times)
+    motion = rik.Trajectory(times, q, plain.names)
+    assert playable(motion, plain, 1.0)[0].peak_acceleration[0] > plain.acceleration[0]
+    played, stretch = playable(motion, guarded, 1.0)
+    assert (played.peak_acceleration <= 1.02 * plain.acceleration).all()
+    assert stretch > 1.1
