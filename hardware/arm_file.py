@@ -105,6 +105,9 @@ def _two_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+NamePair = Annotated[Several[Word], AfterValidator(_two_names)]
+
+
 class CollisionTable(Table):
     """Table ``[collisions]``: what the commands that move the arm must not touch.
 
@@ -120,7 +123,7 @@ class CollisionTable(Table):
     scene: str = ""
     margin: Annotated[float, Field(ge=0.0, le=LARGEST_MARGIN)] = DEFAULT_MARGIN
     ground: float | None = None
-    ignore: Several[Annotated[tuple[Word, ...], Field(strict=False), AfterValidator(_two_names)]] = ()
+    ignore: Several[NamePair] = ()
 
 
 class TwinTable(Table):

@@ -30,10 +30,10 @@ from robot_ik.solvers import make_solver
 if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.goals import Tolerance
-    from robot_ik.solvers.limited_step import LimitedStep
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver
+    from robot_ik.solvers.limited_step import LimitedStep
 
 
 LONGEST_RUN = 1e9

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -125,11 +125,12 @@ class Solution:
     trace_rows: Array | None = None
     avoidance: CollisionAvoidance | None = None
     angle_bound: float | None = None
-    nearest_free: Solution | None = None
+    # Not an argument: it costs nothing for solutions without a collision.
+    nearest_free: Solution | None = field(default=None, init=False)
 
     def at(self, q: Array, status: Status) -> Solution:
         """Return a solution of the same solve with other joint angles (nq,) and status."""
-        return replace(self, q=q, status=status, trace_rows=None, nearest_free=None)
+        return replace(self, q=q, status=status, trace_rows=None)
 
     @property
     def converged(self) -> bool:

@@ -116,7 +116,9 @@ def _check(options: TeleopOptions) -> None:
 def _show(report: TeleopReport) -> None:
     lost = f", the leader lost {console.count_of(report.lost, 'time')}" if report.lost else ""
     engaged = console.count_of(report.engaged, "time")
-    blocked = f", {console.count_of(report.blocked, 'time')} held back by a collision" if report.blocked else ""
+    blocked = ""
+    if report.blocked:
+        blocked = f", held back {console.count_of(report.blocked, 'time')} by a collision"
     console.say(
         f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
         f"engaged {engaged}{lost}{blocked}; {1e3 * report.delay:.1f} ms from the leader to the packet"

@@ -178,7 +178,7 @@ class MotionGuard:
         return self._near_pairs
 
     def _nearer_at(self, q: Array, change: Array, geoms: Ints, allowed: Array) -> Array | None:
-        """Return where a pair (p, 2) comes nearer than allowed (p,) in a step; None if none does."""
+        """Return where a pair (p, 2) comes nearer than allowed (p,); None if none does."""
         scene = self.collisions.scene
         reach = float(allowed.max())
         count = max(2, math.ceil(float(np.abs(change).max()) / LONGEST_SAMPLE))

@@ -53,7 +53,7 @@ _LARGEST_STEP = 0.2
 _WAY_OUT = 0.02
 # Limited steps keep this share of their margin at least, see ``kernels.limited_step``.
 _HELD_SHARE = 0.9
-# m. Margin of limited steps beyond that of the condition, so that touching counts as free if it is 0.
+# m. Margin of limited steps beyond that of the condition: parts that touch are not free.
 _EXTRA_MARGIN = 1e-5
 # A cost that falls by a smaller share in a limited step does not fall any more.
 _LEAST_GAIN = 1e-3

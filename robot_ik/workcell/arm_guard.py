@@ -129,9 +129,7 @@ class ArmGuard:
         return self._robot.apply_couplings(posture)
 
 
-def guard_of(
-    config: ArmConfig, robot: str | os.PathLike[str] | None = None
-) -> ArmGuard | None:
+def guard_of(config: ArmConfig, robot: str | os.PathLike[str] | None = None) -> ArmGuard | None:
     """Return the guard of an arm; None if its file has no table ``[collisions]``."""
     return None if config.collisions is None else ArmGuard(config, robot)
 

@@ -41,7 +41,8 @@ def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Traject
     stretch = max(1.0 / speed, float((clipped.peak_velocity / caps.velocity).max()))
     if caps.collisions is not None:
         # The limiter would leave the path that is checked if it had to cap an acceleration.
-        stretch = max(stretch, float(np.sqrt((clipped.peak_acceleration / caps.acceleration).max())))
+        excess = float((clipped.peak_acceleration / caps.acceleration).max())
+        stretch = max(stretch, math.sqrt(excess))
     stretched = Trajectory(stretch * smooth.times, q, motion.joints)
     return stretched.resampled(caps.rate_hz), stretch
 

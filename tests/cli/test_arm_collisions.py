@@ -22,7 +22,7 @@ BALL = """<mujoco><worldbody>
 
 
 def at_bend(degrees: float) -> str:
-    """Text of a scene with a ball where the last body of the desk arm is at joint2 = ``degrees``."""
+    """Return a scene with a ball where the last body of the desk arm is at this joint2."""
     angle = np.radians(degrees)
     return BALL.format(x=0.1 * np.sin(angle), z=0.1 + 0.1 * np.cos(angle))
 
@@ -133,7 +133,8 @@ def test_an_arm_that_stands_in_contact_is_led_out_but_not_further_in(
         ),
         (
             'scene = "scene.xml"',
-            '<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/></body></worldbody></mujoco>',
+            '<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/></body></worldbody>'
+            "</mujoco>",
             ("collisions.scene", "'arm'", "joint"),
         ),
         ("margin = nan", "", ("collisions.margin",)),

@@ -270,13 +270,11 @@ def test_random_couplings_are_certified_or_refuted_rightly(seed):
         return  # the sled has no range left
     scene = rik.Scene(robot)
     avoid = rik.CollisionAvoidance(scene, margin=0.001)
-    lower, upper = robot.lower[0], robot.upper[0]
-    first = robot.apply_couplings([rng.uniform(lower, upper), 0.0])
-    last = robot.apply_couplings([rng.uniform(lower, upper), 0.0])
+    lead = robot.lower[0], robot.upper[0]
+    first = robot.apply_couplings([rng.uniform(*lead), 0.0])
+    last = robot.apply_couplings([rng.uniform(*lead), 0.0])
     leads = np.linspace(first[0], last[0], 1000)
-    least = min(
-        scene.clearance(robot.apply_couplings([lead, 0.0])).distance for lead in leads
-    )
+    least = min(scene.clearance(robot.apply_couplings([lead, 0.0])).distance for lead in leads)
     try:
         certificate = certify([first, last], avoid)
     except MotionBlockedError as error:

@@ -18,6 +18,9 @@ FURNITURE = """<mujoco><asset>
 <geom name="ramp" type="mesh" mesh="wedge" pos="-.6 0 .1" euler="10 20 30"/>
 </worldbody></mujoco>"""
 
+PROBE = """<mujoco><worldbody><body name="probe"><joint type="slide"/><geom size=".04"/></body>
+</worldbody></mujoco>"""
+
 
 def write(tmp_path, text):
     path = tmp_path / "scene.xml"
@@ -29,9 +32,7 @@ def test_each_obstacle_is_where_its_geom_is_and_has_its_shape(tmp_path):
     obstacles = rik.load_obstacles(write(tmp_path, FURNITURE))
     names = [obstacle.name for obstacle in obstacles]
     assert names == ["floor", "ramp", "table", "table 2", "bulb", "rod"]
-    robot = rik.load_robot(
-        '<mujoco><worldbody><body name="probe"><joint type="slide"/><geom size=".04"/></body></worldbody></mujoco>'
-    )
+    robot = rik.load_robot(PROBE)
     # The same sphere among the geoms of the file, compiled by MuJoCo itself.
     probe = '<body name="probe" mocap="true"><geom name="probe" size=".04"/></body></worldbody>'
     model = mujoco.MjModel.from_xml_string(FURNITURE.replace("</worldbody>", probe))
@@ -55,15 +56,16 @@ def test_each_obstacle_is_where_its_geom_is_and_has_its_shape(tmp_path):
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("<mujoco/>", "no geom"),
-        ("<mujoco><worldbody><geom size='.1' contype='0' conaffinity='0'/></worldbody></mujoco>", "no"),
-        ("<mujoco><worldbody><body name='arm'><joint/><geom size='.1'/></body></worldbody></mujoco>", "arm"),
-        ("<mujoco><worldbody><geom name='egg' type='ellipsoid' size='.1 .1 .2'/></worldbody></mujoco>", "egg"),
+        ("", "no geom"),
+        ("<geom size='.1' contype='0' conaffinity='0'/>", "no geom"),
+        ("<body name='arm'><joint/><geom size='.1'/></body>", "arm"),
+        ("<geom name='egg' type='ellipsoid' size='.1 .1 .2'/>", "egg"),
     ],
 )
 def test_what_is_no_obstacle_is_refused(text, named, tmp_path):
+    file = write(tmp_path, f"<mujoco><worldbody>{text}</worldbody></mujoco>")
     with pytest.raises(InvalidObstacleError, match=named):
-        rik.load_obstacles(write(tmp_path, text))
+        rik.load_obstacles(file)
 
 
 @pytest.mark.parametrize(

@@ -280,9 +280,7 @@ def test_limited_steps_lead_a_redundant_arm_out_without_a_restart():
             continue
         tried += 1
         budget = rik.Budget(restarts=0)
-        solution = rik.solve(
-            robot, hand, start=q, solver="lm", collisions=avoid, budget=budget
-        )
+        solution = rik.solve(robot, hand, start=q, solver="lm", collisions=avoid, budget=budget)
         assert solution.restarts == 0
         if solution.converged:
             led += 1
@@ -312,7 +310,8 @@ def test_the_nearest_free_posture_is_reported_beside_a_goal_that_touches(name, s
     assert 1e-4 < nearest.error.position < 3.0 * radius
     # Random search among free postures finds none that is much nearer.
     rng = np.random.default_rng(4)
-    around = np.array([robot.clip(nearest.q + 0.1 * rng.normal(size=robot.nv)) for _ in range(2000)])
+    moved = nearest.q + 0.1 * rng.normal(size=(2000, robot.nv))
+    around = np.array([robot.clip(row) for row in moved])
     around = around[avoid.free(around)]
     target = goal.target.position
     distances = [np.linalg.norm(robot.forward(q).position - target) for q in around]

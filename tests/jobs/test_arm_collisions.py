@@ -83,7 +83,9 @@ def test_the_table_is_read_and_written_again(tmp_path: Path) -> None:
     assert ArmConfig.load(NAME).collisions is None
 
 
-def test_an_opened_robot_has_the_condition_of_its_arm_file(tmp_path: Path, robot: rik.Robot) -> None:
+def test_an_opened_robot_has_the_condition_of_its_arm_file(
+    tmp_path: Path, robot: rik.Robot
+) -> None:
     assert open_robot(NAME).collisions is None
     file = arm_with(tmp_path, "ground = -0.02")
     opened = open_robot(NAME, file)
@@ -120,11 +122,13 @@ def test_the_fingers_of_a_gripper_count_where_they_are(tmp_path: Path, robot: ri
     move = rik.joint_move(robot, begin, robot.home)
     positions = dict(zip(robot.joints, begin.tolist(), strict=True))
     assert guard.checked(move, positions | {"finger_left": 0.0}).certified
-    with pytest.raises(MotionBlockedError, match="finger_left would .* ball"):
+    with pytest.raises(MotionBlockedError, match=r"finger_left would .* ball"):
         guard.checked(move, positions | {"finger_left": 0.018})
 
 
-def test_reach_refuses_before_torque_and_says_why(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
+def test_reach_refuses_before_torque_and_says_why(
+    tmp_path: Path, robot: rik.Robot, goal: Array
+) -> None:
     file = with_ball(tmp_path, middle(robot, goal))
     pose = robot.forward(goal)
     request = ReachRequest(
@@ -156,9 +160,8 @@ def test_reach_says_that_its_goal_touches(tmp_path: Path, robot: rik.Robot, goal
 
 def test_reach_arrives_by_a_free_way(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
     file = with_ball(tmp_path, middle(robot, goal) + np.array((0.0, 0.0, 0.2)))
-    report = run_reach(
-        ReachRequest(robot=NAME, bus="sim", arm_file=file, goal=PoseGoal.at(None, robot.forward(goal)))
-    )
+    wanted = PoseGoal.at(None, robot.forward(goal))
+    report = run_reach(ReachRequest(robot=NAME, bus="sim", arm_file=file, goal=wanted))
     assert report.problem is None
     assert report.trajectory is not None
     assert report.trajectory.certified
@@ -303,7 +306,12 @@ def test_a_recording_is_played_within_the_acceleration_caps(tmp_path: Path) -> N
     times = np.linspace(0.0, 2.0, 101)
     q[:, 0] += 0.2 * np.sin(9.0 * times)
     motion = rik.Trajectory(times, q, plain.names)
-    assert playable(motion, plain, 1.0)[0].peak_acceleration[0] > plain.acceleration[0]
+
+    def peak(played: rik.Trajectory) -> float:
+        """Largest acceleration of joint1 over 50 ms, rad/s²: linear samples have corners."""
+        return float(np.abs(np.diff(played.q[::5, 0], 2)).max() / 0.05**2)
+
+    assert peak(playable(motion, plain, 1.0)[0]) > 1.1 * plain.acceleration[0]
     played, stretch = playable(motion, guarded, 1.0)
-    assert (played.peak_acceleration <= 1.02 * plain.acceleration).all()
+    assert peak(played) <= 1.02 * plain.acceleration[0]
     assert stretch > 1.1

@@ -1,4 +1,4 @@
-"""``[collisions]`` of an arm file on the page: the arm holds before it touches, and the page says why."""
+"""``[collisions]`` of an arm file on the page: the arm holds before it touches."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def goal(robot: rik.Robot) -> Array:
 def arm_file(tmp_path: Path, robot: rik.Robot, goal: Array) -> Path:
     """The arm file with a ball between home and the goal."""
     x, y, z = robot.forward(0.5 * (robot.home + goal)).position
-    scene = f'<mujoco><worldbody><geom name="ball" size=".02" pos="{x} {y} {z}"/></worldbody></mujoco>'
+    ball = f'<geom name="ball" size=".02" pos="{x} {y} {z}"/>'
+    scene = f"<mujoco><worldbody>{ball}</worldbody></mujoco>"
     (tmp_path / "scene.xml").write_text(scene, encoding="utf-8")
     text = Path(ArmConfig.load(NAME).file or "").read_text(encoding="utf-8")
     table = '[collisions]\nscene = "scene.xml"\nmargin = 0.004\n\n[bus]'
@@ -87,9 +88,11 @@ def test_the_arm_holds_before_the_ball_and_goes_on_when_the_way_is_free(
     assert " mm " in view.message
     until(link, robot, goal, lambda view: is_held(view) and view.apart > 0.1, "it goes on")
     home = robot.home
-    view = until(
-        link, robot, home, lambda view: view.q is not None and np.abs(view.q - home).max() < 0.01, "stuck"
-    )
+
+    def is_home(view: ArmView) -> bool:
+        return view.q is not None and bool(np.abs(view.q - home).max() < 0.01)
+
+    view = until(link, robot, home, is_home, "it does not come back")
     assert view.message == ""
     assert nearest[0] > 0.0
 

@@ -342,9 +342,7 @@ def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Ar
     return roll.compose(Pose(wxyz=rotation_exp(np.arctan2(sine, cosine) * axis))).wxyz
 
 
-def _worth(
-    robot: Robot, task: ViewTask, condition: CollisionAvoidance, q: Array
-) -> Array | None:
+def _worth(robot: Robot, task: ViewTask, condition: CollisionAvoidance, q: Array) -> Array | None:
     """Return the information (12, 12) of the view at ``q``, or None if it is not usable."""
     seen = task.pose_camera_board(robot, q)
     ids = task.shown(seen)

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from robot_ik.camera.calibration.handeye import Mount, compress
 from robot_ik.camera.calibration.pose_means import rotation_spread
 from robot_ik.camera.targets import marker_points
+from robot_ik.collision.avoidance import CollisionAvoidance
+from robot_ik.collision.obstacles import Sphere
+from robot_ik.collision.scene import Scene as CollisionScene
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.arm_camera.view_planning import ViewTask, plan_views
@@ -84,6 +87,21 @@ def test_neither_they_nor_the_ways_between_touch_the_table(
             mujoco.mj_forward(model, data)
             for a, b in data.contact.geom:
                 assert not (table in (a, b) and (moving[a] or moving[b])), share
+
+
+def test_neither_they_nor_the_ways_between_touch_an_obstacle_of_the_arm_file(
+    robot: Robot, task: ViewTask, views: list[Array]
+) -> None:
+    """A ball where the tool passes on the way to the first of the views that were planned without it."""
+    passed = robot.forward(0.5 * (robot.home + views[0])).position
+    surroundings = CollisionScene(robot, [Sphere("ball", radius=0.05, pose=Pose(passed))])
+    condition = CollisionAvoidance(surroundings, margin=0.01)
+    assert condition.free(robot.home)
+    assert not surroundings.free(np.linspace(robot.home, views[0], 30)).all()
+    planned = plan_views(robot, task, 6, seed=1, collisions=condition)
+    for start, end in itertools.pairwise([robot.home, *planned]):
+        way = np.linspace(start, end, 200)
+        assert min(surroundings.clearance(q).distance for q in way) >= 0.01
 
 
 def test_they_tell_more_than_views_at_random(robot: Robot, task: ViewTask, views: list[Array]) -> None:
