@@ -384,7 +384,7 @@ class _Reach:
 
         with self.camera.following(setup.clock, request.follow) as goals:
             report.following = follow(
-                report.robot, goals, sinks=setup.stream_sinks, solver=self.method, rate=setup.rate,
+                report.robot, goals, sinks=setup.begin_stream(), solver=self.method, rate=setup.rate,
                 clock=setup.clock, duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
                 speed=request.speed, source=setup.opened, on_tick=show, collisions=setup.collisions,
             )  # fmt: skip

@@ -154,9 +154,8 @@ class RobotSetup:
         """Who takes commands; the setup itself keeps the last one."""
         return [*([] if self.opened is None else [self.opened]), self, *self.recorder]
 
-    @property
-    def stream_sinks(self) -> list[JointSink]:
-        """Sinks for commands that no one has checked before: they stop before parts touch."""
+    def begin_stream(self) -> list[JointSink]:
+        """Return sinks for a stream of commands, which stop the arm before parts touch."""
         if self.guard is None or self.arm is None:
             return self.sinks
         self.guard.begin(self.arm.positions())
@@ -209,8 +208,10 @@ class RobotSetup:
         """
         if self.guard is None:
             return trajectory
-        home = dict(zip(self.robot.joints, self.commanded.tolist(), strict=True))
-        return self.guard.checked(trajectory, home if self.arm is None else self.arm.positions())
+        positions = dict(zip(self.robot.joints, self.commanded.tolist(), strict=True))
+        if self.arm is not None:
+            positions = self.arm.positions()
+        return self.guard.checked(trajectory, positions)
 
     @property
     def rate(self) -> float:

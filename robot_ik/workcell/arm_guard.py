@@ -5,6 +5,7 @@ Every joint of the arm counts, grippers too, at the values that they have.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -95,8 +96,13 @@ class ArmGuard:
             wanted: Joint -> rad (m of a slide). The other joints stay.
 
         Returns:
-            What was sent for the joints of ``wanted``.
+            What was sent, for every joint of the arm.
+
+        Raises:
+            UnsafeCommandError: A value is not finite; nothing was sent.
         """
+        if not all(map(math.isfinite, wanted.values())):
+            arm.send(wanted, arm.clock.now())  # raises
         for name, value in wanted.items():
             self._wanted[self._names.index(name)] = value
         posture = self._stream.next(self._posture(self._wanted))

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import ConfigError, MotionBlockedError, NotConvergedError
+from robot_ik.errors import (
+    ConfigError,
+    MotionBlockedError,
+    NotConvergedError,
+    UnsafeCommandError,
+)
 from robot_ik.goals import PoseGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
@@ -238,7 +243,8 @@ def test_a_leader_leads_the_follower_up_to_the_obstacle_and_back(
         leader = Leads(arm)
         report = teleoperate(leader, arm, seconds=8.0, guard=guard)
         assert report.blocked > 50
-        assert 0.0 < leader.nearest < 0.05
+        # The servos are a little behind their commands, which keep 0.9 times the margin.
+        assert 0.003 < leader.nearest < 0.02
         assert leader.chain_q() == pytest.approx(robot.home, abs=0.02)
         assert guard.contact == ""
 
@@ -315,3 +321,24 @@ def test_a_recording_is_played_within_the_acceleration_caps(tmp_path: Path) -> N
     played, stretch = playable(motion, guarded, 1.0)
     assert peak(played) <= 1.02 * plain.acceleration[0]
     assert stretch > 1.1
+
+
+def test_a_command_that_is_not_finite_is_refused(tmp_path: Path, robot: rik.Robot) -> None:
+    file = arm_with(tmp_path, "")
+    guard = ArmGuard(ArmConfig.load(file))
+    with follower(file, robot.home) as arm:
+        arm.enable()
+        guard.begin(arm.positions())
+        with pytest.raises(UnsafeCommandError):
+            guard.send(arm, {"joint1": np.nan})
+        sent = guard.send(arm, {"joint1": robot.home[0] + 0.1})
+        assert sent["joint1"] == pytest.approx(robot.home[0], abs=0.01)
+
+
+def test_reach_without_servos_uses_the_scene_too(
+    tmp_path: Path, robot: rik.Robot, goal: Array
+) -> None:
+    file = with_ball(tmp_path, middle(robot, goal))
+    wanted = PoseGoal.at(None, robot.forward(goal))
+    report = run_reach(ReachRequest(robot=NAME, bus="none", arm_file=file, goal=wanted))
+    assert isinstance(report.problem, MotionBlockedError)

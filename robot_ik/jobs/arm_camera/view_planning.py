@@ -68,7 +68,7 @@ _NEAR = Tolerance(position=1e-3, angle=5e-3)
 _TRY = Budget(iterations=300, restarts=1)
 
 
-def free_of(
+def condition_at(
     robot: Robot,
     start: Array,
     table: SceneTable | None = None,
@@ -242,7 +242,7 @@ def plan_views(
         CameraError: Fewer than four can be reached.
     """
     start = robot.home if start is None else robot.check_q(start, "start")
-    condition = free_of(robot, start, task.table, collisions)
+    condition = condition_at(robot, start, task.table, collisions)
     pool = _candidates(robot, task, condition, start, max(_POOL * count, 4 * LEAST_VIEWS), seed)
     ordered: list[Array] = []
     for _ in range(_REPAIRS):

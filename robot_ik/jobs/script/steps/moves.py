@@ -376,7 +376,7 @@ class FollowStep(Framed, Action):
         setup = now.setup
         with self._goals(now, frame) as goals:
             report = follow(
-                now.robot, goals, sinks=setup.stream_sinks, solver=now.solver, rate=setup.rate,
+                now.robot, goals, sinks=setup.begin_stream(), solver=now.solver, rate=setup.rate,
                 clock=setup.clock, duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
                 speed=self.speed or now.script.speed, source=now.setup.opened, on_tick=note,
                 collisions=now.setup.collisions,
