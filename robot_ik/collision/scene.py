@@ -42,6 +42,9 @@ from robot_ik.robot import Robot, load_robot, require_robot
 FARTHEST = 1e10
 """m. MuJoCo measures distances up to this."""
 
+SMALLEST_REACH = 1e-9
+"""m. MuJoCo measures no depth of a contact if it shall measure distances up to 0 only."""
+
 TOUCHING_SAMPLES = 64
 """Random postures. Parts that touch in all of them touch by construction."""
 
@@ -298,7 +301,9 @@ class Scene:
             if lower > reach:
                 break
             a, b = pairs[pair].tolist()
-            distances[pair] = mujoco.mj_geomDistance(self.model, data, a, b, reach, segment)
+            farthest = max(reach, SMALLEST_REACH)
+            distance = mujoco.mj_geomDistance(self.model, data, a, b, farthest, segment)
+            distances[pair] = min(distance, reach)
         return distances
 
     def _outer_first(self, a: int, b: int) -> tuple[int, int]:
@@ -391,7 +396,8 @@ def always_near(scene: Scene, pairs: Ints, margin: float) -> tuple[Touching, ...
         deepest: dict[tuple[str, ...], float] = {}
         for i in candidates:
             a, b = pairs[i].tolist()
-            distance = mujoco.mj_geomDistance(model, data, a, b, margin + 1e-9, segment)
+            reach = margin + SMALLEST_REACH
+            distance = mujoco.mj_geomDistance(model, data, a, b, reach, segment)
             if distance < margin and (k == 0 or names[i] in depths):
                 deepest[names[i]] = max(deepest.get(names[i], -margin), -distance)
                 bodies[names[i]] = model.geom_bodyid[[a, b]].tolist()

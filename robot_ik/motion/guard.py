@@ -37,8 +37,11 @@ NEAR = 1e-3
 HELD_SHARE = 0.9
 """Share of the margin that is proven while parts are led apart."""
 
-LONGEST_SAMPLE = 0.02
-"""rad or m. Distance of the postures of a step that are checked while parts touch."""
+LONGEST_SAMPLE = 0.01
+"""rad or m. Distance of the postures of a step that are checked while parts touch.
+
+A part at 0.5 m moves 5 mm between them: past a ball of 20 mm it comes 0.16 mm nearer at most.
+"""
 
 
 class MotionGuard:
@@ -139,9 +142,10 @@ class MotionGuard:
         geoms, distances = self._near(q)
         if not len(geoms):
             return blocked
-        if distances.min() > HELD_SHARE * margin:
+        held = HELD_SHARE * margin
+        if 0.0 < held < distances.min():
             # A motion away from the margin cannot be proven to keep it, but less can be proven.
-            if not self._is_proven(q, change, HELD_SHARE * margin):
+            if not self._is_proven(q, change, held):
                 return self._proof.arrays["q"].copy()
         else:
             geoms = self.collisions.tables.geoms
