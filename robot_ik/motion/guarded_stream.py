@@ -12,6 +12,8 @@ the way that the last step left free.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,6 +23,9 @@ from robot_ik.motion.guard import MotionGuard
 
 SHARES = (0.5, 0.25)
 """Shares of the way from braking to a step that are tried if the step is not allowed."""
+
+TICK_ROUNDING = 1e-6
+"""Rounding error of a number of ticks. One tick more would lengthen the way that was checked."""
 
 CAP_SHARE = 0.98
 """Share of the limits to use, so that the limiter of an arm changes no command."""
@@ -139,4 +144,5 @@ class GuardedStream:
 
     def _ticks_to_stop(self, step: Array) -> float:
         """Return how many ticks straight braking takes, this one included; at least 1."""
-        return max(1.0, float(np.ceil(np.max(np.abs(step) / self._change, initial=0.0))))
+        ticks = float(np.max(np.abs(step) / self._change, initial=0.0))
+        return max(1.0, math.ceil(ticks - TICK_ROUNDING))
