@@ -18,7 +18,7 @@ from robot_ik.robot import Robot
 
 Ints = NDArray[np.int64]
 
-MOST_CHECKS = 20_000
+MAX_CHECKS = 20_000
 """Postures that a proof may check: about a tenth of a second."""
 
 JUDGED_POSTURES = 64
@@ -97,7 +97,7 @@ def proof_memory(collisions: CollisionAvoidance) -> Block:
         "h": certificate.STACK_DEPTH,
     }
     proof = certificate.PROOF.allocate(sizes, {"collision": memory})
-    proof["most_checks"] = MOST_CHECKS
+    proof["max_checks"] = MAX_CHECKS
     jit.announce(certificate.prove_path, "proofs of motions")
     return proof
 

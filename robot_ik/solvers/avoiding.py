@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from robot_ik.problem import Problem
 
 # Starts that are tried after a solution that touches, if the budget has no limit of restarts.
-_MOST_STARTS = 200
+_MAX_STARTS = 200
 # The share of the way to a random posture grows by this from start to start.
 _SHARE_STEP = 0.25
 # Random restarts of the method from each start.
@@ -186,7 +186,7 @@ class PreparedAvoiding:
         rng = np.random.default_rng(problem.seed)
         budget = search.budget
         max_starts = (
-            _MOST_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
+            _MAX_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
         )
         touching = first.q
         for attempt in range(max_starts):

@@ -108,7 +108,7 @@ def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: 
         return gui.add_dropdown(label, meta["choices"], initial_value=value, hint=text)
     if isinstance(value, str):
         return gui.add_text(label, value, hint=text)
-    low, high = meta["low"], meta["high"]
+    low, high = meta["lower"], meta["upper"]
     text += f"; {low:g} … {high:g}"
     if meta.get("usual") is None:
         step = 1 if isinstance(value, int) else None
@@ -314,7 +314,7 @@ class _MethodFolder:
 
     def _add(self, field: Any, value: Any) -> None:
         widget = option_widget(self._gui, field.name, field.metadata, value)
-        low = field.metadata.get("low")
+        low = field.metadata.get("lower")
 
         def changed(chosen: Any) -> None:
             if isinstance(chosen, float) and low is not None:
