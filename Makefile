@@ -132,7 +132,7 @@ clean:
 	rm -rf $(VENV) .venv-opencv4 .venv-mujoco3 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
-	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,record,gamepad,plots,descriptions,dev]'
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,record,gamepad,plots,maps,cluster,descriptions,dev]'
 	@$(PY) .ci/link_stubs.py $(VENV)/stubs
 	@printf '%s\n' '$(CURDIR)' > $@
 

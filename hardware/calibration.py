@@ -13,7 +13,8 @@ from dataclasses import replace
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.files import timestamp
-from robot_ik.hardware.bus import ServoBus, read_all
+from robot_ik.hardware.arm_registers import read_all
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.dynamixel_x_table import REVERSE

@@ -43,10 +43,12 @@ if TYPE_CHECKING:
     )
     from robot_ik.inverse_kinematics import solve, warm_up
     from robot_ik.motion.line import line_move
+    from robot_ik.motion.plan import Plan, PlanStatus, plan
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.pose_prior import PosePrior
     from robot_ik.problem import Problem
+    from robot_ik.reachability.reachability_map import Reach, ReachabilityMap, map_reachability
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_arm import RobotArm, open_robot
     from robot_ik.robot_file import catalogue
@@ -80,10 +82,12 @@ _HOME = {
     ),
     "robot_ik.pose_prior": ("PosePrior",),
     "robot_ik.motion.line": ("line_move",),
+    "robot_ik.motion.plan": ("Plan", "PlanStatus", "plan"),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.budget": ("Budget",),
     "robot_ik.problem": ("Problem",),
+    "robot_ik.reachability.reachability_map": ("Reach", "ReachabilityMap", "map_reachability"),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
@@ -111,6 +115,8 @@ __all__ = [
     "Mesh",
     "NotConvergedError",
     "OrientationGoal",
+    "Plan",
+    "PlanStatus",
     "Plane",
     "PlaneGoal",
     "Pose",
@@ -120,6 +126,8 @@ __all__ = [
     "PositionGoal",
     "PostureGoal",
     "Problem",
+    "Reach",
+    "ReachabilityMap",
     "RealClock",
     "Robot",
     "RobotArm",
@@ -143,7 +151,9 @@ __all__ = [
     "load_scene",
     "make_chain",
     "make_solver",
+    "map_reachability",
     "open_robot",
+    "plan",
     "solve",
     "solve_all",
     "solve_batch",

@@ -527,6 +527,10 @@ class UnsupportedGeomError(CollisionError):
         )
 
 
+class ReachabilityMapError(RobotIkError):
+    """A folder that holds no reachability map, or a map that does not fit its robot."""
+
+
 class GoalError(RobotIkError, ValueError):
     """Root of the errors of goals."""
 
@@ -628,6 +632,18 @@ def contact_text(pair: tuple[str, str], distance: float, margin: float) -> str:
         f"{first} would come within {1e3 * distance:.1f} mm of {second} "
         f"(margin {1e3 * margin:.1f} mm)"
     )
+
+
+class PlanningError(TrajectoryError):
+    """``plan`` found no motion. Only ``Plan.require()`` raises it.
+
+    Attributes:
+        plan: The plan with its status.
+    """
+
+    def __init__(self, message: str, plan: object, *, hint: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.plan = plan
 
 
 NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)

@@ -17,7 +17,6 @@ from robot_ik.errors import CollisionError, ConfigError, ModelError, UnknownJoin
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm, virtual_servos
 from robot_ik.hardware.arm_part import ArmPart
-from robot_ik.hardware.calibration import check_model
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.ports import Array, Clock, Closing, JointReading
 from robot_ik.robot import Robot, load_robot
@@ -150,15 +149,15 @@ def open_robot(
     config = arm if isinstance(arm, ArmConfig) else ArmConfig.load(arm or _arm_file_beside(robot))
     source = robot.path if isinstance(name, Robot) else name
     robot = robot_of_arm(robot, config, source)
-    check_model(config, _model_limits(robot))
-    chain = config.only(robot.joints)
-    robot = robot.with_limits(chain.lower, chain.upper)
     if start is None and virtual_bus is None and bus_row(bus).virtual:
         start = robot.home
     if start is not None and not isinstance(start, Mapping):
         start = dict(zip(robot.joints, np.asarray(start, dtype=float).tolist(), strict=True))
-    opened = open_arm(config, bus, on_exit=on_exit, virtual_bus=virtual_bus, start=start)
-    return RobotArm(robot, opened)
+    opened = open_arm(
+        config, bus, on_exit=on_exit, virtual_bus=virtual_bus, start=start, robot=robot
+    )
+    chain = config.only(robot.joints)
+    return RobotArm(robot.with_limits(chain.lower, chain.upper), opened)
 
 
 def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None:
@@ -244,11 +243,3 @@ def _require_joints(robot: Robot, names: Sequence[str], config: ArmConfig) -> No
             key="joints",
             allowed=", ".join(robot.joints),
         )
-
-
-def _model_limits(robot: Robot) -> dict[str, tuple[float, float]]:
-    """Return joint -> limits of the model, rad or m."""
-    return {
-        joint: (float(robot.lower[v]), float(robot.upper[v]))
-        for joint, v in zip(robot.joints, robot.tree.vadr.tolist(), strict=True)
-    }

@@ -70,7 +70,7 @@ def test_whose_packets_are_on_the_wire_is_said_rightly(
     page = (REFERENCE / "hardware.md").read_text(encoding="utf-8")
     packets = page.partition("\n## Packets\n")[2].partition("\n## ")[0]
     (row,) = [row for row in packets.splitlines() if row.startswith("|") and f"`{call}`" in row]
-    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket"})
+    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket", "rxPacket"})
     assert ("hardware/packets.py" in row.split("|")[3]) == (not used)
 
 

@@ -20,7 +20,8 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 
 from robot_ik.errors import BusTimeoutError, HardwareError
-from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.hardware.arm_registers import read_all, shared_register
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.feetech_sts_table import BAUD_RATES, STS3215
 from robot_ik.hardware.family import Capabilities, CycleBlock
@@ -278,6 +279,17 @@ class FeetechSts:
         )
         block = table.block("torque_enable", "present_current")
         return CycleBlock(block, tuple(table[name] for name in names))
+
+    def short_block(
+        self,
+        _bus: ServoBus,
+        _id: int,
+        table: ControlTable,
+        *,
+        with_health: bool,  # noqa: ARG002
+    ) -> CycleBlock:
+        """Return the plain block: these servos have no indirect addresses."""
+        return self.plain_block(table)
 
     def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:
         return (table.block("torque_enable", "present_current"),)

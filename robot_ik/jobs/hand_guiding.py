@@ -19,7 +19,7 @@ from robot_ik.errors import ArmStateError, ConfigError, HardwareError
 from robot_ik.execution import execute
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.arm_part import ArmPart
-from robot_ik.hardware.bus import read_all, shared_register
+from robot_ik.hardware.arm_registers import read_all, shared_register
 from robot_ik.hardware.calibration import (
     ASKED_WIGGLE,
     STILL_TICKS,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -45,6 +45,9 @@ from robot_ik.solution import COLLIDING, Solution
 from robot_ik.solvers import solver_name
 from robot_ik.testbed.frontends.window import Solid, WindowSink
 
+if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
+
 # ------------------------------------------------------------------------------------------
 # What a reach shall do.
 
@@ -64,6 +67,8 @@ class ReachRequest(ArmRequest):
         when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many s without it.
         lead: Seconds to predict the marker beyond each tick.
         record: File of all commands and measurements, .csv or .mcap.
+        scene: MJCF file of obstacles that the arm must not touch on its way to the goal.
+        avoid: Plan a motion around the obstacles and the robot itself.
     """
 
     solver: str = ""
@@ -81,6 +86,8 @@ class ReachRequest(ArmRequest):
     lost_after: float = 2.0
     lead: float = 0.0
     record: Path | None = None
+    scene: Path | None = None
+    avoid: bool = False
 
 
 # ------------------------------------------------------------------------------------------
@@ -206,9 +213,10 @@ def run_reach(
         vision = open_vision(request, setup, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
+        collisions = _collisions(request, setup.robot)  # a wrong file is refused before anything moves
         with setup.connected():
             try:
-                _Reach(report, window, method, progress).run(compiling)
+                _Reach(report, window, method, progress, collisions).run(compiling)
             except NOT_ACHIEVED_ERRORS as problem:
                 report.problem = problem
             report.counters = setup.counters()
@@ -216,6 +224,16 @@ def run_reach(
         if window is not None:
             window.wait()
     return report
+
+
+def _collisions(request: ReachRequest, robot: Robot) -> CollisionAvoidance | None:
+    """Return the condition on the motion to the goal; None if the request has none."""
+    if request.scene is None and not request.avoid:
+        return None
+    # Here, because it loads the kernels of collision checks, 50 ms.
+    from robot_ik.jobs.obstacles import condition_among
+
+    return condition_among(robot, request.scene)
 
 
 def _window(
@@ -240,6 +258,7 @@ class _Reach:
     window: Any
     method: str
     progress: Progress
+    collisions: CollisionAvoidance | None = None
 
     @property
     def camera(self) -> Vision:
@@ -337,6 +356,14 @@ class _Reach:
         report, setup = self.report, self.report.setup
         report.q_start = start = setup.q.copy()
         caps = setup.caps(report.request.speed)
+        if self.collisions is not None:
+            caps["collisions"] = self.collisions
+        if report.request.avoid:
+            # Here, because it loads the kernels of collision checks, 50 ms.
+            from robot_ik.motion.plan import plan
+
+            report.trajectory = plan(report.robot, start, solution.q, **caps).require()
+            return report.trajectory
         if report.request.line:
             target = goal.target
             asks_angle = goal.weights[1] > 0.0

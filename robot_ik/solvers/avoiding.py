@@ -3,6 +3,7 @@
 The method solves without regard to collisions. If its solution touches, another one is searched:
 
     closed form      the nearest free branch. If none is free or singular, that is a proof.
+    seven hinges     first of all a closed form for each angle of the last joint, see ``swept.py``
     other methods    the same method from other starts, first near the start, then anywhere;
                      from time to time limited steps lead a solution out of its collisions
 
@@ -29,7 +30,8 @@ from robot_ik.solution import COLLIDING, Solution, Status
 from robot_ik.solvers.analytic import Analytic, PreparedClosedForm
 from robot_ik.solvers.analytic.branch import listed_branches
 from robot_ik.solvers.analytic.five_joint import PreparedFiveJoint
-from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared
+from robot_ik.solvers.analytic.swept import PreparedSwept, last_joint_of
+from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared, run_each
 from robot_ik.solvers.limited_step import LimitedStep
 
 if TYPE_CHECKING:
@@ -60,7 +62,8 @@ _LEAST_GAIN = 1e-3
 # Below this smallest singular value of its Jacobian a branch is one of a continuum.
 _SINGULAR = 1e-6
 # Methods whose solution may be replaced by another branch.
-_WITH_BRANCHES = ("auto", "analytic")
+_AUTO = "auto"
+_WITH_BRANCHES = (_AUTO, "analytic")
 
 
 class PreparedAvoiding:
@@ -82,6 +85,10 @@ class PreparedAvoiding:
             self._closed_form = Analytic().prepare(problem)
         self._memory = collisions.memory()
         self._address = self._memory.address
+        self._swept: PreparedSwept | None = None
+        last = last_joint_of(problem) if problem.solver.name == _AUTO else None
+        if last is not None:
+            self._swept = PreparedSwept(last, problem, self._memory, collisions.margin)
         announce()
         example = np.zeros(problem.robot.nq)
         arguments = self._address, example, collisions.margin
@@ -99,6 +106,11 @@ class PreparedAvoiding:
 
     def run(self, problem: Problem, budget: Budget) -> Solution:
         """Solve, and look for a free solution if the first one touches."""
+        if self._swept is not None:
+            swept = self._swept.run(problem, budget)
+            if swept is not None:
+                swept.avoidance = self.collisions
+                return swept
         solution = self.method.run(problem, budget)
         solution.avoidance = self.collisions
         if solution.status is not Status.CONVERGED or self.is_free(solution.q):
@@ -129,6 +141,9 @@ class PreparedAvoiding:
         budget: Budget,
     ) -> None:
         """Solve all rows, then look for free solutions of the rows that touch."""
+        if self._swept is not None:
+            run_each(self, problem, targets, starts, results, budget)
+            return
         self.method.run_many(problem, targets, starts, results, budget)
         converged = np.flatnonzero(results.status == Status.CONVERGED)
         free = self.collisions.free(results.q[converged].reshape(-1, problem.robot.nq))

@@ -16,11 +16,11 @@ import numpy as np
 from robot_ik.errors import ArmStateError, HardwareError, MotionBlockedError, RobotIkError
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.health import ServoState, read_states
-from robot_ik.hardware.watchdogs import ExitGuard
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 from robot_ik.robot_arm import RobotArm
+from robot_ik.signals import ExitGuard
 from robot_ik.testbed.commands import ArmMode
 from robot_ik.workcell.arm_guard import guard_of
 from robot_ik.workcell.guided_motion import approach, playable

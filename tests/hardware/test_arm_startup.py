@@ -19,7 +19,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.bus import shared_register
+from robot_ik.hardware.arm_registers import shared_register
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus

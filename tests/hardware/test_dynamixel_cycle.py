@@ -7,9 +7,10 @@ import time
 import pytest
 
 from robot_ik.hardware import BUSES, open_bus
-from robot_ik.hardware.dynamixel import MAX_FAST_FAILURES, DynamixelBus
+from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.registers import Register
+from robot_ik.hardware.serial_bus import MAX_FAST_FAILURES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault

@@ -17,9 +17,10 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import packets
 from robot_ik.hardware.bus import BROADCAST_ID, Counters
-from robot_ik.hardware.dynamixel import CYCLE_TIME, DynamixelBus, listening_time
+from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.packets import FastParser, StatusParser
+from robot_ik.hardware.serial_bus import CYCLE_TIME
 from robot_ik.hardware.serial_port import LONGEST_DRAIN, RESPONSE_TIME, SleepingPortHandler
 from robot_ik.hardware.virtual.protocol import build_status
 
@@ -106,7 +107,7 @@ CALLS: dict[str, tuple[Callable[[DynamixelBus], object], float]] = {
         lambda bus: bus.exchange(GOAL, {1: 5}, dict.fromkeys(IDS, POSITION), 0.01),
         LONGEST_DRAIN + RESPONSE_TIME + 0.002,
     ),
-    "broadcast_ping": (lambda bus: bus.broadcast_ping(), LONGEST_DRAIN + listening_time(1_000_000)),
+    "broadcast_ping": (lambda bus: bus.broadcast_ping(), LONGEST_DRAIN + DynamixelBus("").listening_time),
 }
 
 

@@ -29,7 +29,7 @@ import json, signal, sys, time
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.torque import ExitReport
+from robot_ik.hardware.leaving import ExitReport
 
 port, file, policy = sys.argv[1:]
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

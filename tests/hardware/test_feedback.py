@@ -9,9 +9,9 @@ import pytest
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.cycle import jump_fault
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import Direct, Drive, Pinion
+from robot_ik.hardware.servo_faults import jump_fault
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock

@@ -14,9 +14,10 @@ import pytest
 import serial
 from serial.tools import list_ports
 
+from robot_ik import signals
 from robot_ik.cli.connection import served_or_serial_port
 from robot_ik.errors import BusNotOpenError
-from robot_ik.hardware import open_bus, watchdogs
+from robot_ik.hardware import open_bus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.ports import port_row, serial_ports, serial_row
@@ -177,10 +178,10 @@ def test_without_pseudo_terminals_the_bus_pty_names_sim(without_pty: None, arm_c
 
 def test_signals_are_those_that_the_system_has(monkeypatch: pytest.MonkeyPatch) -> None:
     if sys.platform != "win32":
-        assert watchdogs.SIGNALS == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        assert signals.SIGNALS == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     monkeypatch.delattr(signal, "SIGHUP", raising=False)
     monkeypatch.setattr(signal, "SIGBREAK", 21, raising=False)
-    spec = importlib.util.find_spec("robot_ik.hardware.watchdogs")
+    spec = importlib.util.find_spec("robot_ik.signals")
     assert spec is not None and spec.loader is not None
     windows = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(windows)

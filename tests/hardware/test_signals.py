@@ -19,15 +19,25 @@ import numpy as np
 import pytest
 
 import robot_ik.hardware
+import robot_ik.signals
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.watchdogs import ExitGuard, uninterrupted
 from robot_ik.ports import VirtualClock
 from tests.waiting import wait_for
 
 HARDWARE = str(Path(robot_ik.hardware.__file__).parent)
-LIFE_CYCLE = {"arm.py", "torque.py", "watchdogs.py", "stop_file.py"}
+SIGNALS = robot_ik.signals.__file__
+LIFE_CYCLE = {
+    "arm.py",
+    "arm_exit.py",
+    "leaving.py",
+    "signals.py",
+    "stop_file.py",
+    "stop_requests.py",
+    "torque.py",
+    "watchdogs.py",
+}
 Line = tuple[str, int]
 
 
@@ -35,7 +45,8 @@ def is_ours(frame: FrameType, files: set[str] | None) -> bool:
     """A function that runs on the host: neither in the virtual servos, nor while a module is imported."""
     code = frame.f_code
     folder, _, file = code.co_filename.rpartition("/")
-    return folder == HARDWARE and (files is None or file in files) and code.co_name != "<module>"
+    host = folder == HARDWARE or code.co_filename == SIGNALS
+    return host and (files is None or file in files) and code.co_name != "<module>"
 
 
 @contextmanager
@@ -215,17 +226,6 @@ def test_a_signal_at_any_line_of_all_that_runs(one_joint, start, policy, styled,
     assert signal_at_every_line(one_joint, start[:1], policy, styled, phase) > 100
 
 
-# ------------------------------------------------------------------------------ the guard by itself
-
-
-@pytest.fixture
-def guards():
-    made = [ExitGuard(lambda: None) for _ in range(3)]
-    yield made
-    for guard in made:
-        guard.remove()
-
-
 @pytest.fixture
 def calls():
     """Signals that reached the program's own handler of SIGTERM."""
@@ -233,91 +233,6 @@ def calls():
     before = signal.signal(signal.SIGTERM, lambda number, frame: calls.append(number))
     yield calls
     signal.signal(signal.SIGTERM, before)
-
-
-def handlers() -> list[object]:
-    return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-
-
-def test_the_first_signal_raises_and_the_next_are_only_counted(guards):
-    guards[0].install()
-    with pytest.raises(SystemExit) as caught:
-        signal.raise_signal(signal.SIGTERM)
-    assert caught.value.code == 143
-    signal.raise_signal(signal.SIGTERM)
-    signal.raise_signal(signal.SIGINT)
-    assert guards[0].received == 3
-
-
-def test_a_program_that_swallows_the_exception_gets_another_after_a_while(guards, monkeypatch):
-    guards[0].install()
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-    monkeypatch.setattr("robot_ik.hardware.watchdogs.PATIENCE", 0.0)
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-
-
-def test_what_is_carried_through_raises_the_signal_at_its_end(guards):
-    guards[0].install()
-    done = []
-
-    @uninterrupted
-    def work() -> None:
-        signal.raise_signal(signal.SIGINT)
-        done.append("whole")
-
-    with pytest.raises(KeyboardInterrupt):
-        work()
-    assert done == ["whole"]
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
-@pytest.mark.parametrize("elsewhere", [False, True])
-def test_the_handlers_from_before_are_restored_in_every_order_of_closing(guards, calls, order, elsewhere):
-    before = handlers()
-    for guard in guards:
-        guard.install()
-    assert all(a is not b for a, b in zip(handlers(), before, strict=True))
-    for k in order:
-        if elsewhere:
-            thread = threading.Thread(target=guards[k].remove)
-            thread.start()
-            thread.join()
-        else:
-            guards[k].remove()
-    wait_for(lambda: handlers() == before)
-    signal.raise_signal(signal.SIGTERM)
-    assert calls == [signal.SIGTERM]
-
-
-def test_ignored_signals_stay_ignored(guards):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        guards[0].install()
-        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-def test_a_handler_put_above_ours_meanwhile_stays_and_reaches_what_was_before(guards, calls):
-    guards[0].install()
-    ours = signal.getsignal(signal.SIGTERM)
-    above = []
-    signal.signal(signal.SIGTERM, lambda number, frame: (above.append(number), ours(number, frame)))
-    with pytest.raises(SystemExit):
-        signal.raise_signal(signal.SIGTERM)
-    guards[0].remove()
-    signal.raise_signal(signal.SIGTERM)  # no arm any more: it passes through to the first one
-    assert above == [signal.SIGTERM] * 2 and calls == [signal.SIGTERM]
-
-
-def test_outside_the_main_thread_no_handler_is_touched(guards):
-    before = handlers()
-    thread = threading.Thread(target=guards[0].install)
-    thread.start()
-    thread.join()
-    assert handlers() == before
 
 
 def test_an_arm_closed_by_another_thread_leaves_the_signal_to_the_programs_own_handler(

@@ -13,8 +13,8 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.leaving import ExitReport
 from robot_ik.hardware.simulated import SimBus
-from robot_ik.hardware.torque import ExitReport
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort

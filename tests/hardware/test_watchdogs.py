@@ -12,7 +12,8 @@ import pytest
 from robot_ik.errors import HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.watchdogs import SIGNALS, Heartbeat
+from robot_ik.hardware.watchdogs import Heartbeat
+from robot_ik.signals import SIGNALS
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")
