@@ -10,6 +10,10 @@ them, and a later request may be answered before.
 
 A value is wrong if its register did not hold it during the call.  A read without a value is not
 wrong: the program learns that it has none.
+
+The two copies of a doubled reply arrive together, in time or late, as an adapter delivers them. A
+copy that arrives while the next request is sent is not covered: on a half-duplex wire it would
+collide with that request.
 """
 
 from __future__ import annotations
@@ -43,12 +47,8 @@ PERIOD = 0.01
 The others follow at once, as while an arm is connected.
 """
 
-EXCLUDED = ("late", "duplicate")
-"""Ways of spoiling that are not used.
-
-The port itself makes replies late.  A servo does not send a reply twice, and the second copy of a
-late one could not be told from a reply.
-"""
+EXCLUDED = ("late",)
+"""Ways of spoiling that are not used: the port itself makes replies late."""
 
 MODELS = {"dynamixel_x": "XM430-W350", "feetech_sts": "STS3215"}
 """Servo family -> model that is measured."""

@@ -6,6 +6,7 @@ Random calls are in `test_wrong_replies.py`.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib.util
 import random
 import sys
@@ -25,6 +26,7 @@ from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
+from tests.hardware.family_arms import FAMILIES, family_config
 
 TABLE = X_TABLES["XM430-W350"]
 NO_REGISTER = Register("undefined", 700, 4)
@@ -42,9 +44,7 @@ def script() -> ModuleType:
     return module
 
 
-def test_an_arm_starts_moves_and_is_left_rightly_or_says_that_servos_do_not_answer(
-    arm_config, script
-):
+def test_an_arm_works_or_reports_that_servos_do_not_answer(arm_config, script):
     """One request of twelve is late: no register is taken for another, and the report is true."""
     started = 0
     for seed in range(25):
@@ -76,7 +76,7 @@ def sim() -> SimBus:
 
 
 def late_answer(sim: SimBus, register: Register) -> None:
-    """The servo answers this read when nobody waits any more."""
+    """Read a register whose reply comes after the read was given up."""
     sim.virtual_bus.inject(Fault("late", value=1.0))
     with pytest.raises(BusTimeoutError):
         sim.read(1, register)
@@ -92,7 +92,7 @@ def test_a_late_error_number_refuses_no_later_request(sim):
     assert status.error == 0 and status.data in (None, TABLE["firmware_version"].initial)
 
 
-def test_a_register_is_never_said_to_read_what_it_read_before_it_was_written(sim):
+def test_a_read_never_returns_the_value_from_before_a_write(sim):
     """Torque is confirmed by reading it again: a reply from before must not confirm it."""
     torque = TABLE["torque_enable"]
     late_answer(sim, torque)
@@ -101,6 +101,21 @@ def test_a_register_is_never_said_to_read_what_it_read_before_it_was_written(sim
     late_answer(sim, torque)
     sim.virtual_bus.servo(1).memory.set("torque_enable", 0)
     assert sim.sync_read([1], torque)[1].data == 0
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_late_reply_that_lacks_a_byte_is_no_value(family):
+    """Late and a byte short, a reply of two bytes is as long as the next one of one byte."""
+    config = family_config(family)
+    servos = VirtualBus.from_config(config, VirtualClock())
+    sim = SimBus(servos, config.family.protocol, retries=0)
+    sim.open()
+    table = config.drives[0].servo.table
+    late_answer(sim, dataclasses.replace(table["present_input_voltage"], size=2))
+    ((packet, sent),) = servos.wire.held
+    servos.wire.held = [(servos.side.shortened(packet), sent)]
+    reads = {1: table["torque_enable"]}
+    assert sim.exchange(table["goal_position"], {}, reads)[1].data == 0
 
 
 def test_a_call_waits_only_where_a_late_reply_could_be_mistaken(sim):

@@ -1,4 +1,4 @@
-"""Protocol 1 on the host's side: packets, damage, and bytes equal to those of Feetech's SDK."""
+"""Protocol 1 on the host's side: packets, damage, and bytes equal to Feetech's SDK."""
 
 from __future__ import annotations
 

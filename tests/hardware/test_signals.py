@@ -1,7 +1,7 @@
-"""A signal at every line that an arm runs through, in process and on virtual time: it is always left.
+"""A signal at every line of an arm, on virtual time: the arm is always left.
 
-The lines are found by running a phase once under a tracer; then the phase is run once for each line, with the
-signal raised when that line is reached.
+The lines are found by running a phase once under a tracer; then the phase is run once for each
+line, with the signal raised when that line is reached.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -24,6 +23,7 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import VirtualClock
+from tests.hardware.family_arms import FAMILIES, family_config
 from tests.waiting import wait_for
 
 HARDWARE = str(Path(robot_ik.hardware.__file__).parent)
@@ -42,7 +42,7 @@ Line = tuple[str, int]
 
 
 def is_ours(frame: FrameType, files: set[str] | None) -> bool:
-    """A function that runs on the host: neither in the virtual servos, nor while a module is imported."""
+    """Return whether a function runs on the host, not in virtual servos or an import."""
     code = frame.f_code
     folder, _, file = code.co_filename.rpartition("/")
     host = folder == HARDWARE or code.co_filename == SIGNALS
@@ -71,7 +71,9 @@ class Run:
     def __init__(self, config, start, policy: str, styled: str, files: set[str] | None) -> None:
         self.servos = VirtualBus.from_config(config, VirtualClock(), start=start)
         self.arm = open_arm(config, "sim", virtual_bus=self.servos, on_exit=policy)
-        self.start, self.styled, self.files = start, styled, files
+        self.start = start
+        self.styled = styled
+        self.files = files
 
     def through(self, phase: str, see: Callable[[Line], None]) -> None:
         """The whole life of the arm; ``see`` gets the lines of one phase."""
@@ -88,7 +90,10 @@ class Run:
             begin = self.arm.clock.now()
             for k in range(3):
                 self.arm.clock.sleep_until(begin + 0.01 * (k + 1))
-                step("send", lambda k=k: self.arm.send(self.start + 0.001 * k, begin + 0.01 * (k + 1)))
+                step(
+                    "send",
+                    lambda k=k: self.arm.send(self.start + 0.001 * k, begin + 0.01 * (k + 1)),
+                )
             step("move", lambda: self.arm.move_to(self.start + 0.01))
 
         if self.styled == "with":
@@ -109,17 +114,18 @@ class Run:
                 step("close", self.arm.close)
 
     def register(self, name: str) -> list[int]:
-        return [servo.memory.values[name] for servo in self.servos.servos]
+        return [servo.register(name) for servo in self.servos.servos]
 
 
-@pytest.fixture
-def one_joint(arm_config):
-    """The fewer servos, the faster the many runs."""
-    return replace(arm_config, joints=arm_config.joints[:1])
+@pytest.fixture(params=FAMILIES)
+def one_joint(request):
+    """An arm of one servo, because many runs are made."""
+    return family_config(request.param).only(["joint1"])
 
 
 def lines_of(make: Callable[[], Run], phase: str) -> list[Line]:
-    make().through(phase, lambda line: None)  # the second time nothing is looked up for the first time
+    # the second time nothing is looked up for the first time
+    make().through(phase, lambda line: None)
     lines: dict[Line, None] = {}
     make().through(phase, lambda line: lines.setdefault(line))
     return list(lines)
@@ -127,10 +133,12 @@ def lines_of(make: Callable[[], Run], phase: str) -> list[Line]:
 
 def check_left(run: Run, phase: str, policy: str) -> None:
     """The servos say what the report says, and the report what was promised."""
-    arm, report = run.arm, run.arm.exit_report
+    arm = run.arm
+    report = run.arm.exit_report
     assert not arm.bus.is_open and arm.state is ArmState.DISCONNECTED
     assert report is not None and report.ok
-    assert run.register("bus_watchdog") == [0]
+    if arm.config.family.capabilities.bus_watchdog:
+        assert run.register("bus_watchdog") == [0]
     assert run.register("torque_enable") == [int(report.done == "hold")]
     if phase == "enable" and not report.parked:
         # Before it was on, while it came on, or the policy where enabling was just over.
@@ -173,10 +181,13 @@ def signal_at_every_line(config, start, policy, styled, phase, files=None) -> in
         finally:
             after = signal.signal(signal.SIGTERM, before)
         assert raised, where
-        assert after is handler and signal.getsignal(signal.SIGINT) is signal.default_int_handler, where
+        assert after is handler and signal.getsignal(signal.SIGINT) is signal.default_int_handler, (
+            where
+        )
         if number == signal.SIGTERM:  # once, when the arm was left, or before it was on
             assert len(called) == 1, where
-            assert ended in ("SystemExit", "normally"), where  # normally: the handler was the program's
+            # normally: the handler was the program's
+            assert ended in ("SystemExit", "normally"), where
             early = phase == "enable" and ended == "normally"
             assert called[0] == (run.arm.exit_report.done == "hold" and not early), where
         else:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.budget import Budget
-from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
+from robot_ik.camera.calibration.handeye import MIN_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.painted import SceneTable
 from robot_ik.camera.targets import Observation, Squares, marker_points
@@ -243,7 +243,7 @@ def plan_views(
     """
     start = robot.home if start is None else robot.check_q(start, "start")
     condition = condition_at(robot, start, task.table, collisions)
-    pool = _candidates(robot, task, condition, start, max(_POOL * count, 4 * LEAST_VIEWS), seed)
+    pool = _candidates(robot, task, condition, start, max(_POOL * count, 4 * MIN_VIEWS), seed)
     ordered: list[Array] = []
     for _ in range(_REPAIRS):
         chosen = _most_informative([information for _, information in pool], count)
@@ -254,11 +254,11 @@ def plan_views(
         # Replace the stations without a free path.
         lost = {k for index, k in enumerate(chosen) if index not in order}
         pool = [one for k, one in enumerate(pool) if k not in lost]
-    if len(ordered) < LEAST_VIEWS:
+    if len(ordered) < MIN_VIEWS:
         carried = "camera" if task.mount.mounting == "eye_in_hand" else "board"
         raise CameraError(
             f"only {len(ordered)} views were found in which the board can be seen and the arm, "
-            f"carrying the {carried}, touches nothing; {LEAST_VIEWS} are the least",
+            f"carrying the {carried}, touches nothing; {MIN_VIEWS} are the least",
             hint="give better guesses of where camera and board are, move them, "
             "or take a larger board",
         )
