@@ -296,6 +296,8 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
             worst = int(run.tracking_error.argmax())
             error = math.degrees(float(run.tracking_error[worst]))
             text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
+        if report.trajectory is not None and report.trajectory.certified:
+            text += "; proven free of collisions"
         rows.append(("motion", text))
     if following is not None:
         text = f"{following.duration:.1f} s at {following.rate:.1f} Hz"

@@ -182,7 +182,8 @@ class ServoPlayOptions(BusOptions):
 
     A recording that leaves the limits of the arm file is refused; one that is too fast is played
     slower. One without the gripper's joints, as reach writes it, moves the arm and holds the
-    gripper. At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
+    gripper. With [collisions] in the arm file a recording that would touch is refused.
+    At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
     file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
@@ -197,12 +198,14 @@ class ServoPlayOptions(BusOptions):
 def run_play(options: ServoPlayOptions) -> int:
     """Play the recording; 1 if the arm did not reach its end."""
     from robot_ik.jobs.hand_guiding import load_playable, play_motion
+    from robot_ik.workcell.arm_guard import guard_of
 
     arm_config = load_arm(options.arm)
     config, motion, stretch = load_playable(options.file, arm_config, options.speed)
     held = [name for name in arm_config.names if name not in config.names]
     if held:
         console.say(f"the recording has no {', '.join(held)}: held where it stands", "dim")
+    guard = guard_of(arm_config)
     arm = arm_on(options, arm_config, options.on_exit)
     with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:
         sinks: list[JointSink] = []
@@ -212,7 +215,7 @@ def run_play(options: ServoPlayOptions) -> int:
             recording = stack.enter_context(open_recording(options.record, config.names))
             sinks.append(RecordingSink(recording, config.names, arm.positions))
         stack.enter_context(driving(arm))
-        report = play_motion(arm, motion, sinks, console.busy)
+        report = play_motion(arm, motion, sinks, console.busy, guard)
         error = shown_value(report.late, report.tracking_error)
         console.result(
             f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the "

@@ -35,6 +35,8 @@ class ServoMoveOptions(BusOptions):
         robot-ik servo move joint1=30 joint3=-45
         robot-ik servo move 0 90 -90 0 0 0       (all joints in order)
 
+    With [collisions] in the arm file all joints move together on a straight path, and a path that
+    would touch is refused.
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
@@ -50,20 +52,28 @@ class ServoMoveOptions(BusOptions):
 
 
 def run_move(options: ServoMoveOptions) -> int:
-    """Move the joints; 1 if a joint did not arrive."""
+    """Move the joints; 1 if a joint did not arrive, or the path is blocked."""
+    from robot_ik.workcell.arm_guard import guard_of
+
     config = load_arm(options.arm).slowed(options.speed)
     angles = parse_angles(options.to, config)
     if not options.by:
         require_inside(angles, config)
+    guard = guard_of(config)
     arm = arm_on(options, config, options.on_exit)
     with driving(arm):
-        arm.enable()
+        if guard is None:
+            arm.enable()
         arm.read()
         start = arm.positions()
         goal = angles
         if options.by:
             goal = {name: start[name] + q for name, q in angles.items()}
         require_inside(goal, config)
+        if guard is not None:
+            from robot_ik.jobs.hand_guiding import play_straight
+
+            play_straight(arm, goal, guard, console.busy)
         times = [abs(q - start[name]) / config.joint(name).velocity for name, q in goal.items()]
         with console.busy("moving", max(times, default=0.0)):
             arm.move_to(goal)

@@ -47,8 +47,8 @@ class TeleopOptions:
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A
     leader that is lost commands nothing: the follower holds, then does what `on_stale` of its arm
-    file says; when the leader is back they are engaged anew. Ctrl-C ends it. The leader is always
-    left without torque.
+    file says; when the leader is back they are engaged anew. With [collisions] in its arm file the
+    follower stops before it would touch. Ctrl-C ends it. The leader is always left without torque.
 
     Exit code 0: done. 1: an arm failed, or the leader did not come back. 2: wrong input or
     environment. 130: Ctrl-C.
@@ -78,8 +78,10 @@ def run(options: TeleopOptions) -> int:
     _check(options)
     from robot_ik.jobs.leader_arm import LeaderArm
     from robot_ik.jobs.teleop import open_pair, teleoperate
+    from robot_ik.workcell.arm_guard import guard_of
 
     follower_config = load_arm(options.follower)
+    guard = guard_of(follower_config)
     leader_config = None
     leader_port = ""
     if options.leader not in (KEYS, GAMEPAD):
@@ -108,6 +110,7 @@ def run(options: TeleopOptions) -> int:
             seconds=options.seconds,
             over=lambda: operator.over,
             done=_show,
+            guard=guard,
         )
     return console.DONE
 
@@ -129,9 +132,13 @@ def _show(report: TeleopReport) -> None:
     """Print the report."""
     lost = f", the leader lost {console.count_of(report.lost, 'time')}" if report.lost else ""
     engaged = console.count_of(report.engaged, "time")
+    blocked = ""
+    if report.blocked:
+        blocked = f", held back {console.count_of(report.blocked, 'time')} by a collision"
     console.say(
         f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
-        f"engaged {engaged}{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
+        f"engaged {engaged}{lost}{blocked}; "
+        f"{1e3 * report.delay:.1f} ms from the leader to the packet"
     )
 
 

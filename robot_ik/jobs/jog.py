@@ -95,6 +95,10 @@ class Jog(Operator):
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
         self._hand.engage(self.angles)
 
+    def go_on_from(self, command: Angles) -> None:
+        self.angles |= command
+        self._hand.engage(self.angles)
+
     def change(self) -> None:
         """Move the hand instead of joints, or joints instead of the hand."""
         self.hand = not self.hand

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from robot_ik.collision.avoidance import DEFAULT_MARGIN, CollisionAvoidance
+from robot_ik.collision import DEFAULT_MARGIN
+from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.obstacle_file import load_obstacles
 from robot_ik.collision.scene import Scene
 from robot_ik.robot import Robot

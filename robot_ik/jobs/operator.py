@@ -37,6 +37,13 @@ class Operator(ABC):
             HardwareError: The leader is lost.
         """
 
+    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - most lead by where they are
+        """Take what was sent as the last command: a collision held the follower back.
+
+        Args:
+            command: Joint -> value, rad (m of a slide).
+        """
+
     def feel(self, follower: Angles) -> None:  # noqa: B027 - most operators feel nothing
         """Take the present values of the follower, for force feedback."""
 

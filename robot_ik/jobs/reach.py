@@ -41,7 +41,7 @@ from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
-from robot_ik.solution import Solution
+from robot_ik.solution import COLLIDING, Solution
 from robot_ik.solvers import solver_name
 from robot_ik.testbed.frontends.window import Solid, WindowSink
 
@@ -280,6 +280,8 @@ class _Reach:
             self.window.show_goal(goal.target)
         solution = self.solve(goal)
         report.tolerance = self.accept(solution)
+        if report.setup.guard is not None:
+            self.plan(goal, solution)  # a blocked motion is refused before torque comes on
         report.setup.enable_torque()
         self.move(self.plan(goal, solution))
         goal_sigma = EXACT
@@ -313,7 +315,12 @@ class _Reach:
         report.q_start = q = report.setup.q.copy()
         self.progress("solving", 0.0)
         problem = Problem(
-            report.robot, goal, solver=self.method, tolerance=SOLVE_TOLERANCE, seed=report.request.seed
+            report.robot,
+            goal,
+            solver=self.method,
+            tolerance=SOLVE_TOLERANCE,
+            seed=report.request.seed,
+            collisions=report.setup.collisions,
         )
         report.solution = problem.solve(q)
         report.microseconds = 1e6 * problem.solve(q).seconds  # the caches are warm now
@@ -327,7 +334,8 @@ class _Reach:
         Raises:
             NotConvergedError: It misses both.
         """
-        if self.report.seen is not None and not solution.converged:
+        blocked = solution.status in COLLIDING
+        if self.report.seen is not None and not solution.converged and not blocked:
             known, error = self.known(), solution.error
             if error.position <= SIGMAS * known.position and error.angle <= SIGMAS * known.angle:
                 return Tolerance(
@@ -363,9 +371,10 @@ class _Reach:
                 # Of the rotation nothing is said: the tool keeps its own; or in part: as the solution has it.
                 q = solution.q if asks_angle else start
                 target = Pose(target.position, report.robot.forward(q, report.frame).wxyz)
-            report.trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
+            trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
         else:
-            report.trajectory = joint_move(report.robot, start, solution.q, **caps)
+            trajectory = joint_move(report.robot, start, solution.q, **caps)
+        report.trajectory = setup.checked(trajectory)
         return report.trajectory
 
     def move(self, trajectory: Trajectory) -> None:
@@ -402,9 +411,9 @@ class _Reach:
 
         with self.camera.following(setup.clock, request.follow) as goals:
             report.following = follow(
-                report.robot, goals, sinks=setup.sinks, solver=self.method, rate=setup.rate,
+                report.robot, goals, sinks=setup.begin_stream(), solver=self.method, rate=setup.rate,
                 clock=setup.clock, duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
-                speed=request.speed, source=setup.opened, on_tick=show,
+                speed=request.speed, source=setup.opened, on_tick=show, collisions=setup.collisions,
             )  # fmt: skip
         setup.repeat(_SETTLE_SECONDS)
         report.behind = (float(np.median(behind)), max(behind)) if behind else None

@@ -6,6 +6,7 @@ follower's arm file decides.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +22,10 @@ from robot_ik.hardware.watchdogs import stale_time
 from robot_ik.jobs.operator import Angles, Operator
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Clock, RealClock, VirtualClock
+from robot_ik.workcell.arm_guard import ArmGuard
 from robot_ik.workcell.guided_motion import approach_profile
+
+log = logging.getLogger(__name__)
 
 DELAYS = 4096
 """Number of samples of which the median delay is taken."""
@@ -75,6 +79,7 @@ class TeleopReport:
         lost: How often the leader was lost.
         seconds: Duration.
         delay: Median of the s from reading the leader to the follower's packet.
+        blocked: Number of commands that were held back, because parts would have touched.
         end: Why it ended, as text.  The default stays if an arm failed or Ctrl-C ended it.
     """
 
@@ -83,6 +88,7 @@ class TeleopReport:
     lost: int = 0
     seconds: float = 0.0
     delay: float = 0.0
+    blocked: int = 0
     end: str = "it was broken off"
 
 
@@ -94,6 +100,7 @@ def teleoperate(
     patience: float = 10.0,
     over: Callable[[], bool] = lambda: False,
     done: Callable[[TeleopReport], None] = lambda _report: None,
+    guard: ArmGuard | None = None,
 ) -> TeleopReport:
     """Lead a follower until it is over.  The caller leaves the arms.
 
@@ -104,6 +111,7 @@ def teleoperate(
         patience: s to wait for a leader that was lost.
         over: Called once a tick; true ends it.
         done: Called with the report at the end, also after an error or Ctrl-C.
+        guard: Stops the follower before parts touch.  None: collisions are not checked.
 
     Raises:
         HardwareError: The follower failed, or the leader did not come back.
@@ -128,6 +136,8 @@ def teleoperate(
                     present = follower.positions()
                     operator.engage(present)
                     blend = Blend(present, operator.command(now), follower.config, now)
+                    if guard is not None:
+                        guard.begin(present)
                     report.engaged += 1
                 read = time.perf_counter()
                 command = operator.command(now)
@@ -139,7 +149,10 @@ def teleoperate(
                 _wait_for(operator, follower, patience)
                 schedule.origin = clock.now() - report.ticks / rate
                 continue
-            follower.send(blend(command, now), now)
+            if guard is None:
+                follower.send(blend(command, now), now)
+            else:
+                _send_guarded(follower, blend(command, now), guard, operator, report)
             if len(delays) < DELAYS:
                 delays.append(time.perf_counter() - read)
             operator.feel(follower.positions())
@@ -149,6 +162,21 @@ def teleoperate(
         report.delay = float(np.median(delays)) if delays else 0.0
         done(report)
     return report
+
+
+def _send_guarded(
+    follower: Arm, command: Angles, guard: ArmGuard, operator: Operator, report: TeleopReport
+) -> None:
+    """Send what the guard allows of a command; log what is in the way when that changes."""
+    before = guard.contact
+    sent = guard.send(follower, command)
+    if guard.contact:
+        report.blocked += 1
+        operator.go_on_from({name: sent[name] for name in command})
+    if guard.contact and not before:
+        log.warning("the arm holds: %s", guard.contact)
+    elif before and not guard.contact:
+        log.warning("the way is free again")
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:

@@ -55,7 +55,7 @@ def certify(
     """Prove that straight lines between postures keep the margin.
 
     It works for every joint: balls rotate the shortest way, and a free base moves straight and
-    rotates the shortest way. Coupled joints move on a straight line, too.
+    rotates the shortest way. Coupled joints follow their leaders.
 
     Args:
         q: Postures (n, nq).
@@ -68,6 +68,8 @@ def certify(
     """
     robot = collisions.scene.robot
     rows = posture_rows(robot, q)
+    if len(robot.tree.coupled):
+        rows = np.array([robot.apply_couplings(row) for row in rows])
     seconds = np.arange(len(rows), dtype=float) if times is None else np.asarray(times, dtype=float)
     corners = straight_corners(robot, rows)
     changes = changes_between(robot, rows[corners])

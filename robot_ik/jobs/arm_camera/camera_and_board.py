@@ -17,7 +17,7 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import MarkerTarget, Squares, Target, marker_grid
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask
+from robot_ik.jobs.arm_camera.view_planning import ViewTask, is_visible
 from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.vision import open_calibrated
@@ -198,14 +198,13 @@ def camera_beside_tool(robot: Robot, frame: str) -> Pose:
     beside = Pose(position, rotation_exp([0.0, -_INWARDS, 0.0])).compose(roll)
     if not reach > 0.0:
         return beside
-    clearance = Clearance(robot, robot.home)
     hand = robot.forward(robot.home, frame)
     directions = np.array([(u, v, 1.0) for u in _VIEW_COLUMNS for v in _VIEW_ROWS])
     for angle in _SIDES:
         side = Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside)
         camera = hand.compose(side)
         points = camera.apply(_VIEW_DEPTH * reach * directions)
-        if clearance.sees(robot.home, camera.position, points):
+        if is_visible(robot, robot.home, camera.position, points):
             return side
     return beside
 

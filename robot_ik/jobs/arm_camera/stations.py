@@ -68,7 +68,14 @@ def visit_stations(
         CameraError: The camera failed.
     """
     progress("planning", 0.0)
-    planned = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
+    planned = plan_views(
+        setup.robot,
+        scene.task,
+        request.views,
+        start=setup.q,
+        seed=request.seed,
+        collisions=setup.collisions,
+    )
     report.stations = tuple(planned)
     if request.dry_run:
         return
@@ -76,7 +83,8 @@ def visit_stations(
     setup.enable_torque()
     count = len(planned)
     for number, station in enumerate(planned):
-        trajectory = joint_move(setup.robot, setup.q, station, **setup.caps(request.speed))
+        move = joint_move(setup.robot, setup.q, station, **setup.caps(request.speed))
+        trajectory = setup.checked(move)
 
         def show(tick: Any, number: int = number, ticks: int = max(1, len(trajectory))) -> None:
             share = (number + min(1.0, tick.index / ticks)) / count

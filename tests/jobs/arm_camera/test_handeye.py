@@ -29,11 +29,13 @@ from tests.jobs.arm_camera.drawn_camera import DrawnCamera, use_drawn_camera
 PLANS: dict[tuple[object, ...], list[Array]] = {}
 
 
-def planned(robot: Robot, task: ViewTask, count: int, *, start: Array, seed: int) -> list[Array]:
+def planned(
+    robot: Robot, task: ViewTask, count: int, *, start: Array, seed: int, collisions: None
+) -> list[Array]:
     """Plan the views once for equal scenes. They differ in robot, mounting and camera alone."""
     key = (robot.name, task.mount.mounting, task.intrinsics, count, start.tobytes(), seed)
     if key not in PLANS:
-        PLANS[key] = plan_views(robot, task, count, start=start, seed=seed)
+        PLANS[key] = plan_views(robot, task, count, start=start, seed=seed, collisions=collisions)
     return PLANS[key]
 
 

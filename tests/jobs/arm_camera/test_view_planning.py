@@ -13,6 +13,9 @@ import pytest
 from robot_ik.camera.calibration.handeye import Mount, compress
 from robot_ik.camera.calibration.pose_means import rotation_spread
 from robot_ik.camera.targets import marker_points
+from robot_ik.collision.avoidance import CollisionAvoidance
+from robot_ik.collision.obstacles import Sphere
+from robot_ik.collision.scene import Scene as CollisionScene
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.arm_camera.view_planning import ViewTask, plan_views
@@ -93,6 +96,29 @@ def test_neither_views_nor_the_motions_between_touch_the_table(
             mujoco.mj_forward(model, data)
             for a, b in data.contact.geom:
                 assert not (table in (a, b) and (moving[a] or moving[b])), share
+
+
+def test_neither_they_nor_the_ways_between_touch_an_obstacle_of_the_arm_file(
+    robot: Robot, task: ViewTask, views: list[Array]
+) -> None:
+    """A ball where the tool passes on the way to a view that was planned without it."""
+    home = robot.home
+    far = max(views, key=lambda q: float(np.abs(q - home).max()))
+    passed = robot.forward(0.5 * (home + far)).position
+    surroundings = CollisionScene(robot, [Sphere("ball", radius=0.04, pose=Pose(passed))])
+    ball = surroundings.model.geom("ball").id
+    pairs = surroundings.pairs[(surroundings.pairs == ball).any(axis=1)]
+
+    def nearest(start: Array, end: Array) -> float:
+        """Distance of the arm from the ball on a straight move."""
+        return min(surroundings.clearance(q, pairs).distance for q in np.linspace(start, end, 100))
+
+    assert surroundings.clearance(home, pairs).distance > 0.02
+    assert nearest(home, far) < 0.0
+    condition = CollisionAvoidance(surroundings, margin=0.01)
+    planned = plan_views(robot, task, 6, seed=1, collisions=condition)
+    for start, end in itertools.pairwise([home, *planned]):
+        assert nearest(start, end) >= 0.01
 
 
 def test_planned_views_contain_more_information_than_random_ones(
