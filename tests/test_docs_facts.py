@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import importlib.util
 import json
@@ -375,3 +376,28 @@ def test_the_page_of_symptoms_has_every_status() -> None:
     page = prose(ROOT / "docs" / "how-to" / "troubleshooting.md")
     failures = {status.name for status in rik.Status} - {"CONVERGED"}
     assert {name for name in failures if f"`{name}`" not in page} == set()
+
+
+# The page of the theses
+
+
+def test_the_options_on_the_page_of_the_theses_exist() -> None:
+    import robot_ik as rik
+
+    page = prose(ROOT / "docs" / "theory" / "theses.md")
+    rows = [row for row in page.splitlines() if row.startswith("|")]
+    commands = re.findall(r"`robot-ik solve --solver (\w+)(?: --set (\w+)=([\w.]+))?`", page)
+    assert len(commands) >= 15
+    for solver, option, _ in commands:
+        fields = {field.name for field in dataclasses.fields(rik.SOLVERS[solver])}
+        assert not option or option in fields, (solver, option)
+    for row in rows:
+        cell = row.split("|")[2]
+        names = re.findall(r"`(\w+)`", cell)
+        if not names or names[0] not in rik.SOLVERS:
+            continue
+        known = set(rik.SOLVERS)
+        for name in names:
+            if name in rik.SOLVERS:
+                known |= {field.name for field in dataclasses.fields(rik.SOLVERS[name])}
+        assert set(names) <= known, row
