@@ -41,7 +41,9 @@ from robot_ik.jobs.quantity import Quantity
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 COUNT: Count = 4
 """Arms side by side in every row but those of the start."""

@@ -25,7 +25,9 @@ from robot_ik.jobs.testbed import CameraTab, arm_link
 from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 IMAGES = Path(__file__).resolve().parents[1] / "images" / "testbed"
 NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering

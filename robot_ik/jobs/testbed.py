@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import numpy as np
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.targets import Observation, marker
+from robot_ik.camera.targets import marker
 from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
@@ -28,9 +30,12 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_arm import open_robot
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.arrangement import GOAL_COLOUR
+from robot_ik.testbed.camera_picture import CameraPicture
 from robot_ik.testbed.commands import RATE, CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
-from robot_ik.testbed.session import Session, View, replayed
+from robot_ik.testbed.loop import replayed
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
@@ -48,10 +53,13 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
     return link
 
 
-class CameraTab:
-    """The synthetic camera of a robot's scene, for the page: a picture of robot 1 with what is seen in it.
+class SceneCamera:
+    """The synthetic camera of a robot's scene: pictures of robot 1 with the detected markers.
 
-    Markers are detected in the picture alone; what the synthetic camera knows is not asked.
+    Markers are detected in the picture alone.
+
+    Args:
+        session: The session whose first instance is in the picture.
     """
 
     def __init__(self, session: Session) -> None:
@@ -60,8 +68,8 @@ class CameraTab:
         self._source: SyntheticSource | None = None
         self._tracker: Tracker | None = None
 
-    def __call__(self) -> tuple[Image, str] | None:
-        """The next picture, RGB at half size, and a line about it; None while the robot has no scene."""
+    def __call__(self) -> CameraPicture | None:
+        """Return the next picture at half size, or None if the robot has no scene."""
         if self._session.robot is not self._robot:
             self._robot = self._session.robot
             self._open(self._robot)
@@ -70,18 +78,27 @@ class CameraTab:
         frame = self._source.read()
         begin = time.monotonic()
         observations = self._tracker.observe(frame)
-        search_time = time.monotonic() - begin
-        lens, scene = self._source.scene.intrinsics, self._source.scene
-        image = draw_observations(frame.image, observations, lens)
-        _draw_ball(image, scene.pose_world_camera, lens, np.array(self._session.ball.position))
-        small = np.ascontiguousarray(image[::2, ::2, ::-1])
-        return small, _line_about(observations, search_time, time.monotonic() - frame.time)
+        search_ms = 1e3 * (time.monotonic() - begin)
+        scene = self._source.scene
+        image = draw_observations(frame.image, observations, scene.intrinsics)
+        ball = np.array(self._session.ball.position)
+        _draw_ball(image, scene.pose_world_camera, scene.intrinsics, ball)
+        age_ms = 1e3 * (time.monotonic() - frame.time)
+        markers = tuple(
+            (seen.ids[0], float(np.linalg.norm(seen.pose.position)), seen.reprojection_error)
+            for seen in observations
+        )
+        note = (
+            f"Synthetic camera; {age_ms:.0f} ms old, {search_ms:.0f} ms of them for finding "
+            "markers. Orange: the ball."
+        )
+        return CameraPicture(np.ascontiguousarray(image[::2, ::2]), markers, note)
 
     def _open(self, robot: Robot) -> None:
-        self._source = self._tracker = None
+        self._source = None
+        self._tracker = None
         with contextlib.suppress(CameraError, ModelError):
-            scene = scene_for(robot)
-            synthetic = scene.synthetic(robot)
+            synthetic = scene_for(robot).synthetic(robot)
             markers = [marker(m.id, m.size, m.dictionary) for m in synthetic.markers]
             self._tracker = Tracker(synthetic.intrinsics, markers)
             self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q)
@@ -96,18 +113,24 @@ def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Arr
             cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
 
 
-def _line_about(observations: Sequence[Observation], search_time: float, age: float) -> str:
-    """Markers with distance and the noise of their corners; how old the picture is."""
-    rows = "".join(
-        f"<tr><td>{seen.ids[0]}</td><td>{np.linalg.norm(seen.pose.position):.3f}</td>"
-        f"<td>{seen.reprojection_error:.2f}</td></tr>"
-        for seen in observations
-    )
-    head = "<tr><th>marker seen</th><th>away, m</th><th>off, px</th></tr>"
-    return (
-        f"<table>{head}{rows}</table><small>synthetic camera; the picture is {1e3 * age:.0f} ms old, "
-        f"{1e3 * search_time:.0f} of them for finding markers; orange: the ball</small>"
-    )
+def film_in_process(log: CommandLog) -> bytes:
+    """Return the film of a command log, a file in MP4, made by another process.
+
+    The session goes on meanwhile: drawing in this process would hold it up.
+
+    Raises:
+        ConfigError: The film cannot be made; the message is that of ``robot-ik video``.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "testbed.jsonl"
+        out = Path(folder) / "testbed.mp4"
+        log.save(source)
+        command = [sys.executable, "-m", "robot_ik", "video", str(source), str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0 or not out.is_file():
+            lines = done.stderr.strip().splitlines() or ["robot-ik video failed"]
+            raise ConfigError(lines[-1], file="film")
+        return out.read_bytes()
 
 
 def film(

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import IO, Any
 
 from numba.core import event
@@ -34,7 +34,7 @@ from robot_ik.kernels import jit, priorities
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver
-from robot_ik.testbed.commands import Command, SetRobot, SetupCommand
+from robot_ik.testbed.commands import SetRobot, SetupCommand
 from robot_ik.testbed.setup import (
     MethodChoice,
     Ready,
@@ -116,10 +116,17 @@ class Compilers:
             self._end()
 
 
-class SetupDone(Command):
-    """A command that was prepared beside the loop, and what came of it."""
+@dataclass(frozen=True)
+class SetupDone:
+    """The result of preparing a command beside the loop.
 
-    command: Command | None = None
+    Attributes:
+        command: The command. None for the setup that the session begins with.
+        ready: What the loop needs. None if it cannot be prepared.
+        error: Why not.
+    """
+
+    command: SetupCommand | None = None
     ready: Ready | None = None
     error: str = ""
 

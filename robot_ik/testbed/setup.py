@@ -47,6 +47,8 @@ from robot_ik.testbed.gallery_scene import gallery_scene
 # Without restarts: an arm that follows must not jump.
 BUDGET = Budget(iterations=200, restarts=0)
 """Of one solve: steps and not seconds, so that a replay gives the same bits."""
+RESTART_ITERATIONS = 5
+"""Factor of the iterations of a solve that may restart."""
 METHODS = ("dls", "lm", "pseudoinverse", "ccd")
 """What four arms begin with: a damped, a trusted, an undamped and a geometric method."""
 WHOLE_BODY_METHODS = ("lm", "dls", "sdls", "bfgs")
@@ -369,6 +371,15 @@ def branches_of(robot: Robot, goal: Goal, start: Array) -> tuple[Branch, ...]:
         UnsupportedGoalError: No closed form is known.
     """
     return solve_all(robot, replace(goal, priority=0), start=start)
+
+
+def restarting(budget: Budget, robot: Robot) -> Budget:
+    """Return the budget of a solve that may restart at random joint angles.
+
+    A figure gets no more iterations: 36 joints take too long for one frame.
+    """
+    factor = 1 if is_figure(robot) else RESTART_ITERATIONS
+    return Budget(iterations=factor * budget.iterations)
 
 
 def without_limits(robot: Robot) -> Robot:

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from robot_ik.testbed.commands import Command, Start
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 from tests.waiting import LONG, wait_for
 
 

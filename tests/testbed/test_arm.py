@@ -18,7 +18,9 @@ from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")

@@ -12,7 +12,8 @@ import pytest
 
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.testbed.frontends.browser import Page

@@ -14,7 +14,8 @@ from robot_ik.errors import ViewerError
 from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.frontends.window import SessionWindow, WindowSink
-from robot_ik.testbed.session import Session, replayed
+from robot_ik.testbed.loop import replayed
+from robot_ik.testbed.session import Session
 from tests.testbed.conftest import Screen, Windows, changed
 from tests.testbed.test_frontends import SCRIPT
 
@@ -169,7 +170,7 @@ SHOWN = """
 from pathlib import Path
 from robot_ik.testbed.commands import CommandLog
 from robot_ik.testbed.frontends.window import SessionWindow
-from robot_ik.testbed.session import replayed
+from robot_ik.testbed.loop import replayed
 
 window = None
 for session in replayed(CommandLog.load(Path("LOG"))):
@@ -191,7 +192,8 @@ PERSON = """
 import subprocess, sys, threading, time
 import numpy as np
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
 from robot_ik.testbed.frontends.window import SessionWindow
 
 def act(*words, rest=0.0):

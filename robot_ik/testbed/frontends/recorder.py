@@ -32,7 +32,8 @@ from robot_ik.testbed.arrangement import (
     Colour,
     arranged,
 )
-from robot_ik.testbed.session import Session, View
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 _INK = (60, 50, 45)
 # Side of a tile of the floor, in extents of the model.

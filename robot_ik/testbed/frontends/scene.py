@@ -31,7 +31,7 @@ from robot_ik.testbed.arrangement import (
     arranged,
     linear,
 )
-from robot_ik.testbed.session import View
+from robot_ik.testbed.view import View
 
 Floats = NDArray[np.float32]
 
@@ -44,7 +44,16 @@ _ARM_COLOUR: Colour = (250, 204, 21)
 _REACH_COLOUR: Colour = (110, 130, 155)  # not the ball's: the points hide neither it nor the robot
 _GHOST_OPACITY = 0.28
 _CLOUD_POINTS = 4000
-_PLATE_RADIUS = 0.21  # of the extent
+_PLATE_RADIUS = 0.21
+"""Of the model's extent."""
+
+_PLATE_HEIGHT = 0.004
+"""Metres."""
+
+_PLATE_CENTRE = 0.003
+"""Metres above the ground, so that the plate and the ground do not flicker."""
+
+_PLATE_OPACITY = 0.4
 _BALL_FACES = 36  # round it
 _SAME_ANGLE = math.radians(1.0)  # of a joint, between arm and robot: less is not drawn as a ghost
 _SAME_LENGTH = 1e-3  # metres, likewise of a slide
@@ -233,7 +242,8 @@ class BrowserScene:
             self._add_bodies()
             self._add_ball()
             self._trails = self._add_trails()
-            self._labels = [self._label(k) for k in range(count)]
+            for k in range(count):
+                self._add_place(k)
 
     def _add_bodies(self) -> None:
         for n, (body, mesh) in enumerate(body_meshes(self.robot.model)):
@@ -258,17 +268,20 @@ class BrowserScene:
             thickness_units="screen",
         )  # fmt: skip
 
-    def _label(self, k: int) -> Any:
-        scene, several = self._server.scene, self.count > 1
+    def _add_place(self, k: int) -> None:
+        """Add the plate under an instance, and an empty frame where the page puts its label."""
+        scene = self._server.scene
         scene.add_cylinder(
-            f"/robot/plate_{k}", radius=_PLATE_RADIUS * self.arrangement.extent, height=0.004,
-            color=INSTANCE_COLOURS[k], opacity=0.4, visible=several, cast_shadow=False,
-            position=self.arrangement.offsets[k] + np.array((0.0, 0.0, 0.003)),
-        )  # fmt: skip
-        return scene.add_label(
-            f"/robot/label_{k}", "", position=self.arrangement.labels[k], anchor="top-center",
-            visible=several, font_screen_scale=1.1,
-        )  # fmt: skip
+            f"/robot/plate_{k}",
+            radius=_PLATE_RADIUS * self.arrangement.extent,
+            height=_PLATE_HEIGHT,
+            color=INSTANCE_COLOURS[k],
+            opacity=_PLATE_OPACITY,
+            visible=self.count > 1,
+            cast_shadow=False,
+            position=self.arrangement.offsets[k] + np.array((0.0, 0.0, _PLATE_CENTRE)),
+        )
+        scene.add_frame(f"/robot/label_{k}", show_axes=False, position=self.arrangement.labels[k])
 
     def remove(self) -> None:
         """Takes all of it away."""
@@ -286,12 +299,10 @@ class BrowserScene:
             if body > 0 and self.robot.model.body_weldid[body] != 0:  # what is fixed to the world stays there
                 handle.on_drag("left")(link)
 
-    def show_overlay(self, on: bool) -> None:
-        """Trails and labels, or none."""
+    def show_trails(self, on: bool) -> None:
+        """Show the trails of the tools, or none."""
         self._trails_shown = on
         self._trails.visible = on
-        for label in self._labels:
-            label.visible = on and self.count > 1
 
     def show_axes(self, on: bool) -> None:
         """The tool's frame of each instance."""
@@ -316,11 +327,6 @@ class BrowserScene:
                 "/robot/reach", np.array(points, np.float32), colors=_REACH_COLOUR,
                 point_size=0.002 * self.arrangement.extent, point_shape="circle",
             )  # fmt: skip
-
-    def name_instances(self, view: View) -> None:
-        """Labels on the floor."""
-        for k, (label, one) in enumerate(zip(self._labels, view.instances, strict=True)):
-            label.text = f"{k + 1}  {one.method}"
 
     def draw(self, view: View) -> None:
         """One frame, sent as one piece; what has not moved is not sent."""

@@ -33,8 +33,10 @@ from robot_ik.testbed.arrangement import (
     Colour,
     arranged,
 )
-from robot_ik.testbed.commands import KEYMAP, MoveGoal
-from robot_ik.testbed.session import Session, View
+from robot_ik.testbed.commands import MoveGoal
+from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 #: Seconds the window may take to appear; it takes about one, several in software on a busy machine.
 OPEN_LIMIT = 20.0
