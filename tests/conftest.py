@@ -31,7 +31,7 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
 sys.setswitchinterval(5e-4)
 gc.set_threshold(50_000, 20, 50)
 # The official SDK gives an answer 34 ms, too little for a busy machine.
-dynamixel_sdk.port_handler.LATENCY_TIMER = 60
+dynamixel_sdk.port_handler.LATENCY_TIMER = 120
 
 # No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries
 # the same examples every time: a change is judged by itself, not by luck.  `make explore` draws new ones.

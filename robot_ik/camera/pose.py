@@ -22,6 +22,7 @@ from robot_ik.camera.image import quiet
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.minimise import Minimum, minimise
 from robot_ik.geometry import Pose
+from robot_ik.kernels.jit import inlined, kernel
 from robot_ik.ports import Array
 
 # Rotation matrix (3, 3) and position (3,).
@@ -89,8 +90,8 @@ class PoseProblem:
         intrinsics: CameraIntrinsics,
         weights: Array | None = None,
     ) -> None:
-        self.points = points
-        self.normalized = normalized
+        self.points = np.ascontiguousarray(points, dtype=float)
+        self.normalized = np.ascontiguousarray(normalized, dtype=float)
         self.covariances = covariances
         self.intrinsics = intrinsics
         self.count = len(points)
@@ -117,28 +118,7 @@ class PoseProblem:
     def linearise(self, motion: _Motion) -> tuple[Array, Array]:
         """Return the residual (2 m k,) in standard deviations and its Jacobian (2 m k, 6)."""
         rotation, position = motion
-        rotated = self.points.reshape(-1, 3) @ rotation.T
-        camera = rotated + position
-        depth = np.maximum(camera[:, 2], _MIN_DEPTH)
-        normalized = camera[:, :2] / depth[:, None]
-        numbers = 2 * self.size
-        difference = (normalized - self.normalized.reshape(-1, 2)).reshape(-1, numbers, 1)
-        residual = self.whiteners @ difference
-
-        by_position = np.zeros((len(camera), 2, 3))
-        by_position[:, 0, 0] = 1.0 / depth
-        by_position[:, 1, 1] = 1.0 / depth
-        by_position[:, :, 2] = -normalized / depth[:, None]
-        x, y, z = (column[:, None] for column in rotated.T)
-        by_x, by_y, by_z = (by_position[:, :, axis] for axis in range(3))
-        jacobian = np.empty((len(camera), 2, 6))
-        jacobian[:, :, :3] = by_position
-        # d(exp(w) p) / dw = -[p]x
-        jacobian[:, :, 3] = by_z * y - by_y * z
-        jacobian[:, :, 4] = by_x * z - by_z * x
-        jacobian[:, :, 5] = by_y * x - by_x * y
-        whitened = self.whiteners @ jacobian.reshape(-1, numbers, 6)
-        return residual.ravel(), whitened.reshape(-1, 6)
+        return linearise_points(self.points, self.normalized, self.whiteners, rotation, position)
 
     def judge(self, motion: _Motion) -> tuple[Array, Array]:
         """Return the RMS distance of the points in px and the sum of squares of each group (m,)."""
@@ -165,6 +145,64 @@ class PoseProblem:
     def fit(self, start: _Motion) -> Minimum[_Motion]:
         """Return the pose of the least squares from ``start``."""
         return minimise(self.linearise, start, _move)
+
+
+@kernel
+def linearise_points(
+    points: Array, normalized: Array, whiteners: Array, rotation: Array, position: Array
+) -> tuple[Array, Array]:
+    """Return the whitened residual (2 m k,) and its Jacobian (2 m k, 6) at a pose.
+
+    Args:
+        points: (m, k, 3) in the body's frame, metres.
+        normalized: (m, k, 2) measured normalised coordinates.
+        whiteners: (m, 2 k, 2 k).
+        rotation: (3, 3) from the body to the camera.
+        position: (3,) of the body in the camera's frame, metres.
+    """
+    groups, size, _ = points.shape
+    numbers = 2 * size
+    difference = np.empty(numbers)
+    slopes = np.empty((numbers, 6))
+    residual = np.zeros(groups * numbers)
+    jacobian = np.zeros((groups * numbers, 6))
+    for group in range(groups):
+        for k in range(size):
+            point = points[group, k]
+            x = rotation[0, 0] * point[0] + rotation[0, 1] * point[1] + rotation[0, 2] * point[2]
+            y = rotation[1, 0] * point[0] + rotation[1, 1] * point[1] + rotation[1, 2] * point[2]
+            z = rotation[2, 0] * point[0] + rotation[2, 1] * point[1] + rotation[2, 2] * point[2]
+            inverse_depth = 1.0 / max(z + position[2], _MIN_DEPTH)
+            u = (x + position[0]) * inverse_depth
+            v = (y + position[1]) * inverse_depth
+            difference[2 * k] = u - normalized[group, k, 0]
+            difference[2 * k + 1] = v - normalized[group, k, 1]
+            _write_slopes(slopes[2 * k], inverse_depth, 0.0, -u * inverse_depth, x, y, z)
+            _write_slopes(slopes[2 * k + 1], 0.0, inverse_depth, -v * inverse_depth, x, y, z)
+        for i in range(numbers):
+            row = group * numbers + i
+            for j in range(numbers):
+                whitener = whiteners[group, i, j]
+                residual[row] += whitener * difference[j]
+                for axis in range(6):
+                    jacobian[row, axis] += whitener * slopes[j, axis]
+    return residual, jacobian
+
+
+@inlined
+def _write_slopes(
+    slopes: Array, by_x: float, by_y: float, by_z: float, x: float, y: float, z: float
+) -> None:
+    """Write the slopes (6,) of one coordinate by the position and by a rotation vector.
+
+    d(exp(w) p) / dw = -[p]x with the rotated point p = (x, y, z).
+    """
+    slopes[0] = by_x
+    slopes[1] = by_y
+    slopes[2] = by_z
+    slopes[3] = by_z * y - by_y * z
+    slopes[4] = by_x * z - by_z * x
+    slopes[5] = by_y * x - by_x * y
 
 
 def _move(motion: _Motion, step: Array) -> _Motion:

@@ -45,6 +45,12 @@ HALO = 16  # Amount of sharpening. Only in fits with a halo.
 PLAIN_UNKNOWNS = 16
 UNKNOWNS = 17
 
+# Smallest log blur. The pixel itself blurs by 0.29 px.
+MIN_LOG_BLUR = math.log(0.29)
+# Standard deviations of the prior of the log blur (px) and of the edge shift.
+_LOG_BLUR_SIGMA = 0.6
+_SHIFT_SIGMA = 0.35
+
 #: One pixel of a fit.
 PIXEL = np.dtype(
     [
@@ -62,6 +68,8 @@ PIXEL = np.dtype(
     ]
 )
 
+# Information of an unknown that a step does not change.
+_FIXED = 1e15
 # Residuals beyond this many standard deviations lose weight (Cauchy weights).
 CAUCHY = 4.0
 # Of the pixels far from any edge, one in this number is kept. They only see dark and contrast.
@@ -293,6 +301,36 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
     add_products(rows, len(pixels) % _BLOCK, gram)
     mirror(gram)
     return gram
+
+
+@kernel
+def add_prior(gram, unknowns, prior_mean, noise):
+    """Return the normal equations of a step with the prior of log blur and edge shift.
+
+    Args:
+        gram: Result of ``linearise``.
+        unknowns: (n,) where it was linearised.
+        prior_mean: (2,) of log blur and edge shift.
+        noise: Standard deviation of a pixel, grey levels.
+
+    Returns:
+        Matrix (n, n); right side (n,).
+    """
+    size = len(unknowns)
+    matrix = gram[:size, :size].copy()
+    right = gram[size, :size].copy()
+    blur_information = (noise / _LOG_BLUR_SIGMA) ** 2
+    shift_information = (noise / _SHIFT_SIGMA) ** 2
+    right[LOG_BLUR] += blur_information * (prior_mean[0] - unknowns[LOG_BLUR])
+    right[SHIFT] += shift_information * (prior_mean[1] - unknowns[SHIFT])
+    if unknowns[LOG_BLUR] <= MIN_LOG_BLUR and right[LOG_BLUR] < 0.0:
+        # The blur is at its bound: fix it.
+        blur_information = _FIXED
+    for i in range(size):
+        matrix[i, i] += 1e-10 * matrix[i, i] + 1e-12
+    matrix[LOG_BLUR, LOG_BLUR] += blur_information
+    matrix[SHIFT, SHIFT] += shift_information
+    return matrix, right
 
 
 @outlined
