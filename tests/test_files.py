@@ -266,9 +266,9 @@ ALLOWED = {
     ("robot_ik/figure/abilities.py", "read_bytes"): "for a digest of the model that load_robot has just read",
     ("robot_ik/jobs/figure.py", "read_bytes"): "likewise",
     ("robot_ik/jobs/figure.py", "from_file"): "the model of a robot that load_robot has just read",
-    ("robot_ik/testbed/frontends/window.py", "from_file"): "likewise",
+    ("robot_ik/testbed/frontends/session_window.py", "from_file"): "likewise",
     (
-        "robot_ik/testbed/frontends/window.py",
+        "robot_ik/testbed/frontends/session_window.py",
         "read_text",
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",

@@ -208,7 +208,7 @@ def _opened(
 ) -> Iterator[Callable[[View], object]]:
     """A front end's ``draw``."""
     if viewer == "window":
-        from robot_ik.testbed.frontends.window import SessionWindow
+        from robot_ik.testbed.frontends.session_window import SessionWindow
 
         with SessionWindow(session) as window:
             console.say("keys: " + window.help, "dim")

@@ -1,4 +1,4 @@
-"""What the testbed's commands put together: session, servo arm, camera, film."""
+"""The parts of the testbed's commands: servo arm, camera, film."""
 
 from __future__ import annotations
 
@@ -37,9 +37,26 @@ from robot_ik.testbed.loop import replayed
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 
+_SUBPIXEL_BITS = 4
+"""Fractional bits of the coordinates that are drawn."""
+
+_SUBPIXELS = 1 << _SUBPIXEL_BITS
+
+_BALL_RADIUS = 18
+"""Pixels of the circle around the ball."""
+
+_LARGEST_COORDINATE = 1 << 20
+"""Subpixels. OpenCV's coordinates overflow not far beyond."""
+
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
-    """The servo arm of a robot (name or path) on a bus, connected; torque stays as it is.
+    """Return the servo arm of a robot on a bus, connected. Torque stays as it is.
+
+    Args:
+        name: Name or path of the robot.
+        arm_file: Arm file. None for the file of the robot.
+        bus: A simulated bus or a port.
+        on_exit: Exit policy. Empty for that of the arm file.
 
     Raises:
         ConfigError: There is no arm file, or it is another robot's.
@@ -105,12 +122,14 @@ class SceneCamera:
 
 
 def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Array) -> None:
-    """A circle round where the ball would be seen."""
+    """Draw a circle around the place of the ball in the picture."""
     inside = camera.inverse().apply(position)
     if inside[2] > 0.0:
-        x, y = np.round(16.0 * lens.project(inside[None])[0]).astype(int).tolist()
-        if max(abs(x), abs(y)) < 1 << 20:
-            cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
+        x, y = np.round(_SUBPIXELS * lens.project(inside[None])[0]).astype(int).tolist()
+        if max(abs(x), abs(y)) < _LARGEST_COORDINATE:
+            radius = _SUBPIXELS * _BALL_RADIUS
+            colour = GOAL_COLOUR[::-1]
+            cv2.circle(image, (x, y), radius, colour, 3, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
 def film_in_process(log: CommandLog) -> bytes:
@@ -143,13 +162,20 @@ def film(
     rate_hz: float = 30.0,
     size: tuple[int, int] = (1280, 720),
     overwrite: bool = False,
-    progress: Progress = lambda phase, share: None,
+    progress: Progress | None = None,
 ) -> View:
-    """Runs a command log without a screen, and films it for so many ``seconds``; gives the last view.
+    """Run a command log without a screen, film it, and return the last view.
 
-    ``out`` is a film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or nothing;
-    ``numbers`` is a CSV file, a row for each instance of each picture; ``record`` (.csv, .mcap) has angles
-    and ball for other tools.
+    Args:
+        log: The command log.
+        out: A film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or None.
+        numbers: CSV file with a row for each instance of each picture.
+        record: File (.csv, .mcap) with angles and ball for other tools.
+        seconds: Length of the film. None for that of the log.
+        rate_hz: Pictures a second.
+        size: Width and height, pixels.
+        overwrite: Whether existing files may be replaced.
+        progress: Called with a phase and a share.
 
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
@@ -157,9 +183,8 @@ def film(
     """
     wanted = log.ticks if seconds is None else round(seconds * RATE)
     if not wanted:
-        raise ConfigError(
-            "it says nothing of its length", file="command log", key="end", allowed="--seconds N"
-        )
+        problem = "it says nothing of its length"
+        raise ConfigError(problem, file="command log", key="end", allowed="--seconds N")
     log = replace(log, ticks=wanted, commands=tuple(c for c in log.commands if c[0] < wanted))
     if record is not None:
         require_recording(record)
@@ -168,7 +193,8 @@ def film(
     with contextlib.ExitStack() as stack:
         write = None
         if out is not None:
-            write = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite)).write
+            sink = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite))
+            write = sink.write
         recorder: Recorder | None = None
         rows: Recording | None = None
         names: tuple[str, ...] = ()
@@ -181,13 +207,19 @@ def film(
                     names = column_names(session.robot)
                     rows = stack.enter_context(open_recording(record, names))
                 if rows is not None and column_names(session.robot) == names:  # of one robot
-                    for k, one in enumerate(view.instances):
-                        text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
-                        moment = Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot)
-                        rows.write(moment)
-            progress("", view.tick / wanted)
+                    _write_moments(rows, view)
+            if progress is not None:
+                progress("", view.tick / wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
     if view is None:
         raise RuntimeError("the command log has no tick")
     return view
+
+
+def _write_moments(rows: Recording, view: View) -> None:
+    """Write a row for each instance of a view."""
+    for k, one in enumerate(view.instances):
+        text = view.message if k == 0 else ""
+        robot = k + 1 if view.count > 1 else 0
+        rows.write(Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot))

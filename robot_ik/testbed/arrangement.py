@@ -17,8 +17,14 @@ from robot_ik.testbed.gallery_scene import gallery_scene
 
 Colour = tuple[int, int, int]
 
-INSTANCE_COLOURS: tuple[Colour, ...] = ((37, 99, 235), (13, 148, 136), (147, 51, 234), (219, 39, 119))
+INSTANCE_COLOURS: tuple[Colour, ...] = (
+    (37, 99, 235),
+    (13, 148, 136),
+    (147, 51, 234),
+    (219, 39, 119),
+)
 """Of plate, trail, card, plot line and joint mark. Colour-blind people can distinguish them."""
+
 GOAL_COLOUR: Colour = (245, 130, 32)
 """Orange, as in the gallery. No instance has it."""
 

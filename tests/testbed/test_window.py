@@ -13,7 +13,8 @@ import pytest
 from robot_ik.errors import ViewerError
 from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.frontends.window import SessionWindow, WindowSink
+from robot_ik.testbed.frontends.session_window import SessionWindow
+from robot_ik.testbed.frontends.window import WindowSink
 from robot_ik.testbed.loop import replayed
 from robot_ik.testbed.session import Session
 from tests.testbed.conftest import Screen, Windows, changed
@@ -169,7 +170,7 @@ def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, w
 SHOWN = """
 from pathlib import Path
 from robot_ik.testbed.commands import CommandLog
-from robot_ik.testbed.frontends.window import SessionWindow
+from robot_ik.testbed.frontends.session_window import SessionWindow
 from robot_ik.testbed.loop import replayed
 
 window = None
@@ -194,7 +195,7 @@ import numpy as np
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.loop import run
 from robot_ik.testbed.session import Session
-from robot_ik.testbed.frontends.window import SessionWindow
+from robot_ik.testbed.frontends.session_window import SessionWindow
 
 def act(*words, rest=0.0):
     subprocess.run(["xdotool", *map(str, words)], check=True)

@@ -98,7 +98,7 @@ class Gate:
         self.driver = Driver()
         self.dropped: Counter[str] = Counter()
         self.pages: set[str] = set()
-        self.on_watcher: Callable[[str], None] = lambda page: None
+        self.on_watcher: Callable[[str], None] = _ignore
         self.on_close: Callable[[str], None] = self.driver.leave
         self._keys: dict[int, str] = {}
         self._server: viser.ViserServer | None = None
@@ -268,6 +268,10 @@ class MessageBudget:
             return False
         self._left -= 1.0
         return True
+
+
+def _ignore(_page: str) -> None:
+    """Do nothing: there is no session yet."""
 
 
 def _is_upgrade(request: Any) -> bool:
