@@ -80,6 +80,10 @@ class Statistics:
         return cls(len(solves), mean, p99, iterations, solved, float(solves[:, 3].max()))
 
 
+_ALWAYS_MISSED = ("ball", "posture")
+"""Goals that explain no status: the ball is met, and a posture is only approached."""
+
+
 def appended(rows: Array, row: ArrayLike, length: int) -> Array:
     """Return the last ``length`` of rows (n, width) and one more as a new array."""
     return np.concatenate([rows, [row]])[-length:]
@@ -151,9 +155,10 @@ class InstanceView:
         return f"ball met; {missed} {self.status}" if missed else "ball met"
 
     def _missed_goal(self) -> str:
-        """Return the name of the first goal beside the ball's that is missed."""
+        """Return the name of the first other goal that is missed, except the posture."""
         for name, metres, angle in self.goals:
-            if name != "ball" and (metres > _TOLERANCE.position or angle > _TOLERANCE.angle):
+            is_missed = metres > _TOLERANCE.position or angle > _TOLERANCE.angle
+            if is_missed and name not in _ALWAYS_MISSED:
                 return name
         return ""
 

@@ -97,7 +97,7 @@ class Obstacles:
             RobotIkError: As ``Scene``.
         """
         if len(self._shapes) >= MOST:
-            raise CollisionError(f"there are {MOST} obstacles", hint="remove one first")
+            raise CollisionError(f"there are {MOST} obstacles: remove one first")
         self._added += 1
         side = _BESIDE * ((len(self._shapes) + 1) // 2) * (-1.0) ** len(self._shapes)
         position = (_PLACE + np.array((0.0, side, 0.0))) * self._extent
