@@ -20,7 +20,7 @@ from robot_ik.config import (
     check_table,
     keys_of,
     parse_toml,
-    read_table,
+    read_text,
     shown,
 )
 from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
@@ -181,8 +181,7 @@ class KeyPoses:
         Raises:
             ConfigError: A key is wrong.
         """
-        file = Path(path)
-        return cls._filled(_content(file), robot, file)
+        return cls.parse(_text(Path(path)), robot, path)
 
     @classmethod
     def parse(cls, text: str, robot: Robot, file: Path | str) -> KeyPoses:
@@ -191,12 +190,8 @@ class KeyPoses:
         Raises:
             ConfigError: A key is wrong.
         """
-        content = check_table(_KeyPosesFile, parse_toml(text, file), file)
-        return cls._filled(content, robot, Path(file))
-
-    @classmethod
-    def _filled(cls, content: _KeyPosesFile, robot: Robot, file: Path) -> KeyPoses:
-        """Return the poses and motions of a checked file."""
+        file = Path(file)
+        content = _content(text, file)
         book = cls(robot)
         for name, joints in content.poses.items():
             q = _pose_of(robot, joints, file, name)
@@ -208,9 +203,14 @@ class KeyPoses:
         return book
 
 
-def _content(file: Path) -> _KeyPosesFile:
-    """Return the checked content of a file, or raise ``ConfigError``."""
-    return read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
+def _content(text: str, file: Path) -> _KeyPosesFile:
+    """Return the checked content of a text, or raise ``ConfigError``."""
+    return check_table(_KeyPosesFile, parse_toml(text, file), file)
+
+
+def _text(file: Path) -> str:
+    """Return the text of a file, or raise ``ConfigError``."""
+    return read_text(file, "the key poses", "robot-ik poses record makes one")
 
 
 def robot_named_in(path: Path | str) -> str:
@@ -219,7 +219,8 @@ def robot_named_in(path: Path | str) -> str:
     Raises:
         ConfigError: The file names another robot, or a key is wrong.
     """
-    name = _content(Path(path)).robot
+    file = Path(path)
+    name = _content(_text(file), file).robot
     known = catalogue()
     if name and name not in known:
         raise ConfigError(

@@ -51,7 +51,7 @@ def _surviving(session: Session, draw: Callable[[View], object]) -> Callable[[Vi
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
             if problem not in logged:
                 logged.add(problem)
-                _log.exception("cannot draw the view; the session goes on because it holds an arm")
+                _log.exception("the view cannot be drawn; the session goes on: it holds an arm")
             session.report(f"the view cannot be drawn ({problem}); STOP still works")
             return None
 

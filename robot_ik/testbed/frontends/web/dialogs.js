@@ -90,7 +90,7 @@ export class Gallery extends Dialog {
       : make("div", { class: "rk-no-picture" });
     return make(
       "button",
-      { type: "button", "data-robot": name, onclick: () => this.choose(name) },
+      { type: "button", "data-robot": name, title: about, onclick: () => this.choose(name) },
       image,
       make("b", {}, name.replaceAll("_", " ")),
       make("small", {}, about),
