@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 LONGEST_NAME = 60
 """Characters of a name in a message, and of a name for which close names are looked up."""
 
-MOST_NAMES = 30
+MAX_NAMES = 30
 """Names that a message lists at most."""
 
 DISTRIBUTION = "robot-ik-testbed"
@@ -113,7 +113,7 @@ def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
     text = f"unknown {kind} {quoted}"
     if not known:
         return f"{text}; there is no {kind}."
-    names = ", ".join(list(known)[:MOST_NAMES]) + (", …" if len(known) > MOST_NAMES else "")
+    names = ", ".join(list(known)[:MAX_NAMES]) + (", …" if len(known) > MAX_NAMES else "")
     close = close_matches(name, known)
     if close:
         return f"{text}; did you mean {' or '.join(map(repr, close))}? Known: {names}."
@@ -343,28 +343,28 @@ class ServoMismatchError(HardwareError):
 
     Attributes:
         expected: Model of each id in the arm file.
-        found: Model of each id on the bus.
+        detected: Model of each id on the bus.
         port: The port.
     """
 
     def __init__(
         self,
         expected: Mapping[int, str],
-        found: Mapping[int, str],
+        detected: Mapping[int, str],
         *,
         port: str,
         hint: str = "",
         source: str = "the arm file",
     ) -> None:
         self.expected = dict(expected)
-        self.found = dict(found)
+        self.detected = dict(detected)
         self.port = port
-        ids = sorted({*expected, *found})
+        ids = sorted({*expected, *detected})
         width = max([len(expected.get(id, "")) for id in ids] + [len("expected")])
-        rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
+        rows = [f"  {'id':>3}  {'expected':<{width}}  detected"]
         for id in ids:
             model = expected.get(id, "-")
-            rows.append(f"  {id:>3}  {model:<{width}}  {found.get(id, 'missing')}")
+            rows.append(f"  {id:>3}  {model:<{width}}  {detected.get(id, 'missing')}")
         text = f"the servos on {port} are not those of {source}; nothing was switched on"
         usual = (
             "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"

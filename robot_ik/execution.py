@@ -400,8 +400,9 @@ def follow(
     is ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
     hold every step back.
 
-    The first goal of another kind or frame than the one before builds a new problem, which compiles
-    its method once on a machine. ``warm_up`` beforehand keeps that out of the loop.
+    Goals may change their targets and weights in each tick. A goal of another kind or frame, or
+    with a weight that becomes zero or was zero, builds a new problem, which compiles its method
+    once on a machine. Call ``warm_up`` before the loop to avoid this pause.
 
     Args:
         robot: From ``load_robot``.
@@ -498,7 +499,7 @@ class _FollowState:
         self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:
-        """Return a problem with these goals: the last one, if only the targets differ."""
+        """Return a problem with these goals: the last one, if targets and weights alone differ."""
         budget = Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS)
         kinds = [goal.kind for goal in goals]
         if self._problem is not None and kinds == self._kinds:

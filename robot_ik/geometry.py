@@ -136,16 +136,29 @@ def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
     Takes numbers, for which Python's own are the fastest, or arrays of numbers.
     """
+    # Products with the doubled vector part: a third fewer operations, and the same rounding.
+    x2 = x + x
+    y2 = y + y
+    z2 = z + z
+    xx = x * x2
+    yy = y * y2
+    zz = z * z2
+    xy = x * y2
+    xz = x * z2
+    yz = y * z2
+    wx = w * x2
+    wy = w * y2
+    wz = w * z2
     return (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
+        1.0 - (yy + zz),
+        xy - wz,
+        xz + wy,
+        xy + wz,
+        1.0 - (xx + zz),
+        yz - wx,
+        xz - wy,
+        yz + wx,
+        1.0 - (xx + yy),
     )
 
 
@@ -433,9 +446,9 @@ class Pose:
     def matrix(self) -> Array:
         """Homogeneous matrix (4, 4)."""
         x, y, z = self.position.tolist()
-        r = rotation_entries(*self.wxyz.tolist())
+        a, b, c, d, e, f, g, h, i = rotation_entries(*self.wxyz.tolist())
         # One array from Python's numbers takes a third of the time of filling parts of an array.
-        entries = (*r[:3], x, *r[3:6], y, *r[6:], z, 0.0, 0.0, 0.0, 1.0)
+        entries = (a, b, c, x, d, e, f, y, g, h, i, z, 0.0, 0.0, 0.0, 1.0)
         return np.array(entries).reshape(4, 4)
 
     def inverse(self) -> Pose:

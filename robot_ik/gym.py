@@ -87,7 +87,7 @@ class ReachModel:
         control: ``tool``: an action moves the tool (3 numbers). ``joints``: one number per joint.
         reward_type: ``sparse``: 0 at the goal, else -1. ``dense``: minus the distance.
         unreachable: Share of the episodes whose goal is out of reach, 0 to 1. The entry
-            ``reachable`` of ``info`` tells which.
+            ``reachable`` of ``info`` is False in these episodes.
 
     Raises:
         OptionError: Another ``control``, ``reward_type`` or ``unreachable``.
@@ -124,10 +124,10 @@ class ReachModel:
         upper = np.where(np.isfinite(robot.upper), robot.upper, UNLIMITED)
         near = self.center - self.radius - GOAL_RANGE
         far = self.center + self.radius + GOAL_RANGE
-        low = np.concatenate([lower, -robot.velocity_limits, near]) - BOUND_SLACK
-        high = np.concatenate([upper, robot.velocity_limits, far]) + BOUND_SLACK
+        lowest = np.concatenate([lower, -robot.velocity_limits, near]) - BOUND_SLACK
+        highest = np.concatenate([upper, robot.velocity_limits, far]) + BOUND_SLACK
         goal = spaces.Box(near, far, dtype=np.float64)
-        state = spaces.Box(low, high, dtype=np.float64)
+        state = spaces.Box(lowest, highest, dtype=np.float64)
         return spaces.Dict({"observation": state, "achieved_goal": goal, "desired_goal": goal})
 
     def positions(self, qs: Array) -> Array:

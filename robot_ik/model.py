@@ -206,7 +206,7 @@ def _mujoco_errors(path: Path) -> Iterator[None]:
     """Raise MuJoCo's errors as ``ModelError`` and log its warnings.
 
     MuJoCo's own handler would write warnings to stderr and to a file MUJOCO_LOG.TXT in the current
-    folder. They say which parts of the model were ignored. Python's warnings concern dynamics.
+    folder. They name the parts of the model that were ignored. Python's warnings concern dynamics.
     """
     ignored: list[str] = []
     try:
@@ -293,7 +293,7 @@ def _check_ranges(model: mujoco.MjModel, path: Path) -> None:
             raise ModelError(
                 f"{path}: joint {name!r} has the empty range {lower:g} … {upper:g}",
                 path=path,
-                hint="write the lower limit first; to hold the joint still, remove it "
+                hint="write the lower limit first; to keep the joint still, remove it "
                 '(URDF: type="fixed")',
             )
 
@@ -354,12 +354,12 @@ def _check_home(model: mujoco.MjModel, file: RobotFile, home: tuple[float, ...])
         value = home[model.jnt_qposadr[joint]]
         lower, upper = model.jnt_range[joint].tolist()
         if not lower - HOME_ROUNDING <= value <= upper + HOME_ROUNDING:
-            given, low, high = distinct_texts(value, lower, upper, digits=4, form="g")
+            given, lower_text, upper_text = distinct_texts(value, lower, upper, digits=4, form="g")
             raise ConfigError(
                 f"joint {name!r} at {given} {unit} is outside its limits",
                 file=where,
                 key="home",
-                allowed=f"{low} to {high} {unit}",
+                allowed=f"{lower_text} to {upper_text} {unit}",
                 hint=f"{given} degrees are {math.radians(value):.4g} rad" if unit == "rad" else "",
             )
 
@@ -412,7 +412,7 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
     if not frames:
         raise ModelError(
             "the model has no named site and no named body",
-            hint="name the body or site that shall be the tool",
+            hint="give a name to the body or site of the tool",
         )
     return list(frames)[-1]
 

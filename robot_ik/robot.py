@@ -352,7 +352,7 @@ class Robot:
             texts = distinct_texts(*values, digits=4)
             raise ModelError(
                 f"no range is left for joint {self.joints[self.tree.dof_node[v]]!r}: "
-                f"the model allows {texts[0]} … {texts[1]}, the other side {texts[2]} … {texts[3]}",
+                f"the model allows {texts[0]} … {texts[1]}, the limits {texts[2]} … {texts[3]}",
                 hint="check sign, zero and range of the joint in the arm file",
             )
         tree = self.tree.with_limits(new_lower, new_upper)
@@ -363,15 +363,15 @@ class Robot:
     def _check_limits(self, lower: ArrayLike, upper: ArrayLike) -> tuple[Array, Array]:
         """Return both limits as arrays (nv,), or raise ``ModelError``."""
         try:
-            low = np.broadcast_to(np.asarray(lower, dtype=float), self.nv)
-            high = np.broadcast_to(np.asarray(upper, dtype=float), self.nv)
+            lower_array = np.broadcast_to(np.asarray(lower, dtype=float), self.nv)
+            upper_array = np.broadcast_to(np.asarray(upper, dtype=float), self.nv)
         except (TypeError, ValueError, OverflowError) as error:
             problem = f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}"
             raise ModelError(problem) from error
-        if not (low <= high).all():
-            problem = f"limits must be numbers, lower <= upper, not {low.tolist()}, {high.tolist()}"
-            raise ModelError(problem)
-        return low, high
+        if not (lower_array <= upper_array).all():
+            given = f"{lower_array.tolist()}, {upper_array.tolist()}"
+            raise ModelError(f"limits must be numbers, lower <= upper, not {given}")
+        return lower_array, upper_array
 
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
         """Return a ball that the origin of a frame cannot leave.

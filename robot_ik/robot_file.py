@@ -1,4 +1,4 @@
-"""``robot.toml``, which says what a model file cannot, and the catalogue of bundled robots."""
+"""``robot.toml``, with data that a model file cannot hold, and the catalogue of bundled robots."""
 
 from __future__ import annotations
 

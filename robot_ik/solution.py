@@ -37,7 +37,7 @@ class Status(enum.IntEnum):
 
     @property
     def meaning(self) -> str:
-        """One sentence for people."""
+        """The meaning in one sentence."""
         if self is Status.CONVERGED:
             return "every goal that is needed is within tolerance"
         return f"{_CAUSE[self]}; the nearest point found is kept"
@@ -48,12 +48,12 @@ _POSITION_REACHED = 1e-6
 
 
 def short_numbers(q: Array) -> str:
-    """Joint angles (nq,) for people, on one line: of many the first."""
+    """Return joint angles (nq,) on one line: at most the first eight."""
     more = f" … {len(q) - 8} more" if len(q) > 8 else ""
     return np.array2string(q[:8], precision=4, max_line_width=200)[:-1] + more + "]"
 
 
-# By number, which is quicker than asking the enumeration.
+# By number. A lookup is faster than a call of the enumeration.
 STATUS_OF = {int(status): status for status in Status}
 _CAUSE = {
     Status.STALLED: "no step improves it any more",
@@ -196,7 +196,7 @@ class Solution:
         """Return this solution if it converged.
 
         Raises:
-            NotConvergedError: It did not. The error tells the distance and the reason.
+            NotConvergedError: It did not. The error has the distance and the reason.
         """
         if self.converged:
             return self

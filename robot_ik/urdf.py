@@ -92,7 +92,7 @@ class Urdf:
         names = [joint.get("name", "") for joint in self._joints()]
         repeated = next((name for name in names if names.count(name) > 1), None)
         if repeated is not None:
-            return f"two joints are called {repeated!r}", "each needs its own name"
+            return f"two joints are called {repeated!r}", "give each joint another name"
         return self._equal_limits() or self._wrong_mimic() or ("", "")
 
     def _joints(self) -> list[ElementTree.Element]:
@@ -124,7 +124,7 @@ class Urdf:
             if mimic is None or types[name] == "fixed":
                 continue
             leader = mimic.get("joint", "")
-            impossible = [one for one in (leader, name) if one not in possible]
+            impossible = [other for other in (leader, name) if other not in possible]
             if leader == name:
                 reason = "which is itself"
             elif leader not in types:
@@ -133,7 +133,7 @@ class Urdf:
                 reason = f"but {impossible[0]!r} is {types[impossible[0]]}"
             else:
                 continue
-            others = [one for one in possible if one != name]
+            others = [other for other in possible if other != name]
             known = f"it may mimic one of: {', '.join(others) or 'none'}"
             hint = did_you_mean(leader, others) or known
             return f"joint {name!r} mimics {leader!r}, {reason}", hint
@@ -192,7 +192,7 @@ class Urdf:
         if missing:
             names = ", ".join(missing[:MESHES_SHOWN])
             logger.warning(
-                "meshes left out, since not there or neither STL nor OBJ: %d (%s%s)",
+                "meshes left out, because they are missing or neither STL nor OBJ: %d (%s%s)",
                 len(missing),
                 names,
                 ", …" if len(missing) > MESHES_SHOWN else "",

@@ -17,34 +17,38 @@ import dynamixel_sdk.port_handler
 import pytest
 from hypothesis import settings
 
-# The width of the terminal that the tests were started in, which pytest-xdist hands on, must not matter.
+# The tests must not depend on the width of the terminal, which pytest-xdist hands on.
 os.environ.pop("COLUMNS", None)
 
-# Started in the background of a shell or under nohup, signals are ignored, and by all children too: tests of
-# them need them.
+# In the background of a shell or under nohup a process and its children ignore signals. Tests of
+# signals need them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# Virtual servos answer in real time, on threads of the tests' processes: they must not wait for others.
+# Virtual servos answer in real time, on threads of the tests' processes, which must not wait long.
 sys.setswitchinterval(5e-4)
 gc.set_threshold(50_000, 20, 50)
 # The official SDK gives an answer 34 ms, too little for a busy machine.
 dynamixel_sdk.port_handler.LATENCY_TIMER = 120
 
-# No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries
-# the same examples every time: a change is judged by itself, not by luck.  `make explore` draws new ones.
-settings.register_profile("robot_ik", max_examples=30, deadline=None, print_blob=True, derandomize=True)
+# No deadline: the first example of a law compiles its kernel, and the machine may be busy. The
+# suite has the same examples every time, so a failure is caused by a change. `make explore` draws
+# new ones.
+settings.register_profile(
+    "robot_ik", max_examples=30, deadline=None, print_blob=True, derandomize=True
+)
 settings.register_profile("explore", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("ROBOT_IK_EXAMPLES", "robot_ik"))
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _nothing_old_is_searched_for_garbage() -> Iterator[None]:
-    """What a file leaves behind, millions of a compiler's objects, is never searched again.
+    """Exclude the objects that a test file leaves behind from garbage collection.
 
-    Each search halted the process for up to 1.5 s, virtual servos with it: a third of a minute in all.
+    They are millions of a compiler's objects. Each search stopped the process, and virtual servos
+    with it, for up to 1.5 s: a third of a minute in all.
     """
     yield
     gc.collect()
@@ -72,11 +76,16 @@ def _find_browser() -> str | None:
 
 
 def _find_gl() -> str | None:
-    """The first MUJOCO_GL that renders off-screen, tried in children: a failing one may abort its process."""
+    """Return the first MUJOCO_GL that renders off-screen.
+
+    Each is tried in a child process, because a failing one may abort its process.
+    """
     asked = os.environ.get("MUJOCO_GL")
     for backend in [asked] if asked else ["egl", "osmesa"]:
         child = subprocess.run(
-            [sys.executable, "-c", RENDER], env=os.environ | {"MUJOCO_GL": backend}, capture_output=True
+            [sys.executable, "-c", RENDER],
+            env=os.environ | {"MUJOCO_GL": backend},
+            capture_output=True,
         )
         if child.returncode == 0:
             return backend
@@ -120,8 +129,7 @@ def _demanded() -> set[str]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuses a misspelt demand, which would otherwise demand nothing; watches what arms send, and how late
-    threads are woken in tests of real time."""
+    """Refuse an unknown name in the demands; register the plugins beside this file."""
     for name in ("goal_recorder", "real_time"):
         config.pluginmanager.register(_beside(name), name)
     if unknown := _demanded() - PROBES.keys():
@@ -130,10 +138,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def require() -> Require:
-    """``require("xvfb")`` for a test that cannot do without; gives what was found.
+    """``require("xvfb")`` skips a test without Xvfb, or fails it if Xvfb is demanded.
 
-    That is the path of Xvfb or of the browser, the MUJOCO_GL that works off-screen, the version of OpenCV.
-    A test that has looked for itself says so with ``present`` and says what is missing with ``reason``.
+    It returns the path of Xvfb or of the browser, the MUJOCO_GL that works off-screen, or the
+    version of OpenCV. A test that has searched itself gives ``present`` and the ``reason``.
     """
 
     def require(name: str, reason: str = "", *, present: bool | None = None) -> str:

@@ -1,8 +1,7 @@
-"""No command beyond limits reaches the wire, in any test that drives through an ``Arm``: a pytest plugin.
+"""A pytest plugin: in a test with an ``Arm`` no command beyond limits reaches the servos.
 
-It reads every packet on its way to simulated servos, whoever made them, in process and behind a pty, and
-costs nothing where no arm is made.  What comes from a process of its own (a command line run as a child) is
-not seen.
+It reads every packet to simulated servos, in this process and behind a pty. It costs nothing in
+tests without an arm. It does not read the packets of other processes, such as a command line.
 """
 
 from __future__ import annotations
@@ -19,13 +18,17 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.protocol import Packet, Parser
 
-_WRITE, _REG_WRITE, _SYNC_WRITE, _BULK_WRITE = 0x03, 0x04, 0x83, 0x93
+_WRITE = 0x03
+_REG_WRITE = 0x04
+_SYNC_WRITE = 0x83
+_BULK_WRITE = 0x93
 
 
 class GoalRecorder:
-    """Reads every packet on the way to the servos of an arm, and keeps the goals no arm may send.
+    """Reads every packet to the servos of an arm, and records goals that are not allowed.
 
-    A goal lies within the arm file's range; where the shaft stands outside, between it and the range.
+    A goal must be inside the range of the arm file. If the shaft is outside, the goal may be
+    between shaft and range.
     """
 
     def __init__(self) -> None:
@@ -34,7 +37,7 @@ class GoalRecorder:
         self._watched: dict[int, tuple[VirtualBus, dict[int, Any], Parser]] = {}
 
     def watch(self, bus: VirtualBus, config: ArmConfig) -> None:
-        """The servos of this bus are those of this arm; the bus is kept, so that its id is not given anew."""
+        """Record the goals of an arm. The reference to the bus keeps its id unique."""
         from robot_ik.hardware.virtual.protocol import Parser
 
         self._watched[id(bus)] = (bus, {drive.id: drive for drive in config.drives}, Parser())
@@ -61,9 +64,13 @@ class GoalRecorder:
         if first <= goal <= last:
             return
         at = servo.servo.table["present_position"]
-        for present in (at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id):
+        for present in (
+            at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id
+        ):
             if not min(first, present) <= goal <= max(last, present):
-                self.forbidden.append(f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}")
+                self.forbidden.append(
+                    f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}"
+                )
 
     @staticmethod
     def _writes(packet: Packet) -> Iterator[tuple[int, int, bytes]]:
@@ -74,7 +81,8 @@ class GoalRecorder:
         if packet.instruction in (_WRITE, _REG_WRITE):
             yield packet.id, int.from_bytes(params[:2], "little"), params[2:]
         elif packet.instruction == _SYNC_WRITE:
-            address, size = int.from_bytes(params[:2], "little"), int.from_bytes(params[2:4], "little")
+            address = int.from_bytes(params[:2], "little")
+            size = int.from_bytes(params[2:4], "little")
             for at in range(4, len(params), 1 + size):
                 yield params[at], address, params[at + 1 : at + 1 + size]
         elif packet.instruction == _BULK_WRITE:

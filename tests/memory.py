@@ -12,10 +12,11 @@ import time
 def resident_memory(settle: float = 3.0) -> float:
     """The memory of this process that is resident (MB), the lowest within ``settle`` s.
 
-    Dead objects are collected and what glibc keeps although it is free is given back before each look.
+    Before each reading, dead objects are collected and glibc returns its free memory.
     Connections and threads that are ending still hold their buffers for a moment: hence the lowest.
     """
-    lowest, end = float("inf"), time.monotonic() + settle
+    lowest = float("inf")
+    end = time.monotonic() + settle
     while time.monotonic() < end:
         gc.collect()
         with contextlib.suppress(AttributeError):  # a libc other than glibc

@@ -1,8 +1,9 @@
-"""Tests on real time are judged where the machine ran them in time: a pytest plugin.
+"""A pytest plugin: tests in real time are repeated if the machine halted during them.
 
-A serial line, a heartbeat and a servo's watchdog have milliseconds.  On a machine that halts for longer
-they rightly fail, and so does their test.  While a test runs that uses the fixture ``real_time``, a thread
-looks how late it is woken: a test that fails after a halt is tried again, one that fails without has failed.
+A serial line, a heartbeat and a servo's watchdog have deadlines of milliseconds. On a machine that
+halts for longer they fail, and so does their test. During a test with the fixture ``real_time`` a
+thread measures how late it wakes up. A test that fails after a halt is tried again. A test that
+fails without a halt has failed.
 """
 
 from __future__ import annotations
@@ -60,7 +61,9 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
             reports = runtestprotocol(item, log=False, nextitem=nextitem)
         if left == 0 or halts.longest < HALT or not any(report.failed for report in reports):
             break
-        item.warn(pytest.PytestWarning(f"tried again: the machine halted for {halts.longest:.3f} s"))
+        item.warn(
+            pytest.PytestWarning(f"tried again: the machine halted for {halts.longest:.3f} s")
+        )
     for report in reports:
         hook.pytest_runtest_logreport(report=report)
     hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)

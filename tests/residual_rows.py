@@ -45,7 +45,7 @@ def measure_rows(address: Any) -> None:
 
 @dataclass(frozen=True)
 class Rows:
-    """Cost ½ |r|², residual (m,), error (g, 2), Jacobian (m, u), and the dofs (u,) of its columns."""
+    """Cost ½ |r|², residual (m,), error (g, 2), Jacobian (m, u), dofs (u,) of its columns."""
 
     cost: float
     residual: Array

@@ -16,8 +16,10 @@ from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue, find_robot, read_robot_file
 from robot_ik.solvers import solver_name
 
-MODEL = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
-<body name="b" pos="1 0 0"><joint name="two" range="-2 2"/><joint name="finger" type="slide" range="0 0.4"/>
+MODEL = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="one"/>
+<geom size="0.1"/>
+<body name="b" pos="1 0 0"><joint name="two" range="-2 2"/>
+<joint name="finger" type="slide" range="0 0.4"/>
 <geom size="0.1"/>
 <site name="tip" pos="0 0 1"/></body></body></worldbody>
 <keyframe><key name="ready" qpos="0.1 0.2 0.3"/></keyframe></mujoco>"""
@@ -87,7 +89,12 @@ def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
         ("[motion]", "[moton]", "moton", "did you mean motion"),
         ("schema = 1", "schema = 2", "schema", "1"),
         ('title = "a small arm"', "", "title", "missing"),
-        ("velocity_deg = [90, 180]", "velocity_deg = [90]", "motion.velocity_deg", "1 numbers for 2 joints"),
+        (
+            "velocity_deg = [90, 180]",
+            "velocity_deg = [90]",
+            "motion.velocity_deg",
+            "1 numbers for 2 joints",
+        ),
         (
             "velocity_deg = [90, 180]",
             "velocity_deg = [90, 0]",
@@ -104,13 +111,21 @@ def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
             'home = "ready"',
             "home = [0.1, 90, 0]",
             "home",
-            "joint 'two' at 90 rad is outside its limits; allowed: -2 to 2 rad\n90 degrees are 1.571 rad",
+            "joint 'two' at 90 rad is outside its limits; allowed: -2 to 2 rad\n"
+            "90 degrees are 1.571 rad",
         ),
-        ('home = "ready"', "home = [0, 0, -0.5]", "home", "joint 'finger' at -0.5 m is outside its limits"),
+        (
+            'home = "ready"',
+            "home = [0, 0, -0.5]",
+            "home",
+            "joint 'finger' at -0.5 m is outside its limits",
+        ),
         ("velocity_deg = [90, 180]", 'velocity_deg = "fast"', "motion.velocity_deg", "a list"),
     ],
 )
-def test_a_wrong_key_or_value_is_reported_with_file_key_and_what_is_allowed(folder, before, after, key, says):
+def test_a_wrong_key_or_value_is_reported_with_file_key_and_what_is_allowed(
+    folder, before, after, key, says
+):
     assert before in FILE
     (folder / "robot.toml").write_text(FILE.replace(before, after))
     with pytest.raises(ConfigError) as caught:
@@ -137,7 +152,9 @@ def test_a_slide_in_degrees_and_a_hinge_in_millimetres_are_refused(folder):
     asked = FILE.replace('arm = ["one", "two"]', 'arm = ["one", "two", "finger"]')
     asked = asked.replace("[90, 180]", "[90, 180, 10]").replace("[360, 720]", "[360, 720, 40]")
     (folder / "robot.toml").write_text(asked)
-    with pytest.raises(ConfigError, match="'finger' slides; allowed: its limits in velocity_mm") as caught:
+    with pytest.raises(
+        ConfigError, match="'finger' slides; allowed: its limits in velocity_mm"
+    ) as caught:
         load_robot(folder)
     assert caught.value.key == "motion.velocity_deg"
     asked = FILE.replace("velocity_deg = [90, 180]", "velocity_mm = { two = 180 }")

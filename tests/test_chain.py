@@ -21,7 +21,9 @@ def test_a_chain_has_its_links_and_lengths(n):
     np.testing.assert_allclose(centre, 0, atol=1e-15)
     assert radius == pytest.approx(0.3 * n)
     q = robot.sample(np.random.default_rng(n))
-    positions = [robot.measure(q, f"link{i}").position for i in range(1, n + 1)] + [robot.measure(q).position]
+    positions = [robot.measure(q, f"link{i}").position for i in range(1, n + 1)] + [
+        robot.measure(q).position
+    ]
     np.testing.assert_allclose(np.linalg.norm(np.diff(positions, axis=0), axis=1), 0.3, atol=1e-12)
     np.testing.assert_allclose(robot.forward(q).matrix, robot.measure(q).matrix, atol=1e-12)
 
@@ -43,7 +45,8 @@ def test_a_chain_of_nothing_is_refused(n, length):
 
 
 ARM = """<mujoco model="arm"><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
-<body name="b" pos="1 0 0"><joint name="two"/><geom size="0.1"/><site name="end" pos="1 0 0"/></body></body>
+<body name="b" pos="1 0 0"><joint name="two"/><geom size="0.1"/><site name="end" pos="1 0 0"/>
+</body></body>
 </worldbody></mujoco>"""
 
 

@@ -1,4 +1,4 @@
-"""Joints that follow others: the law holds in every answer, in MuJoCo's eyes too, or the method refuses."""
+"""Coupled joints: the law holds in every solution, by MuJoCo too, or the method refuses."""
 
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from tests.residual_rows import rows_at
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="j1" axis="0 0 1" range="-2 2"/><geom size="0.05"/>
- <body name="b" pos="0.4 0 0"><joint name="j2" axis="0 1 0" ref="0.2" range="-1.5 1.5"/><geom size="0.05"/>
+ <body name="b" pos="0.4 0 0"><joint name="j2" axis="0 1 0" ref="0.2" range="-1.5 1.5"/>
+ <geom size="0.05"/>
   <body name="c" pos="0.4 0 0"><joint name="j3" axis="0 1 0" range="-0.9 1.2"/><geom size="0.05"/>
    <body name="d" pos="0.3 0 0.1"><joint name="j4" axis="1 0 0" range="-2 2"/><geom size="0.05"/>
     <body name="e" pos="0.2 0.1 0"><joint name="j5" type="slide" axis="0 0 1" range="-.2 .2"/>
@@ -33,10 +34,16 @@ LAWS = {
     "curved": '<joint joint1="j3" joint2="j2" polycoef="0.1 0.5 0.2 -0.05 0.01"/>',
     "slide follows hinge": '<joint joint1="j5" joint2="j4" polycoef="0 0.08 0 0 0"/>',
     "still": '<joint joint1="j4" polycoef="0.3 0 0 0 0"/>',
-    "chain": '<joint joint1="j3" joint2="j2" polycoef="0 -0.5 0 0 0"/><joint joint1="j4" joint2="j3"/>',
+    "chain": (
+        '<joint joint1="j3" joint2="j2" polycoef="0 -0.5 0 0 0"/><joint joint1="j4" joint2="j3"/>'
+    ),
 }
 _EXACT = Tolerance(1e-9, 1e-9)
-HONOUR = [name for name, kind in SOLVERS.items() if "couplings" in kind.capabilities and name != "combined"]
+HONOUR = [
+    name
+    for name, kind in SOLVERS.items()
+    if "couplings" in kind.capabilities and name != "combined"
+]
 
 
 def arm(folder: Path, equality: str, **options):
@@ -61,10 +68,10 @@ def test_every_answer_keeps_the_law_in_mujocos_eyes(tmp_path, law):
         there = robot.sample(rng)
         assert broken(robot, there) < 1e-12 and not robot.outside(there)
         for name in HONOUR:
-            found = solve(robot, PositionGoal(None, robot.forward(there).position), solver=name)
-            assert broken(robot, found.q) < 1e-12 and not robot.outside(found.q), name
+            solution = solve(robot, PositionGoal(None, robot.forward(there).position), solver=name)
+            assert broken(robot, solution.q) < 1e-12 and not robot.outside(solution.q), name
             if name == "lm":
-                assert found.converged, found
+                assert solution.converged, solution
     assert broken(robot, robot.home) < 1e-12
 
 
@@ -72,7 +79,9 @@ def test_every_answer_keeps_the_law_in_mujocos_eyes(tmp_path, law):
 def test_the_jacobian_carries_the_followers(tmp_path, law):
     robot = arm(tmp_path, LAWS[law])
     rng = np.random.default_rng(5)
-    problem = Problem(robot, [PositionGoal(None, (0.3, 0.2, 0.1)), PositionGoal("d", (1, 0, 0), axes="xz")])
+    problem = Problem(
+        robot, [PositionGoal(None, (0.3, 0.2, 0.1)), PositionGoal("d", (1, 0, 0), axes="xz")]
+    )
 
     for _ in range(5):
         q = robot.clip(robot.sample(rng))
@@ -91,10 +100,14 @@ def test_a_leader_stops_where_its_follower_meets_a_limit(tmp_path):
     # j3 = 0.1 - 0.6 (j2 - 0.2) inside -0.9 … 1.2; j2 itself could go to ±1.5
     assert robot.lower[1] == pytest.approx(-1.5) and robot.upper[1] == pytest.approx(1.5)
     tight = arm(tmp_path, LAWS["linear"].replace("-0.6", "-3"))
-    assert tight.lower[1] == pytest.approx(0.2 - 1.1 / 3) and tight.upper[1] == pytest.approx(0.2 + 1.0 / 3)
+    assert tight.lower[1] == pytest.approx(0.2 - 1.1 / 3) and tight.upper[1] == pytest.approx(
+        0.2 + 1.0 / 3
+    )
     narrower = tight.with_limits(np.full(5, -0.05), np.full(5, 10.0))
     assert narrower.upper[1] == pytest.approx(0.25)
-    with pytest.raises(ModelError, match=r"joint 'j3' has no position inside its limits .* leader 'j2' is"):
+    with pytest.raises(
+        ModelError, match=r"joint 'j3' has no position inside its limits .* leader 'j2' is"
+    ):
         arm(tmp_path, LAWS["linear"].replace("0.1 -0.6", "7 0.1"))
 
 
@@ -121,11 +134,13 @@ def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp
     [
         (LAWS["linear"] + '<joint joint1="j3" joint2="j1"/>', "'j3' is coupled twice"),
         ('<joint joint1="j3" joint2="j2"/><joint joint1="j2" joint2="j3"/>', "in a circle"),
-        ('<joint joint1="j3" joint2="j2" polycoef="0 0 1 1 1"/>'
+        (
+            '<joint joint1="j3" joint2="j2" polycoef="0 0 1 1 1"/>'
             '<joint joint1="j4" joint2="j3" polycoef="0 0 1 0 0"/>',
-         "degree 8"),
+            "degree 8",
+        ),
     ],
-)  # fmt: skip
+)
 def test_couplings_that_make_no_sense_are_refused(tmp_path, equality, says):
     with pytest.raises(UnsupportedJointError, match=says):
         arm(tmp_path, equality)
@@ -147,8 +162,8 @@ def described(folder: Path, text: str):
 
 def test_robot_toml_couples_joints_too(tmp_path):
     robot = described(tmp_path, "[couplings]\nj3 = { follows = 'j2', ratio = -0.5, offset = 0.1 }")
-    found = solve(robot, PositionGoal(None, (0.7, 0.5, 0.1)), solver="lm")
-    assert found.q[2] == pytest.approx(0.1 - 0.5 * found.q[1], abs=1e-12)
+    solution = solve(robot, PositionGoal(None, (0.7, 0.5, 0.1)), solver="lm")
+    assert solution.q[2] == pytest.approx(0.1 - 0.5 * solution.q[1], abs=1e-12)
     with pytest.raises(UnknownJointError, match="j9"):
         described(tmp_path, "[couplings]\nj3 = { follows = 'j9', ratio = 1.0 }")
     with pytest.raises(ConfigError, match="couplings"):
@@ -160,13 +175,16 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     stiff = described(tmp_path, "[stiffness]\nj1 = 25.0\nj3 = 4.0")
     assert stiff.stiffness.tolist() == [25.0, 1.0, 4.0, 1.0, 1.0]
     goal = PostureGoal(q=soft.home)  # all joints count, so all are columns
-    assert np.allclose(Problem(stiff, goal).compiled.block.arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
+    assert np.allclose(
+        Problem(stiff, goal).compiled.block.arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0]
+    )
     start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
     position = soft.forward(start).position
     near = PositionGoal(None, position + np.array([0.0, 1e-4, 1e-4]))
     for name in ("lm", "dls", "pseudoinverse", "bfgs"):
         moved = {
-            robot.stiffness[0]: Problem(robot, near, solver=name, tolerance=_EXACT).solve(start).q - start
+            robot.stiffness[0]: Problem(robot, near, solver=name, tolerance=_EXACT).solve(start).q
+            - start
             for robot in (soft, stiff)
         }
         jacobian = soft.jacobian(start)[:3]

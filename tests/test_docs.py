@@ -1,13 +1,14 @@
-"""The documentation, held to the program: what it shows is run, what it names is there.
+"""The documentation against the program: blocks run, and names exist.
 
-In README.md and docs/, top to bottom, in an empty folder for each page:
+The blocks of README.md and docs/ run from top to bottom, in an empty folder for each page:
 
-* ```python blocks run, one after the other, in one namespace a page;
-* ```sh blocks: `robot-ik …` runs through the command line and must exit 0, or as a comment `# exit 1` says;
-  with ` &` it runs beside the rest and must end well on SIGTERM; of a line that names /dev/…, and of all in
-  a block ```sh options (slow, and run by tests of their own), only the options are checked; `make X` must be
-  a target; `python FILE` must be an example;
-* a block whose first line says ```xml file=NAME is written to that file first;
+* ```python blocks run in one namespace a page. Blocks with `append=FILE` do not run:
+  tests/test_extend.py runs them.
+* ```sh blocks: `robot-ik …` must exit 0, or with the code of a comment `# exit 1`. With ` &` it
+  runs beside the rest and must end on SIGTERM without an error. Of a line that names /dev/…, and of
+  all lines of a block ```sh options, only the options are checked, because other tests run these
+  slow commands. `make X` must be a target, `python FILE` an example.
+* a block that begins with ```xml file=NAME is written to that file first.
 * ```json and ```toml blocks parse.
 """
 
@@ -34,32 +35,45 @@ from robot_ik.cli import main as cli
 from robot_ik.cli.main import find_command
 
 # The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))
+_spec = importlib.util.spec_from_file_location(
+    "doc_pages", Path(__file__).with_name("doc_pages.py")
+)
 assert _spec is not None and _spec.loader is not None
 pages: Any = importlib.util.module_from_spec(_spec)
 sys.modules[_spec.name] = pages  # dataclasses look it up
 _spec.loader.exec_module(pages)
-ROOT, PAGES, OTHERS, SHOWN, blocks, prose, named = (
-    pages.ROOT,
-    pages.PAGES,
-    pages.OTHERS,
-    pages.SHOWN,
-    pages.blocks,
-    pages.prose,
-    pages.named,
-)
+ROOT = pages.ROOT
+PAGES = pages.PAGES
+OTHERS = pages.OTHERS
+SHOWN = pages.SHOWN
+blocks = pages.blocks
+prose = pages.prose
+named = pages.named
 
 FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
 
 
-# ------------------------------------------------------------------------------- blocks are run
+# Blocks are run
 
 
-@pytest.mark.parametrize("title", ["class GradientDescent", "class LoggedBus", "class ReachableOptions"])
+@pytest.mark.parametrize(
+    "title", ["class GradientDescent", "class LoggedBus", "class ReachableOptions"]
+)
 def test_the_modules_of_the_recipes_pass_the_linter(title: str) -> None:
     page = ROOT / "docs" / "how-to" / "extend.md"
-    (code,) = [block.text for block in blocks(page) if block.language == "python" and title in block.text]
-    ruff = [sys.executable, "-m", "ruff", "check", "--quiet", "--stdin-filename", "robot_ik/recipe.py", "-"]
+    (code,) = [
+        block.text for block in blocks(page) if block.language == "python" and title in block.text
+    ]
+    ruff = [
+        sys.executable,
+        "-m",
+        "ruff",
+        "check",
+        "--quiet",
+        "--stdin-filename",
+        "robot_ik/recipe.py",
+        "-",
+    ]
     run = subprocess.run(ruff, input=code, capture_output=True, text=True, cwd=ROOT)
     assert run.returncode == 0, run.stdout
 
@@ -75,17 +89,24 @@ def test_what_a_page_shows_runs(
     beside: list[subprocess.Popen[str]] = []
     try:
         for block in blocks(page):
-            assert block.language in SHOWN, f"{named(page)}:{block.line}: a block of {block.language!r}"
+            assert block.language in SHOWN, (
+                f"{named(page)}:{block.line}: a block of {block.language!r}"
+            )
             if block.file:
                 Path(block.file).parent.mkdir(parents=True, exist_ok=True)
                 Path(block.file).write_text(block.text, encoding="utf-8")
-            if block.language == "python":
-                padded = "\n" * (block.line - 1) + block.text  # so that a traceback names the page's line
+            if block.language == "python" and "append=" not in block.note:
+                padded = (
+                    "\n" * (block.line - 1) + block.text
+                )  # so that a traceback names the page's line
                 exec(compile(padded, str(page), "exec", dont_inherit=True), module.__dict__)
             elif block.language == "sh":
                 for line in block.text.splitlines():
                     run_line(
-                        line, f"{named(page)}:{block.line}", beside, only_options=block.note == "options"
+                        line,
+                        f"{named(page)}:{block.line}",
+                        beside,
+                        only_options=block.note == "options",
                     )
             elif block.language == "toml":
                 tomllib.loads(block.text)
@@ -98,13 +119,17 @@ def test_what_a_page_shows_runs(
 
 
 def give(page: Path, folder: Path) -> None:
-    """What a page takes for granted that a reader has: an arm file, a model, a photograph and its camera."""
+    """Write the files that a page expects: an arm file, a model, a photograph and its camera."""
     text = page.read_text(encoding="utf-8")
     if "my_arm.toml" in text:
-        (folder / "my_arm.toml").write_bytes((ROOT / "models" / "puma560" / "arm.toml").read_bytes())
+        (folder / "my_arm.toml").write_bytes(
+            (ROOT / "models" / "puma560" / "arm.toml").read_bytes()
+        )
     if "path/to/arm.xml" in text:
         (model,) = [
-            b for b in blocks(ROOT / "docs" / "how-to" / "own_robot.md") if b.file.endswith("desk_arm.xml")
+            b
+            for b in blocks(ROOT / "docs" / "how-to" / "own_robot.md")
+            if b.file.endswith("desk_arm.xml")
         ]
         (folder / "path" / "to").mkdir(parents=True)
         (folder / "path" / "to" / "arm.xml").write_text(model.text, encoding="utf-8")
@@ -118,11 +143,15 @@ def photograph() -> dict[str, bytes]:
     """The photograph and the calibration that the page of the first camera makes."""
     (block,) = [b for b in blocks(FIRST_PHOTO) if 'imwrite("photo.png"' in b.text]
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        exec(compile(block.text, str(FIRST_PHOTO), "exec", dont_inherit=True), {"__name__": "photo"})
+        exec(
+            compile(block.text, str(FIRST_PHOTO), "exec", dont_inherit=True), {"__name__": "photo"}
+        )
         return {name: Path(name).read_bytes() for name in ("photo.png", "camera.yaml")}
 
 
-def run_line(line: str, where: str, beside: list[subprocess.Popen[str]], *, only_options: bool) -> None:
+def run_line(
+    line: str, where: str, beside: list[subprocess.Popen[str]], *, only_options: bool
+) -> None:
     command, _, comment = line.partition("#")
     words = shlex.split(command)
     where += f": {line}"
@@ -166,7 +195,7 @@ def targets() -> set[str]:
     return set(found)
 
 
-# ------------------------------------------------------------------------- what it names is there
+# What it names is there
 
 
 def slug(heading: str) -> str:
@@ -214,7 +243,10 @@ def helps() -> dict[str, str]:
 
 def test_commands_and_options_named_in_the_text_exist() -> None:
     texts = helps()
-    options = set(re.findall(r"--[a-z][\w.-]*", " ".join(texts.values()))) | {"--version", "--debug"}
+    options = set(re.findall(r"--[a-z][\w.-]*", " ".join(texts.values()))) | {
+        "--version",
+        "--debug",
+    }
     for page in PAGES + OTHERS:
         for code in re.findall(r"`([^`\n]+)`", prose(page)):
             words = code.split()
@@ -225,7 +257,9 @@ def test_commands_and_options_named_in_the_text_exist() -> None:
             if words[0] == "robot-ik" and len(words) > 1:
                 assert words[1] in texts or words[1] in options, f"{named(page)}: {code}"
             known = (
-                texts[words[1]] if words[0] == "robot-ik" and words[1:2] and words[1] in texts else options
+                texts[words[1]]
+                if words[0] == "robot-ik" and words[1:2] and words[1] in texts
+                else options
             )
             for flag in re.findall(r"(?<!\S)--[a-z][\w.-]*", code):
                 assert flag in known, f"{named(page)}: {code}"

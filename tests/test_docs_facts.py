@@ -1,4 +1,4 @@
-"""What the documentation states, held to the program: tables, the first screen, the map of the packages."""
+"""Facts of the documentation against the program: tables, first screen, map of the packages."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ import pytest
 from robot_ik.cli import main as cli
 
 # The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))
+_spec = importlib.util.spec_from_file_location(
+    "doc_pages", Path(__file__).with_name("doc_pages.py")
+)
 assert _spec is not None and _spec.loader is not None
 pages: Any = importlib.util.module_from_spec(_spec)
 sys.modules[_spec.name] = pages  # dataclasses look it up
 _spec.loader.exec_module(pages)
-ROOT, PAGES, blocks, prose, named, script = (
-    pages.ROOT,
-    pages.PAGES,
-    pages.blocks,
-    pages.prose,
-    pages.named,
-    pages.script,
-)
+ROOT = pages.ROOT
+PAGES = pages.PAGES
+blocks = pages.blocks
+prose = pages.prose
+named = pages.named
+script = pages.script
 #: Files in which an install line could stand.
 TEXTS = {".py", ".md", ".toml", ".rst", ".yml", ".txt"}
 
 
-# ------------------------------------------------------------------------- tables from the program
+# Tables from the program
 
 
 def test_tables_are_what_the_program_says() -> None:
@@ -42,11 +42,13 @@ def test_tables_are_what_the_program_says() -> None:
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         used |= {m[2] for m in tables.PLACE.finditer(text)}
-        assert tables.filled(text) == text, f"{named(page)} is out of date: python docs/make/tables.py"
+        assert tables.filled(text) == text, (
+            f"{named(page)} is out of date: python docs/make/tables.py"
+        )
     assert used == set(tables.TABLES)
 
 
-# -------------------------------------------------------------------------------- the first screen
+# The first screen
 
 
 def test_the_first_screen_has_one_picture_and_two_commands() -> None:
@@ -57,7 +59,9 @@ def test_the_first_screen_has_one_picture_and_two_commands() -> None:
     assert 20_000 < (ROOT / picture).stat().st_size < 400 * 1024
 
 
-def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_make_reach_prints_what_the_readme_shows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (shown,) = [block for block in blocks(ROOT / "README.md") if block.text.startswith("reach ")]
     assert cli.main(["reach", "--out", str(tmp_path / "run")]) == 0
     printed = capsys.readouterr().out
@@ -70,10 +74,16 @@ def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.
     assert {"goal", "solver", "read back", "camera", "result"} <= set(wanted)
     # What the camera sees does not depend on the machine, but for rounding.
     for line in (r"^marker 7 .*", r"^ +true at .*", r"^goal .*"):
-        one, other = (re.findall(r"-?\d+\.\d+", re.findall(line, t, re.M)[0]) for t in (shown.text, printed))
+        one, other = (
+            re.findall(r"-?\d+\.\d+", re.findall(line, t, re.M)[0]) for t in (shown.text, printed)
+        )
         assert [float(x) for x in one] == pytest.approx([float(x) for x in other], abs=0.11), line
     # Both of the picture's captions and the files are named.
-    assert {p.name for p in (tmp_path / "run").iterdir()} == {"reach.png", "trajectory.csv", "summary.json"}
+    assert {p.name for p in (tmp_path / "run").iterdir()} == {
+        "reach.png",
+        "trajectory.csv",
+        "summary.json",
+    }
 
 
 def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
@@ -97,7 +107,10 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
 
 def test_the_pages_state_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     assert (
-        cli.main(["reach", "--bus", "sim", "--rehearse.zero-offset", "joint2=2", "--out", str(tmp_path)]) == 1
+        cli.main(
+            ["reach", "--bus", "sim", "--rehearse.zero-offset", "joint2=2", "--out", str(tmp_path)]
+        )
+        == 1
     )
     summary = json.loads((tmp_path / "summary.json").read_text())
     measured = 1e3 * summary["by_camera"]["position_m"]
@@ -116,9 +129,13 @@ def test_the_extras_on_the_page_are_those_of_the_package() -> None:
 
 def test_every_page_names_the_same_versions_of_python() -> None:
     make_venv = (ROOT / ".ci" / "make_venv").read_text()
-    oldest, newest = (int(minor) for minor in re.findall(r"(?:oldest|newest)='\(3, (\d+)\)'", make_venv))
+    oldest, newest = (
+        int(minor) for minor in re.findall(r"(?:oldest|newest)='\(3, (\d+)\)'", make_venv)
+    )
     for page in ("README.md", "CONTRIBUTING.md", "docs/start/install.md"):
-        stated = re.findall(r"Python 3\.(\d+) to 3\.(\d+)", (ROOT / page).read_text(encoding="utf-8"))
+        stated = re.findall(
+            r"Python 3\.(\d+) to 3\.(\d+)", (ROOT / page).read_text(encoding="utf-8")
+        )
         assert stated and set(stated) == {(str(oldest), str(newest))}, page
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     classified = re.findall(r"Python :: 3\.(\d+)", "\n".join(project["classifiers"]))
@@ -136,9 +153,13 @@ def test_a_system_that_was_not_tried_is_not_a_classifier() -> None:
 def test_no_install_line_names_the_distribution_of_another_project() -> None:
     """``robot-ik`` on the package index also installs a package ``robot_ik``."""
     folders = ("robot_ik", "hardware", "models", "docs", "examples", "tests", ".ci", ".github")
-    files = [file for folder in folders for file in (ROOT / folder).rglob("*") if file.suffix in TEXTS]
+    files = [
+        file for folder in folders for file in (ROOT / folder).rglob("*") if file.suffix in TEXTS
+    ]
     files += [file for file in ROOT.iterdir() if file.suffix in TEXTS]
-    foreign = re.compile(r"pip install (?:-\S+ )*[\"']?robot[_-]ik(?!-testbed|\w)|robot[_-]ik\[\w+\]")
+    foreign = re.compile(
+        r"pip install (?:-\S+ )*[\"']?robot[_-]ik(?!-testbed|\w)|robot[_-]ik\[\w+\]"
+    )
     found = {named(file): foreign.findall(file.read_text(encoding="utf-8")) for file in files}
     assert {name: lines for name, lines in found.items() if lines} == {}
 
@@ -189,18 +210,22 @@ def test_the_citation_has_the_version_and_the_address() -> None:
 
 def test_contributors_are_told_every_target_of_make() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    reported = set(re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
+    reported = set(
+        re.findall(r"`make ([\w-]+)", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
+    )
     assert set(phony.split()) - {"FORCE", "help", "reach", "clean"} == reported
 
 
 def test_contributors_are_told_the_steps_of_ci() -> None:
-    (steps,) = re.findall(r"^for step in (.*); do$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE)
+    (steps,) = re.findall(
+        r"^for step in (.*); do$", (ROOT / ".ci" / "run").read_text(), re.MULTILINE
+    )
     contributing = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     (row,) = re.findall(r"^\| `bash \.ci/run` \|(.*)\|$", contributing, re.MULTILINE)
     assert re.findall(r"`([\w-]+)`", row) == [*steps.split(), "test"]
 
 
-# ------------------------------------------------------------------------------------- the site
+# The site
 
 
 def test_the_api_page_lists_every_public_name() -> None:
@@ -209,11 +234,13 @@ def test_the_api_page_lists_every_public_name() -> None:
     page = (ROOT / "docs" / "reference" / "api.rst").read_text(encoding="utf-8")
     listed = re.findall(r"^\.\. auto(?:class|function|data|exception):: (\w+)$", page, re.MULTILINE)
     assert sorted(listed) == sorted(name for name in rik.__all__ if name != "__version__")
-    for module, name in re.findall(r"^\.\. auto\w+:: (robot_ik\.[\w.]+)\.(\w+)$", page, re.MULTILINE):
+    for module, name in re.findall(
+        r"^\.\. auto\w+:: (robot_ik\.[\w.]+)\.(\w+)$", page, re.MULTILINE
+    ):
         assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
 
 
-# ------------------------------------------------------------------------------- the architecture
+# The architecture
 
 
 @pytest.mark.parametrize(
@@ -224,15 +251,23 @@ def test_the_api_page_lists_every_public_name() -> None:
         ("hardware-layers", "robot_ik.hardware.", "health"),
     ],
 )
-def test_the_layers_drawn_are_the_layers_checked(contract_id: str, package: str, first: str) -> None:
+def test_the_layers_drawn_are_the_layers_checked(
+    contract_id: str, package: str, first: str
+) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    (contract,) = [c for c in project["tool"]["importlinter"]["contracts"] if c["id"] == contract_id]
+    (contract,) = [
+        c for c in project["tool"]["importlinter"]["contracts"] if c["id"] == contract_id
+    ]
     (drawn,) = [b for b in blocks(ROOT / "docs" / "architecture.md") if b.text.startswith(first)]
     lines = [line.split("   ")[0] for line in drawn.text.splitlines()]
     drawn_names = [re.findall(r"[\w.]+", line) for line in lines]
     here = {p.stem for p in (ROOT / "robot_ik").iterdir()} | {"hardware", "models"}
     checked = [
-        [name.removeprefix(package) for name in re.findall(r"[\w.]+", line) if package or name in here]
+        [
+            name.removeprefix(package)
+            for name in re.findall(r"[\w.]+", line)
+            if package or name in here
+        ]
         for line in contract["layers"]
     ]
     assert drawn_names == [names for names in checked if names and names != ["__main__"]]

@@ -49,7 +49,9 @@ def _servos() -> VirtualBus:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_whose_packets_are_on_the_wire_is_said_rightly(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whose_packets_are_on_the_wire_is_said_rightly(
+    call: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     used: set[str] = set()
     for name in ("txPacket", "rxPacket"):
         plain = getattr(Protocol2PacketHandler, name)
@@ -77,7 +79,7 @@ def test_every_call_of_a_bus_is_in_that_table() -> None:
     assert calls - {"open", "close", "is_open", "use_fast_reads", "fileno"} == set(CALLS)
 
 
-# ------------------------------------------------------------------------------------- the recipe
+# The recipe
 
 
 class Wire(VirtualBus):
@@ -105,10 +107,14 @@ def _goals(packet: Packet) -> list[tuple[int, int]]:
     return []
 
 
-def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     page = (DOCS / "how-to" / "extend.md").read_text(encoding="utf-8")
     (code,) = [
-        text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "class LoggedBus" in text
+        text
+        for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+        if "class LoggedBus" in text
     ]
     module = types.ModuleType("logged")
     exec(compile(code, "extend.md", "exec", dont_inherit=True), module.__dict__)
@@ -134,14 +140,16 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
     assert servos.goals_seen() <= logged, "a goal that is in no log"
 
 
-# ------------------------------------------------------------------------------ promises and tests
+# Promises and tests
 
 
 def _rows(heading: str) -> list[list[str]]:
     page = (REFERENCE / "safety.md").read_text(encoding="utf-8")
     part = page.partition(f"## {heading}\n")[2].partition("\n## ")[0]
     rows = [
-        [cell.strip() for cell in row.strip("|").split("|")] for row in part.splitlines() if row[:1] == "|"
+        [cell.strip() for cell in row.strip("|").split("|")]
+        for row in part.splitlines()
+        if row[:1] == "|"
     ]
     return rows[2:]
 
@@ -163,4 +171,6 @@ def test_every_promise_names_the_test_that_holds_it() -> None:
         tests = _named_tests(shown)
         assert tests, f"no test is named for: {promise}"
         for file, test in tests:
-            assert file.is_file() and test in _defined(file), f"{file.name}::{test} holds: {promise}"
+            assert file.is_file() and test in _defined(file), (
+                f"{file.name}::{test} holds: {promise}"
+            )

@@ -23,12 +23,16 @@ def test_every_error_has_the_one_root_and_is_in_the_one_module():
 @pytest.mark.parametrize(
     ("error", "builtin"),
     [
-        (errors.UnknownFrameError, LookupError), (errors.UnknownSolverError, LookupError),
-        (errors.InvalidGoalError, ValueError), (errors.UnsupportedGoalError, ValueError),
-        (errors.ConfigError, ValueError), (errors.UnsafeCommandError, ValueError),
-        (errors.MissingExtraError, ImportError), (errors.OutputError, OSError),
+        (errors.UnknownFrameError, LookupError),
+        (errors.UnknownSolverError, LookupError),
+        (errors.InvalidGoalError, ValueError),
+        (errors.UnsupportedGoalError, ValueError),
+        (errors.ConfigError, ValueError),
+        (errors.UnsafeCommandError, ValueError),
+        (errors.MissingExtraError, ImportError),
+        (errors.OutputError, OSError),
     ],
-)  # fmt: skip
+)
 def test_an_error_is_also_what_python_calls_it(error, builtin):
     assert issubclass(error, builtin)
 
@@ -104,9 +108,9 @@ def test_the_hint_comes_last_and_only_once():
 
 
 def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
-    assert str(errors.ConfigError("is no number", file="arm.toml", key="bus.baud", allowed="9600 …")) == (
-        "arm.toml: bus.baud: is no number; allowed: 9600 …"
-    )
+    assert str(
+        errors.ConfigError("is no number", file="arm.toml", key="bus.baud", allowed="9600 …")
+    ) == ("arm.toml: bus.baud: is no number; allowed: 9600 …")
     assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
         "these can: lm, dls"
     )
@@ -119,7 +123,9 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
         assert part in str(timeout)
     table = str(errors.ServoMismatchError({1: "a: XM430"}, {2: "XL330"}, port="p"))
     assert "missing" in table and "nothing was switched on" in table
-    assert str(errors.UnsafeCommandError("NaN", "numbers")).endswith("Nothing was sent to any servo.")
+    assert str(errors.UnsafeCommandError("NaN", "numbers")).endswith(
+        "Nothing was sent to any servo."
+    )
     assert "overheating" in str(errors.MotorFaultError("wrist", ["overheating"]))
     refused = errors.ServoRefusedError(id=4, register="goal_position", code=6, reason="data limit")
     assert refused.code == 6 and "refused goal_position: data limit (error 6)" in str(refused)

@@ -1,4 +1,4 @@
-"""The examples, as a reader would start them: from another folder, the first in a process of its own."""
+"""The examples run from another folder, the first in a separate process."""
 
 from __future__ import annotations
 
@@ -74,13 +74,19 @@ def test_an_example_is_short_and_says_what_it_prints(path: Path) -> None:
 def test_solve(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / "01_solve.py")],
-        cwd=tmp_path, capture_output=True, text=True, stdin=subprocess.DEVNULL, check=False,
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     out = done.stdout
     rows = re.findall(r"^(\w+) +([A-Z_]+) +([\d.]+) mm +([\d.]+) deg", out, re.MULTILINE)
     *near, far = rows
-    assert [name for name, *_ in near] == [n for n in SOLVERS if issubclass(PoseGoal, SOLVERS[n].goals)]
+    assert [name for name, *_ in near] == [
+        n for n in SOLVERS if issubclass(PoseGoal, SOLVERS[n].goals)
+    ]
     assert ("lm", "CONVERGED") in [row[:2] for row in near]
     for name, status, position, angle in near:
         within = float(position) <= 0.1 and float(angle) <= 0.0573
@@ -95,11 +101,15 @@ def test_solve(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bus", [(), ("pty",)], ids=["sim", "pty"])
 def test_move_servos(run: Run, bus: tuple[str, ...], real_time: None) -> None:
     out = run("02_move_servos.py", *bus)
-    rows = re.findall(r"^(joint\d) +start +(\S+) +target +(\S+) +read back +(\S+) deg", out, re.MULTILINE)
+    rows = re.findall(
+        r"^(joint\d) +start +(\S+) +target +(\S+) +read back +(\S+) deg", out, re.MULTILINE
+    )
     assert [name for name, *_ in rows] == [f"joint{k}" for k in range(1, 7)]
     for name, start, target, read in rows:
         assert abs(float(target) - float(start)) == pytest.approx(8.0, abs=0.02), name
-        assert float(read) == pytest.approx(float(target), abs=0.2), name  # two ticks of the coarsest joint
+        assert float(read) == pytest.approx(float(target), abs=0.2), (
+            name
+        )  # two ticks of the coarsest joint
     assert "left with torque_off, confirmed by 6 of 6 joints" in out
     assert 0.0 < number(r"largest lag ([\d.]+) deg", out) < 5.0
 
@@ -133,14 +143,20 @@ def test_whole_body(run: Run) -> None:
     assert [row[0] for row in near] == [0, 0, 1, 2, 3, 4]
     for _, name, mm, deg, met in near[:5]:
         assert mm <= 0.1 and deg <= 0.0573 and met == "yes", name
-    assert near[5][4] == "no" and near[5][3] > 5.0  # the posture only fills the freedom that is left
+    assert (
+        near[5][4] == "no" and near[5][3] > 5.0
+    )  # the posture only fills the freedom that is left
 
 
-def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(capsys: pytest.CaptureFixture[str]) -> None:
+def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     program(EXAMPLES / "04_whole_body.py").main(1.3, -0.3, 1.2)
     far = table(capsys.readouterr().out)
     assert [row[4] for row in far[:4]] == ["yes", "yes", "yes", "no"]
-    assert 100.0 < far[3][2] < 400.0  # the arm's length and what a leaning trunk adds are not enough
+    assert (
+        100.0 < far[3][2] < 400.0
+    )  # the arm's length and what a leaning trunk adds are not enough
 
 
 def test_lion(run: Run) -> None:
@@ -166,7 +182,8 @@ def test_the_pictures_of_the_whole_body_show_what_the_examples_solve() -> None:
         path = EXAMPLES.parent / "docs" / "images" / f"{name}.png"
         assert path.is_file(), f"python -m docs.make.pictures {name}"
         assert cv2.imread(str(path)).shape[0] == pictures.SIZE[1]
-        robot, ball = load_robot(scene.robot), pictures.example(scene.example).BALL
+        robot = load_robot(scene.robot)
+        ball = pictures.example(scene.example).BALL
         model = pictures.with_ball(robot.path, ball)
         assert model.nq == robot.model.nq and model.ngeom == robot.model.ngeom + 1
         data = mujoco.MjData(model)

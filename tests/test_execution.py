@@ -24,13 +24,16 @@ class LaggingArm:
     """Sink and source: one tick behind, offset by ``bias``; costs ``busy`` seconds a tick."""
 
     def __init__(self, clock, q, bias=0.0, busy=0.0):
-        self.clock, self.bias, self.busy = clock, bias, busy
+        self.clock = clock
+        self.bias = bias
+        self.busy = busy
         self.q = self.next = np.array(q, dtype=float)
         self.sent = []
 
     def send(self, q, now):
         self.sent.append((now, q))
-        self.q, self.next = self.next, np.array(q)
+        self.q = self.next
+        self.next = np.array(q)
         self.clock.sleep_until(self.clock.now() + self.busy)
 
     def read(self):
@@ -38,8 +41,10 @@ class LaggingArm:
 
 
 def test_every_sample_goes_to_every_sink_at_its_time():
-    clock, path = VirtualClock(5.0), ramp()
-    first, second = RecorderSink(JOINTS), RecorderSink(JOINTS)
+    clock = VirtualClock(5.0)
+    path = ramp()
+    first = RecorderSink(JOINTS)
+    second = RecorderSink(JOINTS)
     done = execute(path, [first, second], clock=clock)
     for sink in (first, second):
         assert (sink.trajectory().q == path.q).all()
@@ -52,7 +57,8 @@ def test_every_sample_goes_to_every_sink_at_its_time():
 
 
 def test_measured_and_commanded_are_kept_side_by_side():
-    clock, path = VirtualClock(), ramp()
+    clock = VirtualClock()
+    path = ramp()
     arm = LaggingArm(clock, path.q[0])
     assert isinstance(arm, JointSink) and isinstance(arm, JointSource)
     done = execute(path, [arm], source=arm, clock=clock)
@@ -63,7 +69,8 @@ def test_measured_and_commanded_are_kept_side_by_side():
 
 
 def test_settling_repeats_the_last_sample_until_the_arm_arrives():
-    clock, path = VirtualClock(), ramp()
+    clock = VirtualClock()
+    path = ramp()
     arm = LaggingArm(clock, path.q[0])
     done = execute(path, [arm], source=arm, clock=clock, settle=0.1)
     assert len(done.times) == 111
@@ -73,7 +80,8 @@ def test_settling_repeats_the_last_sample_until_the_arm_arrives():
 
 
 def test_an_arm_that_is_elsewhere_is_refused_before_anything_is_sent():
-    clock, path = VirtualClock(), ramp()
+    clock = VirtualClock()
+    path = ramp()
     arm = LaggingArm(clock, path.q[0], bias=np.array([0.0, 1.5 * START_TOLERANCE]))
     with pytest.raises(TrajectoryError, match=r"joint 'b', but the arm measures 0\.0300") as caught:
         execute(path, [arm], source=arm, clock=clock)
@@ -99,7 +107,8 @@ def test_small_lateness_is_caught_up():
 
 
 def test_a_late_tick_shorter_than_a_period_does_not_move_the_schedule():
-    clock, path = VirtualClock(), ramp()
+    clock = VirtualClock()
+    path = ramp()
 
     def stall(tick):
         if tick.index == 50:
@@ -112,7 +121,8 @@ def test_a_late_tick_shorter_than_a_period_does_not_move_the_schedule():
 
 
 def test_a_stall_is_counted_and_never_caught_up_in_a_hurry():
-    clock, path = VirtualClock(), ramp()
+    clock = VirtualClock()
+    path = ramp()
 
     def stall(tick):
         if tick.index == 50:
@@ -132,7 +142,8 @@ def test_a_bus_slower_than_the_rate_shows_in_the_report():
 
 
 def test_an_interrupt_propagates_and_nothing_more_is_sent():
-    clock, recorder = VirtualClock(), RecorderSink(JOINTS)
+    clock = VirtualClock()
+    recorder = RecorderSink(JOINTS)
 
     def interrupt(tick):
         if tick.index == 30:
@@ -144,7 +155,8 @@ def test_an_interrupt_propagates_and_nothing_more_is_sent():
 
 
 def test_a_sink_that_fails_stops_the_sinks_after_it_too():
-    clock, recorder = VirtualClock(), RecorderSink(JOINTS)
+    clock = VirtualClock()
+    recorder = RecorderSink(JOINTS)
 
     class Failing:
         def send(self, q, now):
@@ -170,7 +182,9 @@ def test_no_sink_can_bend_the_command():
 def test_progress_counts_to_the_end():
     seen = []
     execute(ramp(), [], clock=VirtualClock(), on_tick=seen.append, settle=0.05)
-    assert [tick.index for tick in seen] == list(range(106)) and {tick.count for tick in seen} == {106}
+    assert [tick.index for tick in seen] == list(range(106)) and {tick.count for tick in seen} == {
+        106
+    }
     assert seen[-1].time == pytest.approx(1.05) and seen[0].measured is None
 
 

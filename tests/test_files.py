@@ -64,7 +64,10 @@ LENS = CameraIntrinsics(640, 480, 600.0, 600.0, 320.0, 240.0, (0.1, 0.0, 0.0, 0.
 
 BODIES = """[[body]]
 name = "cube"
-markers = [{id = 20, size = 0.07, position = [0, 0, 0.04], wxyz = [1, 0, 0, 0]}, {id = 21, size = 0.07}]
+markers = [
+    {id = 20, size = 0.07, position = [0, 0, 0.04], wxyz = [1, 0, 0, 0]},
+    {id = 21, size = 0.07},
+]
 """
 FAULTS = """schema = 1
 seed = 3
@@ -77,18 +80,20 @@ kind = "drop"
 value = 0.01
 """
 BOXES = "[[box]]\nposition = [0.1, 0.2, 0.0]\nsize = [0.1, 0.1, 0.1]\nyaw_deg = 30\n"
-MJCF = """<mujoco><worldbody><body name="one" pos="0 0 1"><joint name="a" axis="0 0 1" range="-90 90"/>
+MJCF = """<mujoco><worldbody><body name="one" pos="0 0 1">
+<joint name="a" axis="0 0 1" range="-90 90"/>
 <geom size="0.1" mass="1"/><site name="tip" pos="0.1 0 0" quat="1 0 0 0"/></body></worldbody>
 <keyframe><key name="home" qpos="0.5"/></keyframe></mujoco>
 """
 URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/>
-<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="a" type="revolute">
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="a" type="revolute">
 <parent link="base"/><child link="arm"/><origin xyz="0 0 1" rpy="0 0 0"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>
 """
 
 
-# ------------------------------------------------------------------------------- what is read
+# What is read
 
 
 # What LeRobot's file leaves to the model.
@@ -107,7 +112,10 @@ def _samples() -> SampleSet:
     made = SampleSet("puma560", ROBOT.joints, "gripper", "eye_in_hand", LENS)
     points = [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.1, 0.1, 0.0), (0.0, 0.1, 0.0)]
     for _ in range(2):
-        made.add(ROBOT.home, Observation(points, [(1, 2), (30, 4), (5, 60), (7, 8)], Pose((0, 0, 1)), 0.1))
+        made.add(
+            ROBOT.home,
+            Observation(points, [(1, 2), (30, 4), (5, 60), (7, 8)], Pose((0, 0, 1)), 0.1),
+        )
     return made
 
 
@@ -115,9 +123,17 @@ def _verify() -> VerifySamples:
     known = KnownPose.within(Pose(), 1e-3, 1e-3)
     rows = tuple(plain(joint) for joint in ARM.joints)
     made = VerifySamples(
-        "puma560", ROBOT.joints, "gripper", "eye_in_hand", LENS,
-        camera=known, board=known, by_arm=False, true_offsets=np.zeros(ROBOT.nv), servos=rows,
-    )  # fmt: skip
+        "puma560",
+        ROBOT.joints,
+        "gripper",
+        "eye_in_hand",
+        LENS,
+        camera=known,
+        board=known,
+        by_arm=False,
+        true_offsets=np.zeros(ROBOT.nv),
+        servos=rows,
+    )
     for q, view in zip(_samples().q, _samples().views, strict=True):
         made.add(q, view)
     return made
@@ -184,7 +200,9 @@ ROWS = {
     ),
     "backup": Row(load_backup, "b.json", _saved(_backup)),
     "faults": Row(lambda p: load_faults(p, ARM), "f.toml", lambda _: FAULTS),
-    "script": Row(load_script, "s.toml", lambda _: shipped()["take_a_block"].read_text(encoding="utf-8")),
+    "script": Row(
+        load_script, "s.toml", lambda _: shipped()["take_a_block"].read_text(encoding="utf-8")
+    ),
     "motion of ar": Row(
         lambda p: (is_script(str(p)), robot_of(str(p))),
         "m.toml",
@@ -202,10 +220,14 @@ ROWS = {
     "URDF": Row(load_robot, "u.xml", lambda _: URDF),
     "intrinsics": Row(CameraIntrinsics.load, "camera.yaml", _saved(LENS.save)),
     "robot.toml": Row(
-        _robot_folder, "r.toml", lambda _: (Path(str(ROBOT.path)).parent / "robot.toml").read_text("utf-8")
+        _robot_folder,
+        "r.toml",
+        lambda _: (Path(str(ROBOT.path)).parent / "robot.toml").read_text("utf-8"),
     ),
     "samples": Row(lambda p: SampleSet.load(p).samples(ROBOT), "h.json", _saved(_samples().save)),
-    "verify": Row(lambda p: VerifySamples.load(p).arm(ROBOT.arm_file), "v.json", _saved(_verify().save)),  # type: ignore[arg-type]
+    "verify": Row(
+        lambda p: VerifySamples.load(p).arm(ROBOT.arm_file), "v.json", _saved(_verify().save)
+    ),  # type: ignore[arg-type]
     "motion": Row(_csv_motion, "t.csv", _saved(_motion().save_csv)),
     "key poses": Row(
         lambda p: KeyPoses.load(p, FIGURE),
@@ -229,25 +251,49 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("files")
 
 
-# ------------------------------------------------------------------------------- all are found
+# All are found
 
 READING = {name for name in vars(config) if re.match(r"(read|parse)(_|$)", name)} | {"read_model"}
 
 FOREIGN = {
-    "tomllib.loads", "tomllib.load", "json.loads", "json.load", "yaml.load", "yaml.safe_load",
-    "csv.reader", "csv.DictReader", "ElementTree.parse", "ElementTree.fromstring",
-    "ElementTree.iterparse", "pickle.load", "np.load", "np.loadtxt", "np.genfromtxt", "from_xml_path",
-    "from_xml_string", "read_text", "read_bytes", "model_validate_json", "FileStorage", "from_file",
+    "tomllib.loads",
+    "tomllib.load",
+    "json.loads",
+    "json.load",
+    "yaml.load",
+    "yaml.safe_load",
+    "csv.reader",
+    "csv.DictReader",
+    "ElementTree.parse",
+    "ElementTree.fromstring",
+    "ElementTree.iterparse",
+    "pickle.load",
+    "np.load",
+    "np.loadtxt",
+    "np.genfromtxt",
+    "from_xml_path",
+    "from_xml_string",
+    "read_text",
+    "read_bytes",
+    "model_validate_json",
+    "FileStorage",
+    "from_file",
     "open",
-}  # fmt: skip
+}
 
 ALLOWED = {
     ("robot_ik/config.py", "*"): "the one place",
     ("robot_ik/model.py", "from_file"): "read_model, which refuses what MuJoCo lets pass",
     ("robot_ik/urdf.py", "ElementTree.fromstring"): "a text that read_model has read",
     ("robot_ik/camera/calibration_file.py", "yaml.load"): "handed to parse",
-    ("hardware/virtual/world.py", "from_file"): "the model of a robot that load_robot has just read",
-    ("hardware/stop_file.py", "json.loads"): "between processes of this program, in a folder of mode 0700",
+    (
+        "hardware/virtual/world.py",
+        "from_file",
+    ): "the model of a robot that load_robot has just read",
+    (
+        "hardware/stop_file.py",
+        "json.loads",
+    ): "between processes of this program, in a folder of mode 0700",
     ("hardware/stop_file.py", "read_text"): "likewise",
     ("hardware/checks.py", "read_text"): "/proc",
     ("robot_ik/jobs/doctor.py", "read_text"): "the metadata of an installed distribution",
@@ -263,7 +309,10 @@ ALLOWED = {
         "robot_ik/figure/abilities.py",
         "np.load",
     ): "a map that it made itself, without pickle; any error makes it anew",
-    ("robot_ik/figure/abilities.py", "read_bytes"): "for a digest of the model that load_robot has just read",
+    (
+        "robot_ik/figure/abilities.py",
+        "read_bytes",
+    ): "for a digest of the model that load_robot has just read",
     ("robot_ik/jobs/figure.py", "read_bytes"): "likewise",
     ("robot_ik/jobs/figure.py", "from_file"): "the model of a robot that load_robot has just read",
     ("robot_ik/testbed/frontends/session_window.py", "from_file"): "likewise",
@@ -272,7 +321,10 @@ ALLOWED = {
         "read_text",
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
-    ("robot_ik/bench/peers/__main__.py", "*"): "between processes of one bench, in a folder of its own",
+    (
+        "robot_ik/bench/peers/__main__.py",
+        "*",
+    ): "between processes of one bench, in a folder of its own",
     ("robot_ik/bench/peers/worker.py", "*"): "likewise; it runs without robot_ik",
     ("robot_ik/bench/peers/tasks.py", "from_xml_string"): "a model that it writes itself",
     ("robot_ik/cli/console.py", "open"): "/dev/null",
@@ -290,7 +342,10 @@ NOT_PEOPLE_S = {
 @cache
 def _sources() -> list[tuple[str, ast.Module]]:
     return [
-        (f"{prefix}/{file.relative_to(top).as_posix()}", ast.parse(file.read_text(encoding="utf-8")))
+        (
+            f"{prefix}/{file.relative_to(top).as_posix()}",
+            ast.parse(file.read_text(encoding="utf-8")),
+        )
         for top, prefix in ((ROOT, "robot_ik"), (HARDWARE, "hardware"))
         for file in sorted(top.rglob("*.py"))
     ]
@@ -317,7 +372,8 @@ def _readers() -> set[str]:
         imported = {
             alias.name
             for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom) and node.module in ("robot_ik.config", "robot_ik.model")
+            if isinstance(node, ast.ImportFrom)
+            and node.module in ("robot_ik.config", "robot_ik.model")
             for alias in node.names
         }
         for node in ast.walk(tree):
@@ -366,7 +422,7 @@ def test_every_reader_has_a_row_here(folder: Path) -> None:
     assert not missing, "a reader without a row in ROWS"
 
 
-# ------------------------------------------------------------------------------- hostile files
+# Hostile files
 
 
 @dataclass(frozen=True)
@@ -386,10 +442,16 @@ def _dump(value: Any, language: str) -> str:
         return value.text
     if isinstance(value, dict):
         equals = " = " if language == "toml" else ": "
-        return "{" + ", ".join(f"{_word(str(k))}{equals}{_dump(v, language)}" for k, v in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(f"{_word(str(k))}{equals}{_dump(v, language)}" for k, v in value.items())
+            + "}"
+        )
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_dump(v, language) for v in value) + "]"
-    return _word(value) if isinstance(value, (str, bool, int, float)) or value is None else str(value)
+    return (
+        _word(value) if isinstance(value, (str, bool, int, float)) or value is None else str(value)
+    )
 
 
 def _file_text(content: dict[str, Any], language: str) -> str:
@@ -403,18 +465,32 @@ def _content(text: str, language: str) -> Any:
     """What a file of that language says; shared: ``_changed`` copies."""
     if language == "yaml":
         return {
-            "image_width": 640, "image_height": 480, "camera_name": "c", "distortion_model": "plumb_bob",
-            "camera_matrix": {"rows": 3, "cols": 3, "data": [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0, 0, 1]},
+            "image_width": 640,
+            "image_height": 480,
+            "camera_name": "c",
+            "distortion_model": "plumb_bob",
+            "camera_matrix": {
+                "rows": 3,
+                "cols": 3,
+                "data": [600.0, 0.0, 320.0, 0.0, 600.0, 240.0, 0, 0, 1],
+            },
             "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0.1, 0.0, 0.0, 0.0, 0.0]},
-            "avg_reprojection_error": 0.3, "views": 12,
-        }  # fmt: skip
+            "avg_reprojection_error": 0.3,
+            "views": 12,
+        }
     return tomllib.loads(text) if language == "toml" else json.loads(text)
 
 
 def _places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     if path:
         yield path
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    items = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, item in items:
         yield from _places(item, (*path, key))
 
@@ -433,11 +509,46 @@ def _changed(value: Any, path: tuple[Any, ...], new: Any) -> Any:
 NESTED = "[" * 1000 + "]" * 1000
 DIGITS = "7" * 4400
 HOSTILE: list[Any] = [
-    Raw(NESTED), Raw("[" * 40 + "1" + "]" * 40), Raw(DIGITS), Raw("-" + DIGITS), Raw("9" * 400),
-    Raw("1e308"), Raw("-1e308"), Raw("1e999"), Raw("5e-324"), 2**63, 2**31, -1, 0, 0.0, 1, 0.5, 1e14, -1e14,
-    True, False, "", "x", "\x00", "nan", "x" * 3000, "Ü" * 200, [], {}, [[]], [1, 2], [0.0] * 3, [0.0] * 4,
-    ["a", "b"], {"a": 1}, [{}], [True], [None], None, ...,
-]  # fmt: skip
+    Raw(NESTED),
+    Raw("[" * 40 + "1" + "]" * 40),
+    Raw(DIGITS),
+    Raw("-" + DIGITS),
+    Raw("9" * 400),
+    Raw("1e308"),
+    Raw("-1e308"),
+    Raw("1e999"),
+    Raw("5e-324"),
+    2**63,
+    2**31,
+    -1,
+    0,
+    0.0,
+    1,
+    0.5,
+    1e14,
+    -1e14,
+    True,
+    False,
+    "",
+    "x",
+    "\x00",
+    "nan",
+    "x" * 3000,
+    "Ü" * 200,
+    [],
+    {},
+    [[]],
+    [1, 2],
+    [0.0] * 3,
+    [0.0] * 4,
+    ["a", "b"],
+    {"a": 1},
+    [{}],
+    [True],
+    [None],
+    None,
+    ...,
+]
 NAN = {"json": "NaN", "toml": "nan", "yaml": ".nan"}
 TREES = [name for name, row in ROWS.items() if row.language in NAN]
 TEXTS = [name for name, row in ROWS.items() if row.language not in NAN]
@@ -470,7 +581,9 @@ COMMON = settings(
 @pytest.mark.parametrize("name", TREES)
 @COMMON
 @given(data=st.data())
-def test_only_errors_of_this_package_leave_a_reader(name: str, folder: Path, data: st.DataObject) -> None:
+def test_only_errors_of_this_package_leave_a_reader(
+    name: str, folder: Path, data: st.DataObject
+) -> None:
     row = ROWS[name]
     content = _content(_good(name, folder), row.language)
     for _ in range(data.draw(st.integers(1, 2))):
@@ -490,7 +603,9 @@ def test_damaged_text_is_survived(name: str, folder: Path, data: st.DataObject) 
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(text)))
         new = data.draw(
-            st.sampled_from([b"", b"\xff", b"\x00", b'"', b"[", b"{", b"}", b"\n", b"=", b",", b"-"])
+            st.sampled_from(
+                [b"", b"\xff", b"\x00", b'"', b"[", b"{", b"}", b"\n", b"=", b",", b"-"]
+            )
         )
         text = text[:at] + new + text[at + data.draw(st.sampled_from([0, 1, 7, 300])) :]
     _survives(ROWS[name], folder, text)
@@ -507,13 +622,28 @@ def test_hostile_words_in_models_and_tables_are_survived(
     word = data.draw(st.sampled_from(words))
     new = data.draw(
         st.sampled_from(
-            ["nan", "inf", "1e308", "-1e308", "5e-324", "9" * 4400, "", "x", "-1", "0", "1e14", "1,2"]
+            [
+                "nan",
+                "inf",
+                "1e308",
+                "-1e308",
+                "5e-324",
+                "9" * 4400,
+                "",
+                "x",
+                "-1",
+                "0",
+                "1e14",
+                "1,2",
+            ]
         )
     )
     _survives(ROWS[name], folder, text[: word.start()] + new + text[word.end() :])
 
 
-@pytest.mark.parametrize("hostile", [NESTED, DIGITS, "1e308", "1e999", "nan"], ids=lambda text: text[:6])
+@pytest.mark.parametrize(
+    "hostile", [NESTED, DIGITS, "1e308", "1e999", "nan"], ids=lambda text: text[:6]
+)
 @pytest.mark.parametrize("name", TREES)
 def test_the_file_and_the_key_are_named(name: str, folder: Path, hostile: str) -> None:
     row = ROWS[name]
@@ -556,7 +686,9 @@ def test_a_model_larger_than_any_is_refused(folder: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(config, "LARGEST_FILE", 2**20)
     for name, text in (("large.xml", MJCF), ("large.urdf", URDF)):
         (folder / name).write_text(text + " " * 2**20, encoding="utf-8")
-        with pytest.raises(ModelError, match=rf"{name}: the model cannot be read: it has more than 1 MiB"):
+        with pytest.raises(
+            ModelError, match=rf"{name}: the model cannot be read: it has more than 1 MiB"
+        ):
             load_robot(folder / name)
 
 

@@ -203,7 +203,8 @@ def test_matrices_are_read_as_written(pose):
 
 
 def test_a_pose_owns_its_numbers_and_keeps_them():
-    position, wxyz = np.zeros(3), np.array([2.0, 0, 0, 0])
+    position = np.zeros(3)
+    wxyz = np.array([2.0, 0, 0, 0])
     pose = Pose(position, wxyz)
     position[0] = wxyz[1] = 9.0
     assert pose.position.tolist() == [0, 0, 0] and pose.wxyz.tolist() == [1, 0, 0, 0]
@@ -269,7 +270,8 @@ def test_what_is_not_finite_is_no_pose(bad):
 )
 def test_a_matrix_that_is_no_rotation_and_shift_is_no_pose(rotation, last_row, says):
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[3] = rotation, last_row
+    matrix[:3, :3] = rotation
+    matrix[3] = last_row
     with pytest.raises(ValueError, match=says):
         Pose.from_matrix(matrix)
 

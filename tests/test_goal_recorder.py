@@ -56,10 +56,22 @@ def test_an_arm_that_sends_goals_beyond_its_limits_fails_its_test(tmp_path: Path
     )
     (tmp_path / "test_bad.py").write_text(BAD_ARM)
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--rootdir={tmp_path}", tmp_path],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            f"--rootdir={tmp_path}",
+            tmp_path,
+        ],
         env={key: value for key, value in os.environ.items() if not key.startswith("PYTEST")},
-        capture_output=True, text=True, cwd=tmp_path, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
     buses = ["sim", "pty"] if sys.platform != "win32" else ["sim"]
     assert f"{2 * len(buses)} passed, {len(buses)} errors" in run.stdout, run.stdout
     for bus in buses:

@@ -35,7 +35,11 @@ def test_targets_and_weights():
     assert OrientationGoal("tool", QUARTER).weights == (0.0, 1.0)
     pose = Pose((1, 2, 3), QUARTER)
     goal = PoseGoal.at("tool", pose)
-    assert goal.target.distance(pose) == (0.0, 0.0) and goal.weights == (1.0, 1.0) and goal.frame == "tool"
+    assert (
+        goal.target.distance(pose) == (0.0, 0.0)
+        and goal.weights == (1.0, 1.0)
+        and goal.frame == "tool"
+    )
 
 
 MADE = [
@@ -135,12 +139,16 @@ def test_a_place_given_where_the_frame_belongs_is_explained(made):
         made((0.1, 0.2, 0.3))
 
 
-PLACE, LIST = (1, 2, 3), [1.0, 2, 3]
+PLACE = (1, 2, 3)
+LIST = [1.0, 2, 3]
 EQUALS = [
     (partial(PositionGoal, "hand", PLACE), partial(PositionGoal, "hand", np.array(LIST))),
     (partial(PoseGoal, "hand", PLACE, (2, 0, 0, 0)), partial(PoseGoal, "hand", LIST)),
     (partial(OrientationGoal, None, (0, 1, 0, 0)), partial(OrientationGoal, None, [0, 3, 0, 0])),
-    (partial(AimGoal, "head", PLACE, axis=(0, 0, 1)), partial(AimGoal, "head", LIST, axis=[0, 0, 1])),
+    (
+        partial(AimGoal, "head", PLACE, axis=(0, 0, 1)),
+        partial(AimGoal, "head", LIST, axis=[0, 0, 1]),
+    ),
     (partial(LineGoal, "hand", PLACE, "x"), partial(LineGoal, "hand", LIST, (2, 0, 0))),
     (
         partial(PostureGoal, q=[0.1, 0.2], joints={"a": 1, "b": 2}),

@@ -64,9 +64,9 @@ def test_every_option_says_what_it_is_and_keeps_its_range(name):
             continue
         if isinstance(field.default, bool):
             continue
-        assert meta["low"] <= field.default <= meta["high"]
+        assert meta["lower"] <= field.default <= meta["upper"]
         with pytest.raises(OptionError, match=rf"solver {name}: {field.name}: .* not allowed"):
-            kind(**{field.name: type(field.default)(meta["high"] * 2 + 1)})
+            kind(**{field.name: type(field.default)(meta["upper"] * 2 + 1)})
     with pytest.raises(dataclasses.FrozenInstanceError):
         kind().patience = 3
     assert kind(patience=7) == kind(patience=7) != kind(patience=8)
@@ -76,7 +76,9 @@ def test_options_go_through_by_name(puma, goal):
     assert make_solver("lm", patience=5).patience == 5
     ready = make_solver("dls", damping=0.1)
     assert make_solver(ready) is ready
-    with pytest.raises(OptionError, match=r"unknown option \(did you mean 'damping'\?\)(.|\n)*patience"):
+    with pytest.raises(
+        OptionError, match=r"unknown option \(did you mean 'damping'\?\)(.|\n)*patience"
+    ):
         rik.solve(puma, goal, solver="lm", dampin=0.1)
     with pytest.raises(OptionError, match="not allowed"):
         rik.solve(puma, goal, solver="dls", damping=-1.0)
@@ -93,7 +95,9 @@ def test_options_go_through_by_name(puma, goal):
     ],
 )
 def test_an_option_of_another_kind_is_refused_where_it_is_given(option, value, allowed):
-    with pytest.raises(OptionError, match=f"solver lm: {option}: .* is not allowed; allowed: {allowed}"):
+    with pytest.raises(
+        OptionError, match=f"solver lm: {option}: .* is not allowed; allowed: {allowed}"
+    ):
         make_solver("lm", **{option: value})
     with pytest.raises(OptionError, match="solver combined: methods: "):
         make_solver("combined", methods=3)
@@ -110,7 +114,9 @@ def test_an_instance_takes_no_options(puma, goal):
         rik.solve(puma, goal, solver=make_solver("dls"), patience=3)
 
 
-@pytest.mark.parametrize("name", [n for n in ITERATIVE if issubclass(rik.PoseGoal, SOLVERS[n].goals)])
+@pytest.mark.parametrize(
+    "name", [n for n in ITERATIVE if issubclass(rik.PoseGoal, SOLVERS[n].goals)]
+)
 def test_the_answer_names_the_method_that_found_it(puma, goal, name):
     solution = rik.solve(puma, goal, solver=name, tolerance=rik.Tolerance(1e-3, 1e-2))
     assert solution.solver == name and solution.converged and solution.seconds > 0
@@ -132,11 +138,15 @@ def test_wrong_starts_are_refused(puma, goal):
         rik.solve(puma, goal, start=[np.nan] * 6)
 
 
-def test_a_kind_of_goal_that_a_method_cannot_serve_is_reported_with_those_that_can(puma, monkeypatch):
+def test_a_kind_of_goal_that_a_method_cannot_serve_is_reported_with_those_that_can(
+    puma, monkeypatch
+):
     monkeypatch.setattr(SOLVERS["ccd"], "goals", (PositionGoal,))
     able = able_solvers(rik.Problem(puma, OrientationGoal(None, (1, 0, 0, 0))))
     assert "lm" in able and "ccd" not in able
-    with pytest.raises(UnsupportedGoalError, match=r"'ccd' cannot serve a pose goal(.|\n)*lm, (.*, )?dls"):
+    with pytest.raises(
+        UnsupportedGoalError, match=r"'ccd' cannot serve a pose goal(.|\n)*lm, (.*, )?dls"
+    ):
         rik.solve(puma, PoseGoal(None, (0, 0, 1)), solver="ccd")
 
 
@@ -156,15 +166,15 @@ def test_every_lazy_name_of_the_package_is_there():
 @pytest.fixture
 def compiled(monkeypatch):
     """How many problems the front door compiles."""
-    made = []
+    built = []
 
     class Counted(Problem):
         def __init__(self, *args, **options):
-            made.append(args)
+            built.append(args)
             super().__init__(*args, **options)
 
     monkeypatch.setattr(sys.modules["robot_ik.inverse_kinematics"], "Problem", Counted)
-    return made
+    return built
 
 
 def fresh_answer(robot, goal, name, start, budget, seed):
@@ -185,11 +195,11 @@ def test_a_loop_of_calls_compiles_once_and_remembers_no_answer(name, compiled):
         cases.append((goal, robot.sample(rng), budget, int(rng.integers(9))))
     for k in [*range(12), *rng.permutation(12)]:
         goal, start, budget, seed = cases[k]
-        found = rik.solve(robot, goal, solver=name, start=start, budget=budget, seed=seed)
+        result = rik.solve(robot, goal, solver=name, start=start, budget=budget, seed=seed)
         wanted = fresh_answer(robot, goal, name, start, budget, seed)
-        assert np.array_equal(found.q, wanted.q) and found.status is wanted.status
-        assert (found.iterations, found.restarts) == (wanted.iterations, wanted.restarts)
-        assert found.goals == (goal,) and found.error == wanted.error
+        assert np.array_equal(result.q, wanted.q) and result.status is wanted.status
+        assert (result.iterations, result.restarts) == (wanted.iterations, wanted.restarts)
+        assert result.goals == (goal,) and result.error == wanted.error
     assert len(compiled) == 1
 
 
@@ -205,8 +215,15 @@ def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_thei
         lambda: rik.solve(robot, PoseGoal.at(None, pose), solver="lm"),
         lambda: rik.solve(robot, PoseGoal.at(None, pose), solver="lm", patience=7),
         lambda: rik.solve(robot, PoseGoal.at(None, pose), tolerance=rik.Tolerance(1e-6, 1e-6)),
-        lambda: rik.solve(robot, PoseGoal.at(None, pose, ), solver=make_solver("dls", damping=0.3)),
-    ]  # fmt: skip
+        lambda: rik.solve(
+            robot,
+            PoseGoal.at(
+                None,
+                pose,
+            ),
+            solver=make_solver("dls", damping=0.3),
+        ),
+    ]
     results = [call() for call in calls]
     assert len(compiled) == len(calls)
     for call, before in zip(calls, results, strict=True):
@@ -241,7 +258,13 @@ def test_calls_in_several_threads_never_meet(puma):
 
 def test_an_error_leaves_the_next_call_alone(puma, goal):
     wanted = rik.solve(puma, goal).q
-    for wrong in ({"start": [0, 0]}, {"start": [np.nan] * 6}, {"seed": 0.5}, {"budget": 3}, {"tolerance": 1}):
+    for wrong in (
+        {"start": [0, 0]},
+        {"start": [np.nan] * 6},
+        {"seed": 0.5},
+        {"budget": 3},
+        {"tolerance": 1},
+    ):
         with pytest.raises(RobotIkError):
             rik.solve(puma, goal, **wrong)
     with pytest.raises(UnsupportedGoalError):
@@ -255,14 +278,18 @@ def test_all_branches_of_a_pose_and_of_an_array(puma, goal):
     wanted = rik.solve_all(puma, goal)
     pose = goal.target
     for given in (pose, pose.matrix):
-        found = rik.solve_all(puma, given)
-        assert [b.name for b in found] == [b.name for b in wanted]
-        assert np.allclose([b.q for b in found], [b.q for b in wanted])
+        result = rik.solve_all(puma, given)
+        assert [b.name for b in result] == [b.name for b in wanted]
+        assert np.allclose([b.q for b in result], [b.q for b in wanted])
 
 
 def test_warming_up_serves_every_method_and_refuses_what_a_solve_would(puma, goal):
     for name in SOLVERS:
-        kind = goal if issubclass(PoseGoal, SOLVERS[name].goals) else PositionGoal(None, (0.1, 0.2, 0.3))
+        kind = (
+            goal
+            if issubclass(PoseGoal, SOLVERS[name].goals)
+            else PositionGoal(None, (0.1, 0.2, 0.3))
+        )
         rik.warm_up(puma, kind, solver=name)
     rik.warm_up(puma, [goal, PositionGoal("flange", (0, 0, 1))], solver="lm", patience=3)
     with pytest.raises(UnsupportedGoalError):

@@ -1,4 +1,4 @@
-"""Models as people have them: nameless joints, URDFs of other programs, texts, specs, robot_descriptions."""
+"""Models of users: nameless joints, URDFs of other programs, texts, specs, robot_descriptions."""
 
 import logging
 import subprocess
@@ -15,21 +15,28 @@ from robot_ik.errors import InvalidModelError, MissingExtraError, ModelError, Un
 NAMELESS = """<mujoco model="nameless"><worldbody><body name="base" pos="0 0 1"><freejoint/>
 <geom type="box" size=".1 .1 .1"/><body><joint axis="0 0 1" range="-170 170"/><geom size=".05"/>
 <body pos="0 0 .3"><joint name="joint_2" axis="0 1 0" range="-120 120"/><geom size=".05"/>
-<body pos="0 0 .3"><joint axis="0 1 0" range="-120 120"/><geom size=".05"/><site name="tip" pos="0 0 .2"/>
+<body pos="0 0 .3"><joint axis="0 1 0" range="-120 120"/><geom size=".05"/>
+<site name="tip" pos="0 0 .2"/>
 </body></body></body></body></worldbody></mujoco>"""
 
-# No <inertial>, a fixed joint at the end, meshes of a package: one is there, one is of a kind nobody reads.
+# No <inertial>, a fixed joint at the end, meshes of a package: one exists, one has another format.
 URDF = """<robot name="two"><link name="base"/>
-<link name="upper"><visual><geometry><mesh filename="package://two/meshes/upper.stl"/></geometry></visual></link>
-<link name="fore"><visual><geometry><mesh filename="package://two/meshes/fore.dae"/></geometry></visual></link>
+<link name="upper"><visual><geometry><mesh filename="package://two/meshes/upper.stl"/></geometry>
+</visual></link>
+<link name="fore"><visual><geometry><mesh filename="package://two/meshes/fore.dae"/></geometry>
+</visual></link>
 <link name="tool0"/>
 <joint name="turn" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
  <limit lower="-2" upper="2" velocity="0.7" effort="1"/></joint>
 <joint name="bend" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0 0 .3"/>
  <axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="1.3" effort="1"/></joint>
-<joint name="end" type="fixed"><parent link="fore"/><child link="tool0"/><origin xyz="0 0 .25"/></joint>
+<joint name="end" type="fixed"><parent link="fore"/><child link="tool0"/><origin xyz="0 0 .25"/>
+</joint>
 </robot>"""
-INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+INERTIAL = (
+    '<inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
 TRIANGLES = """solid s
 facet normal 0 0 1
 outer loop
@@ -99,7 +106,9 @@ def test_a_urdf_keeps_its_fixed_frames_and_speed_limits_and_needs_no_inertia(
     assert robot.tool == "tool0" and {"base", "upper", "fore"} <= set(robot.frames)
     assert robot.velocity_limits.tolist() == [0.7, 1.3]
     np.testing.assert_allclose(robot.forward([0.0, np.pi / 2]).position, [0.25, 0, 0.3], atol=1e-12)
-    assert "meshes left out" in caplog.text and ": 1 (" in caplog.text and "fore.dae)" in caplog.text
+    assert (
+        "meshes left out" in caplog.text and ": 1 (" in caplog.text and "fore.dae)" in caplog.text
+    )
     with pytest.raises(ModelError, match="no mass"):
         rik.solve(robot, rik.CenterOfMassGoal(position=[0.1, 0.0, 0.3]))
 
@@ -126,7 +135,10 @@ def test_text_and_spec_are_robots(nameless: Path) -> None:
 
 
 def test_radians_read_as_degrees_get_a_hint(caplog: pytest.LogCaptureFixture) -> None:
-    arm = '<mujoco>{}<worldbody><body name="a"><joint axis="0 0 1" range="-3.1 3.1"/><geom size=".1"/>'
+    arm = (
+        '<mujoco>{}<worldbody><body name="a">'
+        '<joint axis="0 0 1" range="-3.1 3.1"/><geom size=".1"/>'
+    )
     arm += "</body></worldbody></mujoco>"
     rik.load_robot(arm.format('<compiler angle="radian"/>'))
     rik.load_robot(arm.format("").replace("3.1", "31"))
@@ -138,10 +150,11 @@ def test_radians_read_as_degrees_get_a_hint(caplog: pytest.LogCaptureFixture) ->
 def test_what_mujoco_warns_of_masses_is_logged_and_not_printed(
     caplog: pytest.LogCaptureFixture, recwarn: pytest.WarningsRecorder
 ) -> None:
-    twice = '<joint name="j1"/><joint name="j2"/>'  # two hinges about one axis: no dynamics, good kinematics
+    twice = '<joint name="j1"/><joint name="j2"/>'  # one axis: kinematics only
     with caplog.at_level(logging.INFO):
         robot = rik.load_robot(
-            f'<mujoco><worldbody><body name="a">{twice}<geom size="0.1"/></body></worldbody></mujoco>'
+            f'<mujoco><worldbody><body name="a">{twice}<geom size="0.1"/></body>'
+            "</worldbody></mujoco>"
         )
     assert robot.nq == 2 and not recwarn.list
     (record,) = caplog.records
@@ -150,7 +163,10 @@ def test_what_mujoco_warns_of_masses_is_logged_and_not_printed(
 
 @pytest.mark.parametrize("where", ['pos="nan 0 0"', 'quat="1 nan 0 0"'])
 def test_a_number_that_is_none_is_named(where: str) -> None:
-    text = f'<mujoco><worldbody><body name="a" {where}><joint/><geom size=".1"/></body></worldbody></mujoco>'
+    text = (
+        f'<mujoco><worldbody><body name="a" {where}><joint/><geom size=".1"/></body>'
+        "</worldbody></mujoco>"
+    )
     with pytest.raises(ModelError, match=r"'a'.*not finite|MuJoCo can read"):
         rik.load_robot(text)
 
@@ -158,14 +174,17 @@ def test_a_number_that_is_none_is_named(where: str) -> None:
 @pytest.mark.parametrize("value", [5, None, 2.5, b"puma560", ["puma560"]])
 def test_what_is_no_name_at_all_is_a_value_error(value: object) -> None:
     with pytest.raises(
-        InvalidModelError, match="is not a robot\na robot is a name of the catalogue, the path or text of"
+        InvalidModelError,
+        match="is not a robot\na robot is a name of the catalogue, the path or text of",
     ) as caught:
         rik.load_robot(value)  # type: ignore[arg-type]
     assert isinstance(caught.value, ValueError) and repr(value) in str(caught.value)
 
 
 def test_a_missing_file_is_not_taken_for_an_unknown_name(nameless: Path) -> None:
-    with pytest.raises(ModelError, match=r"there is no file .*namless\.xml\ndid you mean .*nameless\.xml"):
+    with pytest.raises(
+        ModelError, match=r"there is no file .*namless\.xml\ndid you mean .*nameless\.xml"
+    ):
         rik.load_robot(nameless.with_name("namless.xml"))
     with pytest.raises(ModelError, match=r"there is no file arm\.urdf"):
         rik.load_robot("arm.urdf")
@@ -173,7 +192,7 @@ def test_a_missing_file_is_not_taken_for_an_unknown_name(nameless: Path) -> None
         rik.load_robot(nameless.parent)
 
 
-# ------------------------------------------------------------------------- robot_descriptions
+# Robot_descriptions
 
 
 def test_without_the_package_the_install_line_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,7 +253,9 @@ def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
     (tmp_path / "no_extension").write_text(NAMELESS)
     with pytest.raises(ModelError):
         rik.load_robot(tmp_path / "no_extension")
-    assert capfd.readouterr().err == "" and [file.name for file in tmp_path.iterdir()] == ["no_extension"]
+    assert capfd.readouterr().err == "" and [file.name for file in tmp_path.iterdir()] == [
+        "no_extension"
+    ]
 
 
 def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
@@ -258,7 +279,9 @@ def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
 def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         rik.load_robot(URDF.replace(was, becomes))
-    namespace = '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
+    namespace = (
+        '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
+    )
     assert rik.load_robot(URDF.replace('<robot name="two">', namespace)).nv == 2
 
 
@@ -302,7 +325,9 @@ def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
 
 
 def test_a_model_in_millimetres_is_a_robot_however_heavy() -> None:
-    robot = rik.load_robot(NAMELESS.replace('size=".1 .1 .1"', 'size="400 400 400"').replace(".3", "300"))
+    robot = rik.load_robot(
+        NAMELESS.replace('size=".1 .1 .1"', 'size="400 400 400"').replace(".3", "300")
+    )
     assert robot.model.body_inertia.max() > 1e15
     goal = rik.PositionGoal("tip", robot.forward(robot.clip(robot.home + 0.2)).position)
     assert rik.solve(robot, goal, tolerance=rik.Tolerance(0.1)).converged

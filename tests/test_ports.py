@@ -15,7 +15,8 @@ def test_the_last_loop_to_end_restores_how_threads_take_turns(first_leaves_first
     kept = sys.getswitchinterval()
     sys.setswitchinterval(0.004)
     try:
-        first, second = contextlib.ExitStack(), contextlib.ExitStack()
+        first = contextlib.ExitStack()
+        second = contextlib.ExitStack()
         for loop in (first, second):
             loop.enter_context(short_switch_interval())
             assert sys.getswitchinterval() == pytest.approx(0.0005)

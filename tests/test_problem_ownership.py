@@ -141,7 +141,7 @@ class Waiting:
 class WaitingSolver(Solver):
     """A method whose solve waits."""
 
-    prepared: Waiting = field(default_factory=Waiting, metadata={"choices": (), "low": None})
+    prepared: Waiting = field(default_factory=Waiting, metadata={"choices": (), "lower": None})
     name = "waiting"
 
     def __post_init__(self):
@@ -178,7 +178,8 @@ def test_a_call_that_begins_while_another_is_under_way_is_refused(puma):
 def test_threads_may_use_a_problem_in_turn(puma):
     problem, poses, _ = problem_for("auto", puma)
     expected = [problem.solve(target=pose).q for pose in poses]
-    found, lock = {}, threading.Lock()
+    found = {}
+    lock = threading.Lock()
 
     def one(k):
         with lock:
@@ -192,7 +193,9 @@ def test_threads_may_use_a_problem_in_turn(puma):
     assert all(np.array_equal(found[k], expected[k]) for k in range(5))
 
 
-@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize(
+    "again", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))]
+)
 def test_robots_goals_solutions_and_problems_can_be_copied_and_pickled(puma, again):
     pose = puma.forward(puma.home + 0.2)
     goal = rik.PoseGoal.at(None, pose)

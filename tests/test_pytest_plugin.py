@@ -14,7 +14,7 @@ import pytest
 pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).parents[1]
-# By name, so that it is there before the package is installed anew; where it is, this is the same plugin.
+# By name, so it is found before the package is installed again. After that it is the same plugin.
 PLUGIN = ("-p", "robot_ik.pytest_plugin", "-p", "no:cacheprovider", "-p", "no:hypothesispytest")
 
 
@@ -27,7 +27,8 @@ def test_arm_stands_at_home_with_torque(virtual_arm, virtual_bus):
     assert virtual_arm.bus.virtual_bus is virtual_bus
     assert virtual_arm.state.value == "enabled"
     assert all(servo.memory.values["torque_enable"] for servo in virtual_bus.servos)
-    np.testing.assert_allclose(np.degrees(virtual_arm.read().q[:6]), [0, 75, -165, 0, -90, 0], atol=0.1)
+    angles = np.degrees(virtual_arm.read().q[:6])
+    np.testing.assert_allclose(angles, [0, 75, -165, 0, -90, 0], atol=0.1)
 
 def test_each_test_has_its_own(virtual_bus):
     assert not any(servo.memory.values["torque_enable"] for servo in virtual_bus.servos)
@@ -76,7 +77,9 @@ def test_port(virtual_port, virtual_bus, fault_script):
 def test_projects_of_other_people(pytester: pytest.Pytester) -> None:
     """In one child: what pytest imports and forgets in this process would be here twice."""
     page = (ROOT / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
-    examples = dict(re.findall(r"^```python file=(test_\w+)\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
+    examples = dict(
+        re.findall(r"^```python file=(test_\w+)\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    )
     assert examples
     files = {**examples, "test_one_world": ONE_WORLD, "test_another_arm": ANOTHER_ARM}
     pytester.makepyfile(**files)
@@ -86,15 +89,29 @@ def test_projects_of_other_people(pytester: pytest.Pytester) -> None:
 
 
 def test_the_entry_point_is_the_module() -> None:
-    """Under any other name `-p robot_ik.pytest_plugin` would register it twice, which pytest refuses."""
+    """With another name pytest would register the plugin twice, which it refuses."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"]["pytest11"] == {"robot_ik.pytest_plugin": "robot_ik.pytest_plugin"}
-    installed = [e for e in metadata.entry_points(group="pytest11") if e.value == "robot_ik.pytest_plugin"]
+    assert project["entry-points"]["pytest11"] == {
+        "robot_ik.pytest_plugin": "robot_ik.pytest_plugin"
+    }
+    installed = [
+        e for e in metadata.entry_points(group="pytest11") if e.value == "robot_ik.pytest_plugin"
+    ]
     assert all(entry.name == "robot_ik.pytest_plugin" for entry in installed)
 
 
 def test_a_project_that_does_not_use_it_pays_nothing() -> None:
-    heavy = ["numpy", "mujoco", "numba", "cv2", "serial", "dynamixel_sdk", "pydantic", "rich", "tyro"]
+    heavy = [
+        "numpy",
+        "mujoco",
+        "numba",
+        "cv2",
+        "serial",
+        "dynamixel_sdk",
+        "pydantic",
+        "rich",
+        "tyro",
+    ]
     code = (
         "import sys, pytest; before = set(sys.modules); import robot_ik.pytest_plugin;"
         f"print(sorted(set({heavy}) & (set(sys.modules) - before)))"

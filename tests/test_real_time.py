@@ -42,10 +42,22 @@ def test_what_fails_after_a_halt_is_tried_again(tmp_path: Path) -> None:
     (tmp_path / "conftest.py").write_text(plugin.read_text().replace("HALT = 0.02", "HALT = 0.15"))
     (tmp_path / "test_halts.py").write_text(TESTS)
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rA", f"--rootdir={tmp_path}", tmp_path],
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "no:cacheprovider",
+            "-rA",
+            f"--rootdir={tmp_path}",
+            tmp_path,
+        ],
         env={key: value for key, value in os.environ.items() if not key.startswith("PYTEST")},
-        capture_output=True, text=True, cwd=tmp_path, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
     said = [line.split(" - ")[0] for line in run.stdout.splitlines()]
     assert "PASSED test_halts.py::test_late_once" in said, run.stdout
     for name in ("late_always", "wrong", "plain"):

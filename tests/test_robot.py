@@ -1,4 +1,4 @@
-"""Robots: from names, files and folders; joints, frames and limits by name; wrong input reported in full."""
+"""Robots from names, files and folders; joints, frames and limits by name; wrong input."""
 
 import copy
 import pickle
@@ -27,9 +27,8 @@ ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
 </worldbody>
 <keyframe><key name="rest" qpos="0.1 0.2 1 0 0 0"/>
  <key name="home" qpos="0.5 0.3 1 0 0 0"/></keyframe></mujoco>"""
-INERTIA = (
-    """<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
-)
+INERTIA = """<inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>"""
 URDF = f"""<robot name="two"><link name="base"/><link name="arm">{INERTIA}</link>
 <link name="tip">{INERTIA}</link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><origin xyz="0 0 1"/>
@@ -50,8 +49,18 @@ def test_a_file_is_a_robot(arm_file):
     assert (robot.name, robot.path, robot.folder) == ("arm", arm_file, arm_file.parent)
     assert robot.joints == ("shoulder", "rail", "wrist") and (robot.nq, robot.nv) == (6, 5)
     assert robot.tool == "tcp" and robot.frames == ("tcp", "link", "rod", "hand")
-    assert robot.lower.tolist() == [-1, -0.1, *[-np.inf] * 3] and robot.upper[:2].tolist() == [2, 0.4]
-    assert robot.home.tolist() == [0.5, 0.3, 1, 0, 0, 0]  # the keyframe "home" comes before the first
+    assert robot.lower.tolist() == [-1, -0.1, *[-np.inf] * 3] and robot.upper[:2].tolist() == [
+        2,
+        0.4,
+    ]
+    assert robot.home.tolist() == [
+        0.5,
+        0.3,
+        1,
+        0,
+        0,
+        0,
+    ]  # the keyframe "home" comes before the first
     assert (
         robot.velocity_limits.shape == robot.acceleration_limits.shape == (5,)
         and (robot.velocity_limits > 0).all()
@@ -64,12 +73,18 @@ def test_a_urdf_is_a_robot(tmp_path):
     (tmp_path / "two.urdf").write_text(URDF)
     robot = load_robot(tmp_path / "two.urdf")
     assert robot.joints == ("turn", "bend") and robot.lower.tolist() == [-1.5, -np.inf]
-    np.testing.assert_allclose(robot.forward([np.pi / 2, 0.3], "tip").position, [0, 0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(
+        robot.forward([np.pi / 2, 0.3], "tip").position, [0, 0, 0.5], atol=1e-12
+    )
 
 
 def test_frozen_joints_stand_at_home(arm_file):
-    whole, part = load_robot(arm_file), load_robot(arm_file, joints=["wrist", "shoulder"])
-    assert part.joints == ("shoulder", "wrist") and (part.nq, part.nv) == (5, 4)  # in declared order
+    whole = load_robot(arm_file)
+    part = load_robot(arm_file, joints=["wrist", "shoulder"])
+    assert part.joints == ("shoulder", "wrist") and (part.nq, part.nv) == (
+        5,
+        4,
+    )  # in declared order
     q = part.sample(np.random.default_rng(0))
     full = part.qpos(q)
     assert full[1] == 0.3
@@ -90,8 +105,11 @@ def test_measure_is_mujocos(arm_file):
 def test_limits_intersect_and_home_moves_inside(arm_file):
     robot = load_robot(arm_file)
     wide = np.full(5, np.inf)
-    lower, upper = -wide, wide.copy()
-    lower[0], upper[0], upper[1] = -3.0, 0.4, 0.2
+    lower = -wide
+    upper = wide.copy()
+    lower[0] = -3.0
+    upper[0] = 0.4
+    upper[1] = 0.2
     narrow = robot.with_limits(lower, upper)
     assert narrow.lower[:2].tolist() == [-1, -0.1] and narrow.upper[:2].tolist() == [0.4, 0.2]
     assert narrow.home.tolist() == [0.4, 0.2, 1, 0, 0, 0] and robot.home[0] == 0.5
@@ -103,7 +121,8 @@ def test_limits_intersect_and_home_moves_inside(arm_file):
     for low, high in ((0.2, 0.1), (np.nan, 1.0)):
         with pytest.raises(ModelError, match=f"lower <= upper, not .{low}.*{high}"):
             robot.with_limits(low, high)
-    lower[1], upper[1] = 0.5, 0.6
+    lower[1] = 0.5
+    upper[1] = 0.6
     with pytest.raises(ModelError, match=r"no range is left for joint 'rail'.*0\.5"):
         robot.with_limits(lower, upper)
 
@@ -116,7 +135,10 @@ def test_nothing_comes_farther_than_the_reach(arm_file):
     for name in robot.frames:
         center, radius = robot.reach(name)
         for _ in range(100):
-            assert np.linalg.norm(robot.forward(robot.sample(rng), name).position - center) <= radius + 1e-12
+            assert (
+                np.linalg.norm(robot.forward(robot.sample(rng), name).position - center)
+                <= radius + 1e-12
+            )
 
 
 def test_reach_of_rails_and_of_bases_that_float(tmp_path):
@@ -128,8 +150,8 @@ def test_reach_of_rails_and_of_bases_that_float(tmp_path):
     ]:
         path = tmp_path / "m.xml"
         path.write_text(f"<mujoco><worldbody>{body.format(joint)}</worldbody></mujoco>")
-        found = load_robot(path).reach()
-        assert found is None if expected is None else found[1] == pytest.approx(expected)
+        ball = load_robot(path).reach()
+        assert ball is None if expected is None else ball[1] == pytest.approx(expected)
 
 
 def test_copies_and_pickles_work_alone(arm_file):
@@ -142,7 +164,7 @@ def test_copies_and_pickles_work_alone(arm_file):
         assert np.array_equal(other.forward(q).matrix, expected)
 
 
-# ---------------------------------------------------------------------------- wrong input
+# Wrong input
 
 
 def test_an_unknown_robot_lists_the_close_names():
@@ -157,7 +179,9 @@ def test_broken_xml_tells_the_file_and_mujocos_reason(tmp_path):
     with pytest.raises(ModelError, match=r"broken\.xml") as caught:
         load_robot(path)
     assert caught.value.path == path and caught.value.reason and "XML" in caught.value.reason
-    path.write_text("<mujoco><worldbody><body><geom type='mesh' mesh='none'/></body></worldbody></mujoco>")
+    path.write_text(
+        "<mujoco><worldbody><body><geom type='mesh' mesh='none'/></body></worldbody></mujoco>"
+    )
     with pytest.raises(ModelError, match="mesh"):
         load_robot(path)
 
@@ -177,7 +201,9 @@ def test_unknown_joints_groups_and_frames_list_the_close_names(arm_file):
 
 def test_wrong_joint_angles_are_refused(arm_file):
     robot = load_robot(arm_file)
-    with pytest.raises(ModelError, match=r"q must be 6 numbers, not 3 (.|\n)*shoulder, rail, wrist"):
+    with pytest.raises(
+        ModelError, match=r"q must be 6 numbers, not 3 (.|\n)*shoulder, rail, wrist"
+    ):
         robot.forward([1, 2, 3])
     with pytest.raises(ModelError, match="finite"):
         robot.forward([np.nan, 0, 1, 0, 0, 0])
@@ -185,7 +211,9 @@ def test_wrong_joint_angles_are_refused(arm_file):
 
 def test_a_model_without_moving_joints_is_no_robot(tmp_path):
     path = tmp_path / "stone.xml"
-    path.write_text("<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>")
+    path.write_text(
+        "<mujoco><worldbody><body name='b'><geom size='1'/></body></worldbody></mujoco>"
+    )
     with pytest.raises(UnsupportedJointError, match="no joint that may move"):
         load_robot(path)
     path.write_text("<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>")
@@ -196,7 +224,13 @@ def test_a_model_without_moving_joints_is_no_robot(tmp_path):
 def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
     robot = load_robot(arm_file)
     narrow = robot.with_limits(-0.5, 0.5)
-    for one in (robot, narrow, copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
+    for one in (
+        robot,
+        narrow,
+        copy.copy(robot),
+        copy.deepcopy(robot),
+        pickle.loads(pickle.dumps(robot)),
+    ):
         for name in (
             "home",
             "lower",
@@ -220,13 +254,16 @@ def test_a_robot_says_in_a_line_what_it_is(arm_file):
     text = repr(load_robot(arm_file))
     assert text == "Robot('arm', 3 joints: shoulder, rail, wrist; tool 'tcp', 4 frames; arm.xml)"
     figure = repr(load_robot("humanoid"))
-    assert "37 joints" in figure and "29 more" in figure and len(figure) < 300 and "\n" not in figure
+    assert (
+        "37 joints" in figure and "29 more" in figure and len(figure) < 300 and "\n" not in figure
+    )
 
 
 def test_a_step_is_checked_and_compiled_for_once():
     robot = load_robot("puma560")
     step = np.linspace(0.1, 0.6, 6)
-    moved, compiled = robot.integrate(robot.home, step), len(kinematics.tree_integrate.signatures)
+    moved = robot.integrate(robot.home, step)
+    compiled = len(kinematics.tree_integrate.signatures)
     column = np.column_stack([step, step])[:, 0]  # not contiguous: another type for numba
     assert np.array_equal(robot.integrate(robot.home, column), moved)
     assert len(kinematics.tree_integrate.signatures) == compiled

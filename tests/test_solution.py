@@ -47,16 +47,23 @@ def test_the_error_is_of_what_was_asked_for_only(puma):
         error = solve(puma, goal, budget=far).error
         assert (error.position, error.angle) == pytest.approx(expected, abs=1e-12)
     both = solve(
-        puma, [PoseGoal.at(None, puma.forward(puma.home)), PositionGoal(None, pose.position)], budget=far
+        puma,
+        [PoseGoal.at(None, puma.forward(puma.home)), PositionGoal(None, pose.position)],
+        budget=far,
     )
     assert both.errors[0].position == pytest.approx(0, abs=1e-12)
-    assert both.error.position == pytest.approx(metres) and both.error.angle == pytest.approx(0, abs=1e-7)
+    assert both.error.position == pytest.approx(metres) and both.error.angle == pytest.approx(
+        0, abs=1e-7
+    )
 
 
 def test_a_goal_of_which_a_part_weighs_nothing_is_met_by_the_other(puma):
     pose = puma.forward(puma.home + 0.2)
     solution = solve(puma, PoseGoal(None, pose.position, (0, 0, 1, 0), angle_weight=0.0))
-    assert solution.converged and np.linalg.norm(puma.measure(solution.q).position - pose.position) <= 1e-4
+    assert (
+        solution.converged
+        and np.linalg.norm(puma.measure(solution.q).position - pose.position) <= 1e-4
+    )
 
 
 def test_it_prints_in_a_line(puma):

@@ -1,4 +1,4 @@
-"""The pages of the methods: one for each row of ``SOLVERS``, with its tables, picture and measurements."""
+"""The pages of the methods: one for each row of ``SOLVERS``, with tables, picture, measurements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from robot_ik import load_robot
 from robot_ik.solvers import SOLVERS
 
 # The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location("doc_pages", Path(__file__).with_name("doc_pages.py"))
+_spec = importlib.util.spec_from_file_location(
+    "doc_pages", Path(__file__).with_name("doc_pages.py")
+)
 assert _spec is not None and _spec.loader is not None
 pages: Any = importlib.util.module_from_spec(_spec)
 sys.modules[_spec.name] = pages  # dataclasses look it up
@@ -38,11 +40,15 @@ HEADINGS = [
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_every_method_has_a_page_with_its_tables_and_its_picture(name: str) -> None:
     page = METHODS / f"{name}.md"
-    assert page.is_file(), f"docs/reference/solvers/{name}.md is missing; the others show what it holds"
+    assert page.is_file(), (
+        f"docs/reference/solvers/{name}.md is missing; the others show what it holds"
+    )
     text = page.read_text(encoding="utf-8")
     assert text.startswith(f"# {name}: ")
     for table in ("method", "options", "floors"):
-        assert f"<!-- table: {table} {name} -->\n" in text, f"{page.name} has no table of its {table}"
+        assert f"<!-- table: {table} {name} -->\n" in text, (
+            f"{page.name} has no table of its {table}"
+        )
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert headings == HEADINGS
     picture = PLOTS / f"{name}.png"
@@ -73,7 +79,8 @@ def test_measured_tables_have_a_row_for_every_method_that_can() -> None:
 
 
 def test_poses_called_singular_are_singular() -> None:
-    measure, robot = script("measurements"), load_robot("puma560")
+    measure = script("measurements")
+    robot = load_robot("puma560")
     for kind in ("wrist", "elbow", "both"):
         for q, start in measure.singular_cases(robot, kind, 5):
             sigma, beside = (np.linalg.svd(robot.jacobian(v), compute_uv=False) for v in (q, start))
@@ -82,7 +89,9 @@ def test_poses_called_singular_are_singular() -> None:
 
 
 def test_a_picture_is_drawn_and_drawn_the_same_again(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need the extra: pip install 'robot-ik-testbed[plots]'")
+    pytest.importorskip(
+        "matplotlib", reason="pictures need the extra: pip install 'robot-ik-testbed[plots]'"
+    )
     plots = script("plots")
     for name in ("a", "b"):
         plots.draw("dls", tmp_path / f"{name}.png", count=3)

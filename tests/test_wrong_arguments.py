@@ -1,4 +1,4 @@
-"""Wrong arguments of the public functions and classes are answered with a sentence, never a raw error."""
+"""Wrong arguments of public functions and classes raise an error of the package."""
 
 import numpy as np
 import pytest
@@ -74,11 +74,14 @@ def follow(robot, **options):
         (lambda r, goal: rik.execute(still(r), Sink()), "not a list of sinks"),
         (lambda r, goal: rik.execute(still(r), [print]), "not a list of sinks"),
         (lambda r, goal: rik.execute(still(r), [Sink()], settle="x"), "settle is 'x' s"),
-        (lambda r, goal: rik.execute(still(r), [Sink()], source=Sink(r), start_tolerance=np.nan), "is nan"),
+        (
+            lambda r, goal: rik.execute(still(r), [Sink()], source=Sink(r), start_tolerance=np.nan),
+            "is nan",
+        ),
         (lambda r, goal: follow(r, duration=np.nan), "duration is nan s"),
         (lambda r, goal: follow(r, tolerance=1), "tolerance: 1"),
     ],
-)  # fmt: skip
+)
 def test_wrong_arguments_are_refused_in_a_sentence(puma, goal, call, says):
     with pytest.raises(RobotIkError, match=says):
         call(puma, goal)

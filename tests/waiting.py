@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import TypeVar
 
 LONG = 300.0
-"""s; no machine takes so long, slow, busy and without compiled kernels as it may be: something hangs."""
+"""s. Even a slow and busy machine that must compile kernels is faster, so something hangs."""
 
 T = TypeVar("T")
 
 
 def wait_for(holds: Callable[[], T], what: str | Callable[[], str] = "waited in vain") -> T:
-    """Waits until ``holds()`` is true, and gives what it gave; after ``LONG`` s it fails with ``what``."""
+    """Return ``holds()`` as soon as it is true; fail with ``what`` after ``LONG`` s."""
     end = time.monotonic() + LONG
     while not (found := holds()):
         assert time.monotonic() < end, what if isinstance(what, str) else what()

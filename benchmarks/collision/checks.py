@@ -135,7 +135,7 @@ def measure(scene: Scene, rows: np.ndarray) -> tuple[float, float, float, float]
             lambda: mujoco_distances(
                 *addresses, data.qpos, few, first, second, REACH, segment, out
             ),
-            lambda: collision.least_distances(memory.address, rows, REACH, out, nearest),
+            lambda: collision.smallest_distances(memory.address, rows, REACH, out, nearest),
         ]
     )
     counts = (len(rows), len(rows), len(few), len(rows))

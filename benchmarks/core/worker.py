@@ -4,6 +4,7 @@
     python worker.py times ROBOT METHOD
     python worker.py batch ROBOT METHOD
     python worker.py compile ROBOT METHOD
+    python worker.py traces ROBOT METHOD GOALS SEED FILE
 
 Prints one line of JSON. It knows the calls of both designs: the solver that takes a problem, and
 the problem that owns its solver.
@@ -11,12 +12,14 @@ the problem that owns its solver.
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -83,8 +86,21 @@ def counts(robot: Any, method: str, number: int) -> dict[str, Any]:
     return totals
 
 
+def write_traces(robot: Any, method: str, number: int, seed: int, file: str) -> dict[str, Any]:
+    """Write status, steps and the cost of each step of seeded goals to a JSON file."""
+    budget = rik.Budget(iterations=_COUNT_ITERATIONS)
+    solve = prepared(robot, goal_for(method), method, budget=budget, trace=True)
+    rows = []
+    for pose in poses(robot, number, seed):
+        solution = solve(robot.home, pose[:3, 3] if method in _POSITION_ONLY else pose)
+        costs = [step.cost for step in solution.trace]
+        rows.append({"status": solution.status.name, "steps": solution.iterations, "costs": costs})
+    Path(file).write_text(json.dumps(rows), encoding="utf-8")
+    return {"goals": len(rows)}
+
+
 def times(robot: Any, method: str) -> dict[str, float]:
-    """Return medians in microseconds: warm ``rik.solve``, prepared loop, tracking."""
+    """Return medians in microseconds: ``rik.solve`` and a prepared problem, cold and tracking."""
     cold = poses(robot, _TIMED_POSES)
     goals = [rik.PoseGoal.at(None, rik.Pose.from_matrix(pose)) for pose in cold]
     solve = prepared(robot, rik.PoseGoal(None, (0.0, 0.0, 0.0)), method)
@@ -122,8 +138,25 @@ def times(robot: Any, method: str) -> dict[str, float]:
             taken.append(time.perf_counter() - began)
         return taken
 
+    path_goals = [rik.PoseGoal.at(None, rik.Pose.from_matrix(pose)) for pose in path]
+
+    def warm_tracking() -> list[float]:
+        taken = []
+        last = robot.home
+        for goal in path_goals:
+            began = time.perf_counter()
+            last = rik.solve(robot, goal, solver=method, start=last).q
+            taken.append(time.perf_counter() - began)
+        return taken
+
+    runs = {
+        "warm": warm,
+        "warm tracking": warm_tracking,
+        "loop": loop,
+        "tracking": tracking,
+    }
     results = {}
-    for name, run in (("warm", warm), ("loop", loop), ("tracking", tracking)):
+    for name, run in runs.items():
         run()
         results[name] = 1e6 * min(statistics.median(run()) for _ in range(5))
     return results
@@ -143,9 +176,35 @@ def batch(robot: Any, method: str) -> dict[str, float]:
 
 def first_compile(robot: Any, method: str) -> dict[str, float]:
     """Return CPU seconds of the first solve of a process."""
+    if method == "frames":
+        run = figure_frames()
+    elif method == "levels":
+        goals = [goal_for("lm"), rik.PostureGoal(q=robot.home, priority=1)]
+        run = functools.partial(rik.solve, robot, goals, solver="lm")
+    else:
+        goal = rik.PoseGoal.at(None, robot.forward(robot.home))
+        if method in _POSITION_ONLY:
+            goal = rik.PositionGoal(None, goal.position)
+        run = functools.partial(rik.solve, robot, goal, solver=method)
     began = time.process_time()
-    rik.solve(robot, rik.PoseGoal.at(None, robot.forward(robot.home)), solver=method)
+    run()
     return {"seconds": time.process_time() - began}
+
+
+def figure_frames() -> Callable[[], Any]:
+    """Return the solve of a motion of the humanoid, frame by frame."""
+    from robot_ik.figure.figure import load_figure
+    from robot_ik.figure.frames import FrameRows
+    from robot_ik.figure.poses import STIFF
+
+    figure = load_figure()
+    rows = FrameRows(figure, 3)
+    rows.feet(figure.feet_at_home)
+    rows.center(figure.center(figure.home), axes="xy")
+    rows.momentum(0.1)
+    rows.aim(np.array([1.0, 0.0, 1.0]), 8.0)
+    rows.position("right_hand", figure.pose(figure.home, "right_hand")[0] * np.ones((3, 1)))
+    return lambda: rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
 
 
 def main() -> None:
@@ -154,6 +213,8 @@ def main() -> None:
     robot = rik.load_robot(name)
     if what == "counts":
         results: dict[str, Any] = counts(robot, method, int(rest[0]))
+    elif what == "traces":
+        results = write_traces(robot, method, int(rest[0]), int(rest[1]), rest[2])
     else:
         results = {"times": times, "batch": batch, "compile": first_compile}[what](robot, method)
     print(json.dumps(results))

@@ -61,8 +61,8 @@ def options(name: str) -> str:
 
     rows = []
     for option in solver_facts(name, SOLVERS[name])["options"]:
-        bounded = option["low"] is not None and not isinstance(option["default"], bool)
-        span = f"{option['low']:g} … {option['high']:g} {option['unit']}" if bounded else ""
+        bounded = option["lower"] is not None and not isinstance(option["default"], bool)
+        span = f"{option['lower']:g} … {option['upper']:g} {option['unit']}" if bounded else ""
         span = span or ", ".join(option["choices"])
         default = f"{option['default']:.4g}" if isinstance(option["default"], float) else option["default"]
         rows.append((f"`{option['name']}`", default, span.strip(), option["help"]))

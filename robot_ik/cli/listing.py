@@ -217,7 +217,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     whole = (PositionGoal, OrientationGoal, PoseGoal)  # the others ask for parts only
     goals = GOALS if kind.partial_goals else whole
     served = [goal for goal in goals if issubclass(goal, kind.goals)]
-    blank = {"low": None, "high": None, "choices": (), "unit": "", "help": ""}
+    blank = {"lower": None, "upper": None, "choices": (), "unit": "", "help": ""}
     options = [
         {"name": field.name, "default": None if field.default is MISSING else field.default}
         | {key: field.metadata.get(key, none) for key, none in blank.items()}
@@ -251,8 +251,8 @@ def _print_solver(facts: dict[str, Any]) -> None:
     )
     rows = []
     for row in facts["options"]:
-        bounded = row["low"] is not None
-        span = f"{row['low']:g} … {row['high']:g}" if bounded else " | ".join(row["choices"]) or UNBOUNDED
+        bounded = row["lower"] is not None
+        span = f"{row['lower']:g} … {row['upper']:g}" if bounded else " | ".join(row["choices"]) or UNBOUNDED
         default = f"{row['default']:g}" if isinstance(row["default"], float) else row["default"]
         rows.append((row["name"], default, span, row["unit"] or "-", row["help"]))
     console.show(

@@ -18,7 +18,7 @@ from robot_ik.kernels.tree import Tree
 
 Ints = NDArray[np.int64]
 
-MOST_NEAR_PAIRS = 64
+MAX_NEAR_PAIRS = 64
 """Pairs that a check lists with their gradients. Beyond, the nearest are kept."""
 
 _RIM_POINTS = 24
@@ -320,7 +320,7 @@ def check_memory(tree: Tree, tables: ShapeTables, pairs: PairTables) -> Block:
         "l": len(tables.block.arrays["node"]),
         "k": len(pairs.block.arrays["links"]),
         "p": len(pairs.geoms),
-        "r": MOST_NEAR_PAIRS,
+        "r": MAX_NEAR_PAIRS,
         "nq": tree.nq,
         "nv": tree.nv,
     }

@@ -91,7 +91,7 @@ def chosen_pairs(
     names: Iterable[Sequence[str]] | None,
     ignore: Iterable[Sequence[str]],
 ) -> Ints:
-    """Return the pairs (p, 2) that names ask for, without those to ignore.
+    """Return the pairs (p, 2) that the names select, without the pairs to ignore.
 
     Args:
         model: MuJoCo's model.

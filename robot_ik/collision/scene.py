@@ -78,7 +78,7 @@ class Touching:
 
     Attributes:
         pair: Names of the two parts.
-        depth: Least depth of their contact, m.
+        depth: Smallest depth of their contact, m.
         exclude: The line for the ``<contact>`` element of the model, or what to do without it.
     """
 
@@ -367,7 +367,7 @@ class Scene:
         distances = np.zeros(len(rows))
         nearest = np.zeros(len(rows), dtype=np.int64)
         memory = self.memory(self._all_pairs)
-        collision.least_distances(memory.address, rows, float(reach), distances, nearest)
+        collision.smallest_distances(memory.address, rows, float(reach), distances, nearest)
         return distances if np.ndim(q) == 2 else distances[0]
 
 

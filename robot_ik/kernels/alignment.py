@@ -24,7 +24,7 @@ _NO_GAIN = 1e-24
 # |Σ w p × d| below this share of the correlation: the vectors are aligned, or a half turn away.
 _ALIGNED = 1e-12
 # Share of the correlation that a half turn must gain.
-_LEAST_GAIN = 1e-9
+_MIN_GAIN = 1e-9
 
 
 @inlined
@@ -102,7 +102,7 @@ def best_axis(correlation):
     # that is most across them, without its part along them.
     gains = diagonal[0] - total, diagonal[1] - total, diagonal[2] - total
     gain = max(gains[0], max(gains[1], gains[2]))
-    if not gain > _LEAST_GAIN * size:
+    if not gain > _MIN_GAIN * size:
         return 0.0, 0.0, 0.0
     columns = so3.transpose(correlation)
     if gains[0] == gain:

@@ -16,7 +16,7 @@ from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.kernels.kinematics import difference, rotation_back, slope_of, unit, velocity_of
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 
-# What the residual of a goal is measured on.
+# What the residual of a goal is measured on. ``residuals`` calls a pair of functions for each.
 ON_FRAME, ON_CENTER_OF_MASS, ON_JOINTS, ON_PRIOR = range(4)
 
 
@@ -30,8 +30,8 @@ def center_of_mass(tree, world, masses, first, moments):
     Args:
         tree: The kinematic tree.
         world: (n, 12) node poses.
-        masses: (…, 4) from row ``first``: mass and centre of each node, seen from the node, and in
-            row ``first + n`` those of what never moves.
+        masses: (…, 4) from row ``first``: mass and centre of each node, seen from the node. Row
+            ``first + n`` has mass and centre of the parts that never move.
         first: First row.
         moments: (…, 4) from row ``first``: mass and first moment, in the world, of each node with
             all its descendants. Row ``first + n`` is the whole body.
@@ -104,19 +104,19 @@ def center_jacobian(tree, goals, search, g, jacobian):
     mask = so3.read_vector(goals.mask, g, 0)
     target_rotation = so3.read_matrix_rotation(search.target, g)
     error = so3.read_vector_at(search.residual, row)
-    own_columns = goals.dofs.shape[0]
+    direct_columns = goals.dofs.shape[0]
     for k in range(goals.mover_count[g]):
         mover = goals.movers[g, k]
         column = goals.column[mover]
         factor = goals.joint_scale[column] * goals.moves[g, mover]
-        if mover >= own_columns:
-            factor *= slope_of(tree, goals.coupled[mover - own_columns, 0], search.q)
+        if mover >= direct_columns:
+            factor *= slope_of(tree, goals.coupled[mover - direct_columns, 0], search.q)
         velocity = center_velocity(
             tree, search.world, search.moments, goals.mass_row[g], goals.moved[mover]
         )
         entries = position_jacobian(part, mask, target_rotation, error, velocity)
         entries = so3.scale(factor * search.weight[g, 0], entries)
-        if mover >= own_columns:
+        if mover >= direct_columns:
             entries = so3.add(entries, read_column(jacobian, row, column))
         so3.write_column(jacobian, row, column, entries)
 
@@ -168,10 +168,10 @@ def posture_residual(tree, goals, search, g):
 @outlined
 def posture_jacobian(tree, goals, search, g, jacobian):
     """Write the rows of a posture to ``jacobian``, in the columns of its joints."""
-    own_columns = goals.dofs.shape[0]
+    direct_columns = goals.dofs.shape[0]
     for k in range(goals.mover_count[g]):
         column = goals.movers[g, k]
-        if column >= own_columns or goals.moves[g, column] == 0:
+        if column >= direct_columns or goals.moves[g, column] == 0:
             continue
         v = goals.dofs[column]
         node = tree.dof_node[v]

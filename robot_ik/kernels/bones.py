@@ -325,7 +325,7 @@ def add_goals(tree, goals, search, bones, k, pull, correlation):
     """Return the correlation with the goals that joint ``k`` moves, if later joints stayed.
 
     The target of a point contains no error across its bone. A ball can remove such an error and a
-    hinge cannot: without the goals, hinges whose axes are not parallel wait for each other.
+    hinge cannot: without the goals, hinges whose axes are not parallel would not move.
     """
     nodes = tree.parent.shape[0]
     for g in range(goals.row.shape[0]):
@@ -524,8 +524,8 @@ def fit_joint(tree, goals, search, bones, k):
 def settle(tree, goals, search, bones, sweeps):
     """Bring the points towards their targets: each joint once, to its optimum, root to tip.
 
-    Joints that aim at the same points, because their anchors coincide or their axes meet, do
-    together what none of them can do alone. They are moved ``sweeps`` times.
+    Joints that aim at the same points, because their anchors coincide or their axes meet, can
+    reach a target together that no single joint can reach. They are moved ``sweeps`` times.
     """
     for index in range(goals.nodes.shape[0]):
         k = goals.nodes[index]

@@ -45,7 +45,7 @@ STACK_DEPTH = 64
 PROOF = Layout(
     "Proof",
     checks="int",  # postures that were checked
-    most_checks="int",
+    max_checks="int",
     segment="int",  # where the proof ended: segment of the path,
     share="float",  # and share of the segment
     pair="int",  # the pair of geoms that is not proven free there
@@ -152,7 +152,7 @@ def prove_segment(proof, start, dq, margin):
             if (
                 motion < _SMALLEST_MOTION
                 or top + 2 > stack.shape[0]
-                or proof.checks >= proof.most_checks
+                or proof.checks >= proof.max_checks
             ):
                 return UNDECIDED
             # The earlier half on top, so that contacts are found in the order of time.

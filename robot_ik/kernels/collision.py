@@ -15,7 +15,7 @@ MuJoCo decides.
 
 from robot_ik.kernels import so3
 from robot_ik.kernels.block import Layout
-from robot_ik.kernels.gjk import SIMPLEX, distance_bounds, least_overlap, witness
+from robot_ik.kernels.gjk import SIMPLEX, distance_bounds, smallest_overlap, witness
 from robot_ik.kernels.jit import inlined, kernel, outlined
 from robot_ik.kernels.kinematics import compose, forward, slope_of, velocity_of, width_of
 from robot_ik.kernels.shapes import (
@@ -35,7 +35,7 @@ FREE, TOUCHING, UNDECIDED = range(3)
 # Cores that seem to overlap by less than this, m, may be apart by rounding.
 _SURE_OVERLAP = 1e-3
 # A capsule is compared with a box by this many balls at most.
-_MOST_BALLS = 4
+_MAX_BALLS = 4
 # Distances are exact to this, m.
 _ROUNDING = 1e-9
 
@@ -182,7 +182,7 @@ def capsule_is_near_box(shapes, box, first, last, reach):
     """Return whether a capsule may be nearer to a box than its radius + bound = ``reach``."""
     along = so3.subtract(last, first)
     length = so3.norm(along)
-    count = min(int(length / max(reach, 1e-6)) + 1, _MOST_BALLS)
+    count = min(int(length / max(reach, 1e-6)) + 1, _MAX_BALLS)
     radius = reach + 0.5 * length / count
     for i in range(count):
         center = so3.add(first, so3.scale((i + 0.5) / count, along))
@@ -339,7 +339,7 @@ def verdict(run, q, margin):
 
 
 @outlined
-def least_distance(run, q, reach):
+def smallest_distance(run, q, reach):
     """Return (distance, pair) of the nearest pair at ``q``; (reach, -1) if all are farther.
 
     Of pairs that touch the distance is 0 or less, and not the depth.
@@ -433,7 +433,7 @@ def write_witness(run, pair, upper, overlap):
         offset = so3.subtract(so3.read_vector(poses, b, 0), origin)
         rotation = relative_rotation(rotation_a, so3.read_rotation(poses, b))
         offset = so3.apply_inverse(rotation_a, offset)
-        separation, normal = least_overlap(shapes, check.hint, simplex, a, b, rotation, offset)
+        separation, normal = smallest_overlap(shapes, check.hint, simplex, a, b, rotation, offset)
         distance = separation - shapes.rounding[a] - shapes.rounding[b]
         on_a = so3.read_vector(simplex.points, 0, 0)
         on_b = so3.read_vector(simplex.points, 1, 0)
@@ -504,11 +504,11 @@ def verdicts(address, q, margin, out):
 
 
 @kernel
-def least_distances(address, q, reach, out, nearest):
+def smallest_distances(address, q, reach, out, nearest):
     """Write the distance and pair of the nearest pair of each row of ``q`` (n, nq)."""
     run = open_run(address)
     for row in range(q.shape[0]):
-        out[row], nearest[row] = least_distance(run, q[row], reach)
+        out[row], nearest[row] = smallest_distance(run, q[row], reach)
 
 
 @kernel

@@ -2,9 +2,8 @@
 
 The algorithm keeps a simplex of up to four points of A − B (the differences of points of A and B)
 and v, the point of the simplex next to the origin. Each support point gives a *lower* bound: the
-cores lie on two sides of a slab across v. |v| is an *upper* bound. Rounding can spoil |v| where the
-gap is below 0.1 mm, but hardly the lower bound. So only the lower bound decides that cores are
-apart.
+cores lie on two sides of a slab across v. |v| is an *upper* bound. Where the gap is below 0.1 mm,
+rounding spoils |v| more than the lower bound. So only the lower bound decides that cores are apart.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -16,7 +15,7 @@ from robot_ik.kernels.jit import inlined, outlined
 from robot_ik.kernels.shapes import support
 
 # Iterations of one distance. Flat against flat takes 5 to 8, rounded shapes up to 30.
-_MOST_ITERATIONS = 60
+_MAX_ITERATIONS = 60
 # Difference of the squared bounds, relative to the upper bound, at which both are the distance.
 _ACCURACY = 1e-8
 # Squared length, m², below which v is the origin.
@@ -29,7 +28,7 @@ _FLAT = 1e-24
 # An axis shorter than this is the product of parallel ones.
 _SHORT_AXIS = 1e-6
 # Directions of overlap that are tried after the first ones.
-_MOST_TURNS = 8
+_MAX_TURNS = 8
 # m, and share of the depth: the gap to which overlapping cores are moved apart.
 _BEYOND = 1e-4
 _BEYOND_SHARE = 0.1
@@ -39,7 +38,7 @@ SIMPLEX = Layout(
     "Simplex",
     count="int",  # points of the simplex
     points="table 4 3",  # of A − B
-    on_first="table 4 3",  # the points of A that they were made of
+    on_first="table 4 3",  # the points of A in these differences
     share="floats 4",  # weights of v
     trial="floats 4",
     axis="floats 3",  # v: where the last call ended, and the next one may begin
@@ -76,7 +75,7 @@ def distance_bounds(shapes, hint, simplex, a, b, rotation, offset, far, enough):
             square = 1.0
     lower = -math.inf
     simplex.count = 0
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         on_a = support(shapes, hint, a, so3.scale(-1.0, v))
         on_b = support(shapes, hint, b, so3.apply_inverse(rotation, v))
         point = so3.subtract(on_a, so3.add(so3.apply(rotation, on_b), offset))
@@ -289,14 +288,14 @@ def witness(simplex):
 
 
 @outlined
-def least_overlap(shapes, hint, simplex, a, b, rotation, offset):
+def smallest_overlap(shapes, hint, simplex, a, b, rotation, offset):
     """Return (distance, direction) of two overlapping cores: the distance is negative.
 
     The distance is the largest separation along any direction, a unit vector from ``b`` to ``a`` in
     the frame of ``a``. The first directions are the axes of both geoms, their products, and the
     line of centres, which is exact for boxes. For other shapes ``b`` is then moved out along the
-    best direction, and the direction between the nearest points tried in its place, until it is no
-    better. The depth is an upper bound, and near the truth. Writes the nearest points to
+    best direction, and the direction between the nearest points is tried in its place, until it
+    improves no more. The depth is an upper bound, and near the truth. Writes the nearest points to
     simplex.points: row 0 of ``a``, row 1 of ``b``.
     """
     best = -math.inf
@@ -323,7 +322,7 @@ def least_overlap(shapes, hint, simplex, a, b, rotation, offset):
                 chosen = direction
     on_a = 0.0, 0.0, 0.0
     on_b = 0.0, 0.0, 0.0
-    for _ in range(_MOST_TURNS):
+    for _ in range(_MAX_TURNS):
         shift = so3.scale(best * (1.0 + _BEYOND_SHARE) - _BEYOND, chosen)
         so3.write_vector(simplex.axis, 0, chosen)
         moved = so3.add(offset, shift)

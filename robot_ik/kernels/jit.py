@@ -1,8 +1,7 @@
 """``@kernel``: the one decorator for compiled code, with a cache that cannot go stale.
 
 The cache folder of a module is named after a hash of its source and of all sources that it
-imports. numba's own cache would keep a compiled caller
-although a callee in another file has changed.
+imports. numba's cache would keep a compiled caller although a callee in another file has changed.
 """
 
 from __future__ import annotations
@@ -12,21 +11,19 @@ import contextlib
 import ctypes
 import functools
 import hashlib
-import importlib
-import importlib.util
 import logging
 import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
 from llvmlite import binding as llvm  # type: ignore[import-untyped]
 from numba.core import event
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -39,24 +36,12 @@ numba_config: Any = numba.core.config
 if numba_config.DISABLE_JIT:
     raise OptionError(
         "NUMBA_DISABLE_JIT",
-        "the kernels exist in compiled form only, and this variable switches the compiler off",
+        "the kernels need the compiler, and this variable switches it off",
         "unset, or 0",
         owner="environment",
     )
 
 logger = logging.getLogger("robot_ik.kernels")
-
-
-# Import numba's arrays without SciPy's BLAS, which is a fifth of a program's start (0.15 s): numba
-# imports it only to see that it is installed. The function is back in its place afterwards.
-if "numba.np.arraymath" not in sys.modules and importlib.util.find_spec("scipy") is not None:
-    _linalg: Any = importlib.import_module("numba.np.linalg")
-    _ensure_blas = _linalg.ensure_blas
-    _linalg.ensure_blas = lambda: None
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        _linalg.ensure_blas = _ensure_blas
 
 
 class _ExitGuard(event.Listener):
@@ -65,7 +50,7 @@ class _ExitGuard(event.Listener):
     exiting = False
 
     def stop_compiling(self) -> None:
-        """Make the compiling thread stop at its next function, and take numba's lock for good."""
+        """Make the compiling thread stop at its next function, and keep numba's lock."""
         self.exiting = True
         global_compiler_lock.acquire()
 
@@ -84,11 +69,10 @@ atexit.register(_exit_guard.stop_compiling)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# Without nnan and ninf, because comparisons with NaN and infinity must be right. LLVM still folds
+# Without nnan and ninf, because comparisons with NaN and infinity must be correct. LLVM still folds
 # isfinite(x) of a computed number to True, so kernels test numbers with comparisons.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: dict[str, Any] = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "fastmath": _FASTMATH,
@@ -170,6 +154,27 @@ def cache_folder(module: str = __name__) -> Path:
     return Path(tempfile.mkdtemp(prefix="robot-ik-"))
 
 
+class _KernelLocator(UserWideCacheLocator):
+    """Locates the compiled code of a function in ``cache_folder`` of its module."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        self._py_file = file
+        self._lineno = function.__code__.co_firstlineno
+        folder = cache_folder(function.__module__)
+        self._cache_path = str(folder / self.get_suitable_cache_subpath(file))
+
+
+class _KernelCacheImpl(CompileResultCacheImpl):
+    # numba's locators serve functions without a file, such as those of a notebook.
+    _locator_classes = [_KernelLocator, *CompileResultCacheImpl._locator_classes]  # noqa: RUF012
+
+
+class _KernelCache(FunctionCache):
+    """The cache of an entry point."""
+
+    _impl_class = _KernelCacheImpl
+
+
 # Inner functions are kept as unoptimised LLVM code. An entry point links in all that it calls, and
 # LLVM optimises and compiles it once. numba alone optimises each function together with all its
 # callees, so a function six calls deep would be optimised six times, which doubled a first compile.
@@ -234,7 +239,7 @@ class _InnerContext:
         return _InnerLibrary.load(self._context.codegen(), *state)
 
 
-class _InnerCacheImpl(CompileResultCacheImpl):
+class _InnerCacheImpl(_KernelCacheImpl):
     def reduce(self, result: Any) -> Any:
         # Without the listing of types, which takes longest to write.
         return super().reduce(result._replace(type_annotation=""))
@@ -244,32 +249,22 @@ class _InnerCacheImpl(CompileResultCacheImpl):
 
 
 class _InnerCache(FunctionCache):
+    """The cache of an inner function."""
+
     _impl_class = _InnerCacheImpl
 
 
-@contextlib.contextmanager
-def _cache_of(function: Any) -> Iterator[None]:
-    """Cache the functions that are decorated inside in the folder of the function's module."""
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
-    try:
-        yield
-    finally:
-        numba_config.CACHE_DIR = previous
+def _decorate(function: F, cache: type[FunctionCache], **options: Any) -> F:
+    dispatcher: Any = numba.njit(**(_OPTIONS | options))(function)
+    # ``cache=True`` would set numba's cache, whose folder is an option of the process.
+    dispatcher._cache = cache(function)
+    decorated: F = dispatcher
+    return decorated
 
 
-def _compile_inner(function: F, **options: Any) -> F:
-    options |= {
-        "cache": False,
-        "pipeline_class": _InnerCompiler,
-        "no_cpython_wrapper": True,
-        "_nrt": False,
-    }
-    with _cache_of(function):
-        compiled: Any = numba.njit(**(_OPTIONS | options))(function)
-        compiled._cache = _InnerCache(function)
-    inner: F = compiled
-    return inner
+def _decorate_inner(function: F, **options: Any) -> F:
+    options |= {"pipeline_class": _InnerCompiler, "no_cpython_wrapper": True, "_nrt": False}
+    return _decorate(function, _InnerCache, **options)
 
 
 def kernel(function: F) -> F:
@@ -277,9 +272,7 @@ def kernel(function: F) -> F:
 
     It releases the GIL and may allocate memory. Loops call ``inlined`` functions.
     """
-    with _cache_of(function):
-        compiled: F = numba.njit(**_OPTIONS, pipeline_class=KernelCompiler)(function)
-    return compiled
+    return _decorate(function, _KernelCache, pipeline_class=KernelCompiler)
 
 
 def inlined(function: F) -> F:
@@ -288,12 +281,12 @@ def inlined(function: F) -> F:
     numba would count references of every array in a tuple or a call, and a solver step would take
     4 µs instead of 0.5 µs. Only compiled code may call such a function.
     """
-    return _compile_inner(function, forceinline=True)
+    return _decorate_inner(function, forceinline=True)
 
 
 def literal(function: F) -> F:
     """Decorate inlined code whose sums keep their order, so that rounding errors cancel."""
-    return _compile_inner(function, forceinline=True, fastmath={"contract"})
+    return _decorate_inner(function, forceinline=True, fastmath={"contract"})
 
 
 def outlined(function: F) -> F:
@@ -302,7 +295,7 @@ def outlined(function: F) -> F:
     The option is explicit, because a function that is compiled for an inlined one would inherit
     the force.
     """
-    return _compile_inner(function, forceinline=False)
+    return _decorate_inner(function, forceinline=False)
 
 
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:

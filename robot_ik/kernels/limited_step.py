@@ -4,7 +4,7 @@
     and for each near pair    g · d ≥ −gain (distance − margin)
 
 g is the change of the pair's distance per unit of d (Faverjon & Tournassoud 1987). A pair that is
-nearer than the margin must not come nearer; if the joints allow it, it is led out.
+nearer than the margin must not come nearer. If the joints allow it, the step moves it apart.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -31,10 +31,10 @@ from robot_ik.kernels.tree import TREE
 MOVED, AT_GOAL, BLOCKED, NOT_FINITE = range(4)
 
 # A step that leads below this share of the margin is shortened, unless it leads out.
-_HELD_SHARE = 0.9
+_KEPT_SHARE = 0.9
 # m. A pair that touches may come nearer by this in a step, through rounding.
 _ROUNDING = 1e-6
-_MOST_HALVINGS = 6
+_MAX_HALVINGS = 6
 # A step shorter than this, rad or m, moves nothing.
 _NO_STEP = 1e-7
 
@@ -140,14 +140,14 @@ def limited_step(address):
             step.pressed += 1
     copy(step.program.solution, search.step)
     copy(search.q, step.before)
-    allowed = min(_HELD_SHARE * step.margin, distance_before - _ROUNDING)
-    for halving in range(_MOST_HALVINGS):
+    allowed = min(_KEPT_SHARE * step.margin, distance_before - _ROUNDING)
+    for halving in range(_MAX_HALVINGS):
         apply_step(run.tree, run.goals, search)
         list_near(run.collision, search.q, step.detection)
         within = measure(run.tree, run.goals, search)
         # Of two flat parts the nearest points jump from edge to edge. A step must
         # bring the goal nearer or lead out of the margin, else the joints follow the jumps.
-        useful = search.cost < cost or distance_before < _HELD_SHARE * step.margin
+        useful = search.cost < cost or distance_before < _KEPT_SHARE * step.margin
         if useful and check.nearest_distance >= allowed:
             copy(search.q, search.best)
             if within and check.nearest_distance >= step.margin:

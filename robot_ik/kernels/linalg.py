@@ -16,7 +16,7 @@ from robot_ik.kernels.jit import inlined, kernel, outlined
 AT_BOUND = 1e-12
 # A slope that pulls a held joint off its bound counts beyond this share of the steepest slope.
 _SLOPE_ROUNDING = 1e-14
-# Exchanges of all wrong sides that may fail to lower their number before single exchanges follow.
+# Exchanges of all wrong sides that do not lower their number, before single exchanges follow.
 _FAILED_EXCHANGES = 3
 
 # The step d that minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside lower ≤ d ≤ upper.

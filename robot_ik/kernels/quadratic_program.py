@@ -18,7 +18,7 @@ _VIOLATION = 1e-10
 _DEPENDENT = 1e-10
 # A multiplier that changes by less than this stays.
 _NO_CHANGE = 1e-14
-_MOST_STEPS = 200
+_MAX_STEPS = 200
 
 # With u unknowns, r rows, s = u + 1 constraints that may be active.
 PROGRAM = Layout(
@@ -53,7 +53,7 @@ def solve_program(program):
         return False
     multiply(program.inverse, program.gradient, program.solution)
     program.active = 0
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         constraint, bound = most_violated(program)
         if constraint < 0:
             return True

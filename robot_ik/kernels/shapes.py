@@ -18,7 +18,7 @@ PLANE, HEIGHT_FIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, SDF = rang
 # A direction shorter than this has no azimuth.
 _ZERO_LENGTH = 1e-15
 # Meshes with more vertices than this are searched along their edges.
-_MOST_VERTICES_TO_SCAN = 24
+_MAX_SCANNED_VERTICES = 24
 
 # With g geoms, l links. A link is a set of geoms that move together.
 SHAPES = Layout(
@@ -79,7 +79,7 @@ def farthest_vertex(shapes, hint, g, direction):
     first = shapes.vertex_start[g]
     end = shapes.vertex_end[g]
     best = first
-    if end - first <= _MOST_VERTICES_TO_SCAN or shapes.edge_start[end] == shapes.edge_start[first]:
+    if end - first <= _MAX_SCANNED_VERTICES or shapes.edge_start[end] == shapes.edge_start[first]:
         height = so3.dot(direction, so3.read_vector(shapes.vertices, first, 0))
         for vertex in range(first + 1, end):
             other = so3.dot(direction, so3.read_vector(shapes.vertices, vertex, 0))

@@ -1,4 +1,4 @@
-"""Frames of a whole body in motion, each met as well as hard rows, soft rows and limits allow.
+"""Frames of a moving body: hard rows, soft rows and limits.
 
 Each frame minimises, from the end of the frame before it,
 

@@ -17,7 +17,7 @@ from robot_ik.robot import Robot
 
 Ints = NDArray[np.int64]
 
-MOST_CHECKS = 20_000
+MAX_CHECKS = 20_000
 """Postures that a proof may check: about a tenth of a second."""
 
 JUDGED_POSTURES = 64
@@ -54,7 +54,7 @@ def certify(
     """Prove that straight lines between postures keep the margin.
 
     It works for every joint: balls rotate the shortest way, and a free base moves straight and
-    rotates the shortest way. Coupled joints move as the postures say.
+    rotates the shortest way. Coupled joints move on a straight line, too.
 
     Args:
         q: Postures (n, nq).
@@ -79,7 +79,7 @@ def certify(
         "h": certificate.STACK_DEPTH,
     }
     proof = certificate.PROOF.allocate(sizes, {"collision": memory})
-    proof["most_checks"] = MOST_CHECKS
+    proof["max_checks"] = MAX_CHECKS
     jit.announce(certificate.prove_path, "proofs of motions")
     starts = np.ascontiguousarray(rows[corners[:-1]] if len(changes) else rows[:1])
     verdict = certificate.prove_path(proof.address, starts, changes, collisions.margin)

@@ -194,7 +194,7 @@ class Keyframes:
         Args:
             robot: The robot, whose limits count.
             poses: Joint vectors (nq,).
-            durations: Least seconds of each segment, one number for all or one for each.
+            durations: Smallest seconds of each segment, one number for all or one for each.
             speed: Share of the speed limits to use, above 0 and up to 1.
             velocity_limits: Speed limits (nv,) in place of those of the robot, rad/s or m/s.
             loop: Whether the motion returns to the first pose, which is added at the end if needed.
@@ -331,13 +331,13 @@ class Keyframes:
         for t in times.tolist():
             x = (t - begin) / seconds if seconds > 0.0 else float(t >= begin) * 2.0 - 1.0
             share = float(minimum_jerk(x))
-            one = self._held(t)
+            q = self._held(t)
             if share > 0.0:
-                two = other._held(t - begin)
+                next_q = other._held(t - begin)
                 if where is not None:
-                    move.move(two[where])
-                one = self.robot.integrate(one, share * self.robot.difference(one, two))
-            rows.append(self.robot.clip(one))
+                    move.move(next_q[where])
+                q = self.robot.integrate(q, share * self.robot.difference(q, next_q))
+            rows.append(self.robot.clip(q))
         return Keyframes(self.robot, times, rows)
 
     def save_csv(self, path: Path | str) -> None:
@@ -501,10 +501,9 @@ def _outside_text(robot: Robot, q: Array, joint: str) -> str:
     if kind != SLIDE:
         unit = "deg"
         values = np.degrees(values)
-    given, low, high = distinct_texts(*values.tolist(), digits=6, form="g")
-    return (
-        f"joint {joint!r} at {given} {unit} is outside its limits; allowed: {low} to {high} {unit}"
-    )
+    given, lower_text, upper_text = distinct_texts(*values.tolist(), digits=6, form="g")
+    allowed = f"allowed: {lower_text} to {upper_text} {unit}"
+    return f"joint {joint!r} at {given} {unit} is outside its limits; {allowed}"
 
 
 def _closed(robot: Robot, first: Array, last: Array) -> bool:
@@ -516,23 +515,25 @@ def _closed(robot: Robot, first: Array, last: Array) -> bool:
     return bool(np.abs(robot.difference(moved, last)).max(initial=0.0) < LIMIT_SLACK)
 
 
-def monotone_slope(one: Array, two: Array, before: Array, after: Array) -> Array:
+def monotone_slope(slope_before: Array, slope_after: Array, before: Array, after: Array) -> Array:
     """Return the slope at a key: the weighted harmonic mean of the slopes beside it.
 
     It is 0 if they differ in sign (Fritsch & Butland 1984).
 
     Args:
-        one: Slopes before the key.
-        two: Slopes after the key.
+        slope_before: Slopes before the key.
+        slope_after: Slopes after the key.
         before: Length of the gap before the key, s.
         after: Length of the gap after the key, s.
     """
-    left = 2.0 * after + before
-    right = after + 2.0 * before
+    weight_before = 2.0 * after + before
+    weight_after = after + 2.0 * before
     # Almost no speed on one side overflows; the mean is then 0.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        mean = (left + right) / (left / one + right / two)
-    return np.where(one * two > 0.0, mean, 0.0)
+        mean = (weight_before + weight_after) / (
+            weight_before / slope_before + weight_after / slope_after
+        )
+    return np.where(slope_before * slope_after > 0.0, mean, 0.0)
 
 
 def _inverse_right_jacobian(rotation_vector: Array, rate: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.collision.avoidance import CollisionAvoidance
-from robot_ik.collision.distances import MOST_NEAR_PAIRS
+from robot_ik.collision.distances import MAX_NEAR_PAIRS
 from robot_ik.geometry import Array
 from robot_ik.kernels import jit, limited_step
 from robot_ik.problem import Problem
@@ -58,7 +58,7 @@ class LimitedStep:
         self._problem = problem
         self._collisions = collisions
         goals = problem.compiled.block
-        sizes = {**problem.sizes, "r": MOST_NEAR_PAIRS, "s": problem.sizes["u"] + 1}
+        sizes = {**problem.sizes, "r": MAX_NEAR_PAIRS, "s": problem.sizes["u"] + 1}
         self._step = limited_step.STEP.allocate(sizes)
         self._step["margin"] = collisions.margin
         self._step["detection"] = collisions.margin + DETECTION

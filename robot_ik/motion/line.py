@@ -47,7 +47,7 @@ SHORTEST_LAST_STEP = 1e-3
 LARGEST_JUMP = 0.1
 """rad or m. Largest change of a joint from one point of the path to the next."""
 
-MOST_HALVINGS = 10
+MAX_HALVINGS = 10
 """A joint that moves more than ``LARGEST_JUMP`` in 2**-10 of a step jumps."""
 
 AT_LIMIT = 0.02
@@ -56,7 +56,7 @@ AT_LIMIT = 0.02
 MARGIN = 1.002
 """Each slowdown aims below the bound by this factor, so that few rounds are needed."""
 
-MOST_ROUNDS = 12
+MAX_ROUNDS = 12
 """Rounds of slowing down."""
 
 LARGEST_STRETCH = 4.0
@@ -142,13 +142,13 @@ def line_move(
         velocity_limits: Further limits (nq,), such as those of an arm file, rad/s or m/s. The lower
             limit counts.
         acceleration_limits: Further limits (nq,), rad/s² or m/s².
-        collisions: Condition that the whole motion must keep. ``trajectory.certified`` says whether
-            that is proven.
+        collisions: Condition that the whole motion must keep. ``trajectory.certified`` is
+            True if that is proven.
 
     Raises:
         MotionBlockedError: The motion would touch: when, which pair, how deep.
         TrajectoryError: A point on the line cannot be reached, or only by a jump of a joint. The
-            message says how far the line is possible and which joint is the cause.
+            message has the part of the line that is possible and the joint that is the cause.
         UnsupportedJointError: The robot has ball or free joints.
         InvalidGoalError: ``goal_pose`` is not a ``Pose``.
     """
@@ -221,7 +221,7 @@ class _Tracer:
                 knots.append(s)
                 path.append(q)
                 step = min(longest, 2.0 * step)
-            elif step > longest / 2**MOST_HALVINGS:
+            elif step > longest / 2**MAX_HALVINGS:
                 step *= 0.5
             else:
                 raise self.broken(knots[-1], path[-1], q)
@@ -273,7 +273,7 @@ def _sampled(
     """Return the trajectory at ``rate`` Hz, slowed down until every measured bound holds."""
     velocity_limits, acceleration_limits = limits
     duration = timing.duration
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         count = max(1, int(np.ceil(duration * rate * (1.0 - COUNT_ROUNDING))))
         s = timing.progress(np.linspace(0.0, timing.duration, count + 1, dtype=np.float64))
         q = _solved(tracer, timing.s, path, s)

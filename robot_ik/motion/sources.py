@@ -1,6 +1,6 @@
 """Sources of goals without a camera, for ``follow``.
 
-A source counts time from its first ``poll``, so it can be made long before the loop starts.
+A source counts time from its first ``poll``, so it can be created long before the loop starts.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 LIMIT_ROUNDING = 1e-9
 """rad or m. By rounding, a solution at a limit may be this far beyond it."""
 
-MOST_SAMPLES = 10_000_000
+MAX_SAMPLES = 10_000_000
 """Samples of a move: more than a day at 100 Hz."""
 
 COUNT_ROUNDING = 1e-12
@@ -383,8 +383,8 @@ def joint_move(
         velocity_limits: Further limits (nq,), such as those of an arm file, rad/s or m/s. The lower
             limit counts.
         acceleration_limits: Further limits (nq,), rad/s² or m/s².
-        collisions: Condition that the whole motion must keep. ``trajectory.certified`` says whether
-            that is proven.
+        collisions: Condition that the whole motion must keep. ``trajectory.certified`` is
+            True if that is proven.
 
     Raises:
         TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
@@ -408,7 +408,7 @@ def joint_move(
         still = Trajectory([0.0, 1.0 / rate], [first, last], robot.joints)
         return certified_trajectory(still, robot, collisions)
     plan = PROFILES[profile](float(velocity), float(acceleration))
-    if not plan.duration * rate <= MOST_SAMPLES:
+    if not plan.duration * rate <= MAX_SAMPLES:
         samples = plan.duration * rate
         raise TrajectoryError(
             f"the move takes {plan.duration:.3g} s, which are {samples:.3g} samples at {rate:g} Hz",

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from robot_ik.problem import Problem
 
 # Starts that are tried after a solution that touches, if the budget has no limit of restarts.
-_MOST_STARTS = 200
+_MAX_STARTS = 200
 # The share of the way to a random posture grows by this from start to start.
 _SHARE_STEP = 0.25
 # Random restarts of the method from each start.
@@ -163,7 +163,7 @@ class PreparedAvoiding:
         """Return a free solution from another start, else ``first`` as BLOCKED_BY_COLLISION."""
         rng = np.random.default_rng(problem.seed)
         max_starts = (
-            _MOST_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
+            _MAX_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
         )
         for attempt in range(max_starts):
             seconds = None

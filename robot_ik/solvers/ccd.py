@@ -46,14 +46,14 @@ class CyclicCoordinateDescent(IterativeSolver):
     """Each step is a sweep over all joints; robust, with cheap steps, slow near the solution."""
 
     first_steps: int = option(
-        400, "sweeps granted to the descent from the start", low=1, high=100_000
+        400, "sweeps granted to the descent from the start", lower=1, upper=100_000
     )
     random_steps: int = option(
-        300, "sweeps granted to a descent from a random point", low=1, high=100_000
+        300, "sweeps granted to a descent from a random point", lower=1, upper=100_000
     )
-    patience: int = option(20, "sweeps without progress that end a descent", low=1, high=1000)
+    patience: int = option(20, "sweeps without progress that end a descent", lower=1, upper=1000)
     progress: float = option(
-        0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0
+        0.02, "smallest drop of the cost that counts as progress", lower=0.0, upper=1.0
     )
     axis: str = option(
         "joint", "axis of a rotation: of the joint, or of a free bone", choices=("joint", "free")

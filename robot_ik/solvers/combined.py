@@ -37,7 +37,7 @@ class Combined(Solver):
     title: ClassVar[str] = "methods in turn, until one reaches the goal"
     source: ClassVar[str] = "Aho 2000, section 7.2.4; Wang & Chen, IEEE T-RA 1991"
     partial_goals: ClassVar[bool] = True
-    # Those of any method; ``unsupported`` asks the methods.
+    # Those of any method. ``unsupported`` checks the methods.
     capabilities: ClassVar[frozenset[str]] = frozenset(FEATURES)
 
     def __post_init__(self) -> None:

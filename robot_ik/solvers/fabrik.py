@@ -36,7 +36,7 @@ from robot_ik.solvers.options import option, options_layout
 # A chain is straight if no point is farther from its line than this share of its length.
 _STRAIGHT = 1e-6
 # How far a straight chain is bent before it reaches inwards, as a share of each bone. Any small
-# share will do, because the next passes are exact.
+# share works, because the next passes are exact.
 _BEND = 0.1
 # A goal at this share of the full length of a chain, or beyond, stretches the chain at once. The
 # passes would come nearer without end.
@@ -54,24 +54,24 @@ class Fabrik(BoneSolver):
     """Each step reaches back from the goals and forward from the root."""
 
     first_steps: int = option(
-        200, "passes granted to the descent from the start", low=1, high=100_000
+        200, "passes granted to the descent from the start", lower=1, upper=100_000
     )
     random_steps: int = option(
-        100, "passes granted to a descent from a random point", low=1, high=100_000
+        100, "passes granted to a descent from a random point", lower=1, upper=100_000
     )
-    patience: int = option(10, "passes without progress that end a descent", low=1, high=1000)
+    patience: int = option(10, "passes without progress that end a descent", lower=1, upper=1000)
     progress: float = option(
-        0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0
+        0.02, "smallest drop of the cost that counts as progress", lower=0.0, upper=1.0
     )
     pull: float = option(
         0.1,
         "weight of the goal for hinges, beside the targets of points",
-        low=0.0,
-        high=10.0,
+        lower=0.0,
+        upper=10.0,
         usual=(0.0, 1.0),
     )
     sweeps: int = option(
-        3, "sweeps over joints that share an anchor", low=1, high=100, usual=(1, 10)
+        3, "sweeps over joints that share an anchor", lower=1, upper=100, usual=(1, 10)
     )
 
     name: ClassVar[str] = "fabrik"

@@ -32,19 +32,19 @@ class JacobianTranspose(GuidedSolver):
     """Many cheap steps that never diverge; joints far from the tip move most."""
 
     first_steps: int = option(
-        600, "steps granted to the descent from the start", low=1, high=100_000
+        600, "steps granted to the descent from the start", lower=1, upper=100_000
     )
     random_steps: int = option(
-        400, "steps granted to a descent from a random point", low=1, high=100_000
+        400, "steps granted to a descent from a random point", lower=1, upper=100_000
     )
-    patience: int = option(20, "steps without progress that end a descent", low=1, high=1000)
+    patience: int = option(20, "steps without progress that end a descent", lower=1, upper=1000)
     # A little less than the best length ends the zigzag of steepest descent (Raydan & Svaiter
     # 2002).
     gain: float = option(
-        0.9, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0)
+        0.9, "share of each step that is taken", lower=1e-6, upper=2.0, usual=(0.0, 2.0)
     )
     fixed_alpha: float = option(
-        0.0, "α; 0 for the best length on the linear model", low=0.0, high=1e6, usual=(0.0, 1.0)
+        0.0, "α; 0 for the best length on the linear model", lower=0.0, upper=1e6, usual=(0.0, 1.0)
     )
 
     name: ClassVar[str] = "transpose"

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 # Smallest cosine between a step and the change of the slope for an update of the metric.
 _MIN_CURVATURE = 1e-8
-# Points tried along one direction before it is given up.
+# Largest number of points that the line search tries along one direction.
 _TRIALS = 30
 # Smallest factor by which the line search shortens a step.
 _MIN_SHORTENING = 0.1
@@ -59,32 +59,32 @@ class Minimization(IterativeSolver):
     # PUMA 560, UR5e and Panda, to 1 µm and 1 µrad. Curvatures of 0.1 to 0.99, descents of 30 to 150
     # steps and patience of 3 to 12 were tried.
     first_steps: int = option(
-        150, "steps granted to the descent from the start", low=1, high=100_000
+        150, "steps granted to the descent from the start", lower=1, upper=100_000
     )
     random_steps: int = option(
-        150, "steps granted to a descent from a random point", low=1, high=100_000
+        150, "steps granted to a descent from a random point", lower=1, upper=100_000
     )
-    patience: int = option(8, "steps without progress that end a descent", low=1, high=1000)
+    patience: int = option(8, "steps without progress that end a descent", lower=1, upper=1000)
     progress: float = option(
-        0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0
+        0.02, "smallest drop of the cost that counts as progress", lower=0.0, upper=1.0
     )
-    draws: int = option(4, "random points of which a descent takes the best", low=1, high=1000)
+    draws: int = option(4, "random points of which a descent takes the best", lower=1, upper=1000)
     max_step: float = option(
         1.0,
         "largest change of a joint in one step",
-        low=1e-4,
-        high=1e6,
+        lower=1e-4,
+        upper=1e6,
         unit="rad",
         usual=(0.0, 2.0),
     )
     decrease: float = option(
-        1e-4, "share of the promised descent that a step must bring", low=1e-9, high=0.4
+        1e-4, "share of the promised descent that a step must bring", lower=1e-9, upper=0.4
     )
     curvature: float = option(
         0.3,
         "share of the slope that may be left after a step",
-        low=0.1,
-        high=0.999,
+        lower=0.1,
+        upper=0.999,
         usual=(0.1, 0.999),
     )
 
@@ -111,7 +111,7 @@ OPTIONS = options_layout(Minimization)
 WORK = Layout(
     "BfgsWork",
     updates="int",  # of the metric since it was reset
-    scale="float",  # step along the slope that the linear model asks for
+    scale="float",  # length of a step along the slope, by the linear model
     accepted="floats nq",  # q before the step
     jacobian="table m u",
     metric="table u u",  # the inverse Hessian H

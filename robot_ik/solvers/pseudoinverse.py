@@ -56,19 +56,19 @@ class Pseudoinverse(GuidedSolver):
     cutoff: float = option(
         1e-4,
         "singular values below this share of the largest count as zero",
-        low=1e-12,
-        high=1.0,
+        lower=1e-12,
+        upper=1.0,
         usual=(0.0, 0.1),
     )
     aim: str = option("none", "what the null space is used for", choices=AIMS)
     aim_gain: float = option(
-        0.2, "share of the aim in each step", low=0.0, high=1e3, usual=(0.0, 1.0)
+        0.2, "share of the aim in each step", lower=0.0, upper=1e3, usual=(0.0, 1.0)
     )
     halvings: int = option(
         0,
         "times a step may be halved until it ends near its subgoal",
-        low=0,
-        high=60,
+        lower=0,
+        upper=60,
         usual=(0, 20),
     )
 

@@ -45,11 +45,11 @@ _MIN_SINE = 1e-9
 class Recursive(BoneSolver):
     """Each step is one attempt. It reaches the goal or changes nothing."""
 
-    first_steps: int = option(1, "attempts from the start", low=1, high=100_000)
-    random_steps: int = option(1, "attempts from a random point", low=1, high=100_000)
-    patience: int = option(1, "failed attempts that end a descent", low=1, high=1000)
+    first_steps: int = option(1, "attempts from the start", lower=1, upper=100_000)
+    random_steps: int = option(1, "attempts from a random point", lower=1, upper=100_000)
+    patience: int = option(1, "failed attempts that end a descent", lower=1, upper=1000)
     sweeps: int = option(
-        10, "sweeps over joints that share an anchor", low=1, high=100, usual=(1, 30)
+        10, "sweeps over joints that share an anchor", lower=1, upper=100, usual=(1, 30)
     )
 
     name: ClassVar[str] = "recursive"
@@ -95,10 +95,10 @@ def intersect_spheres(bones, e, b, p, radius):
 
 
 @outlined
-def drag_bone(bones, e, b, root, low, high):
+def drag_bone(bones, e, b, root, shortest, longest):
     """Write the target of ``b``: at the length of its bone from the target of ``e``.
 
-    It is on the way to where ``b`` is, but between ``low`` and ``high`` metres from the root.
+    It is on the way to where ``b`` is, but from ``shortest`` to ``longest`` metres from the root.
     """
     bone = bones.length[e]
     end = so3.read_vector(bones.target, e, 0)
@@ -112,8 +112,8 @@ def drag_bone(bones, e, b, root, low, high):
         side = so3.subtract(direction, so3.scale(along, back))
         sine = so3.norm(side)
         angle = math.atan2(sine, along)
-        smallest = triangle_angle(bone, gap, low)
-        largest = triangle_angle(bone, gap, high)
+        smallest = triangle_angle(bone, gap, shortest)
+        largest = triangle_angle(bone, gap, longest)
         allowed = min(max(angle, smallest), largest)
         if allowed != angle:
             side = so3.scale(1.0 / sine, side) if sine > _MIN_SINE else so3.perpendicular(back)

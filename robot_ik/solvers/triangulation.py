@@ -37,7 +37,7 @@ from robot_ik.solvers.options import option, options_layout
 
 # A bone shorter than this, in metres, has no direction: its ends are one point.
 _NO_BONE = 1e-9
-# The smallest sine between a bone and the line to the target that tells the side of the triangle.
+# The smallest sine between a bone and the line to the target that decides the side of the triangle.
 _MIN_SINE = 1e-9
 
 
@@ -46,25 +46,25 @@ class Triangulation(BoneSolver):
     """Each step is one pass from the root to the tip."""
 
     first_steps: int = option(
-        60, "passes granted to the descent from the start", low=1, high=100_000
+        60, "passes granted to the descent from the start", lower=1, upper=100_000
     )
     random_steps: int = option(
-        60, "passes granted to a descent from a random point", low=1, high=100_000
+        60, "passes granted to a descent from a random point", lower=1, upper=100_000
     )
-    patience: int = option(5, "passes without progress that end a descent", low=1, high=1000)
+    patience: int = option(5, "passes without progress that end a descent", lower=1, upper=1000)
     progress: float = option(
-        0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0
+        0.02, "smallest drop of the cost that counts as progress", lower=0.0, upper=1.0
     )
     improved: bool = option(True, "rotate each bone only as far as the rest needs")
     pull: float = option(
         0.1,
         "weight of the goal for hinges, beside the targets of points",
-        low=0.0,
-        high=10.0,
+        lower=0.0,
+        upper=10.0,
         usual=(0.0, 1.0),
     )
     sweeps: int = option(
-        3, "sweeps over joints that share an anchor", low=1, high=100, usual=(1, 10)
+        3, "sweeps over joints that share an anchor", lower=1, upper=100, usual=(1, 10)
     )
 
     name: ClassVar[str] = "triangulation"

@@ -14,7 +14,9 @@ from robot_ik.cli.main import main
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`bench` with two methods, of which one serves no poses, on two robots."""
     out = tmp_path_factory.mktemp("bench") / "new"
-    arguments = f"bench --solvers analytic lm triangulation --robots puma560 panda --count 12 --out {out}"
+    arguments = (
+        f"bench --solvers analytic lm triangulation --robots puma560 panda --count 12 --out {out}"
+    )
     assert main([*arguments.split(), "--sets", "cold", "warm", "unreachable"]) == 0
     return out
 

@@ -32,15 +32,17 @@ def test_wrong_input_is_one_sentence(
     out = tmp_path / "none"
     assert main(["bench", *arguments.split(), "--out", str(out)]) == 2
     reported = capsys.readouterr()
-    assert said in " ".join((reported.out + reported.err).split()) and "Traceback" not in reported.err
+    assert (
+        said in " ".join((reported.out + reported.err).split()) and "Traceback" not in reported.err
+    )
     assert not out.exists()
 
 
-def test_the_table_has_a_row_for_each_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = (
-        f"bench --solvers analytic lm --robots panda --sets cold --count 10 --no-plots --out {tmp_path}"
-    )
-    assert main(arguments.split()) == 0
+def test_the_table_has_a_row_for_each_method(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = "bench --solvers analytic lm --robots panda --sets cold --count 10 --no-plots"
+    assert main([*arguments.split(), "--out", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].strip() == "panda, cold"
     assert {"solver", "solved", "median", "p99", "steps", "restarts"} <= set(lines[1].split())
@@ -56,26 +58,40 @@ def test_kernels_and_batches(
 ) -> None:
     monkeypatch.setattr(growth, "JOINTS", (4, 8))
     monkeypatch.setattr(growth, "FIGURE_FRAMES", growth.FIGURE_FRAMES[:2])
-    arguments = (
-        "bench --solvers lm analytic --robots panda puma560 --sets kernels batch --count 2 --no-plots --out"
-    )
-    assert main([*arguments.split(), str(tmp_path)]) == 0
+    arguments = "bench --solvers lm analytic --robots panda puma560 --sets kernels batch"
+    arguments += " --count 2 --no-plots"
+    assert main([*arguments.split(), "--out", str(tmp_path)]) == 0
     reported = capsys.readouterr()
     results = Results.model_validate_json((tmp_path / "bench.json").read_bytes())
     assert not results.cells and [one.joints for one in results.lower_bounds] == [7, 6]
     points = {(point.solver, point.across, point.size): point for point in results.growth}
-    lm = {("lm", across, size) for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))}
+    lm = {
+        ("lm", across, size)
+        for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))
+    }
     assert set(points) == lm  # a closed form takes no steps
     assert all(point.step_us > 0.0 for point in points.values())
     solved = {(one.solver, one.robot, one.threads): one for one in results.batches}
-    assert {key[:2] for key in solved} == {("lm", "panda"), ("lm", "puma560"), ("analytic", "puma560")}
-    assert all(one.poses == 1000 and one.success == 1.0 and one.per_second > 0 for one in solved.values())
+    assert {key[:2] for key in solved} == {
+        ("lm", "panda"),
+        ("lm", "puma560"),
+        ("analytic", "puma560"),
+    }
+    assert all(
+        one.poses == 1000 and one.success == 1.0 and one.per_second > 0 for one in solved.values()
+    )
     assert "no batch" in reported.err and "panda" in reported.err
-    assert "solves/s" in reported.out and "µs a step, by number of goals" in " ".join(reported.out.split())
+    assert "solves/s" in reported.out and "µs a step, by number of goals" in " ".join(
+        reported.out.split()
+    )
 
 
-def test_problems_that_do_not_exist_take_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
+def test_problems_that_do_not_exist_take_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = (
+        "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
+    )
     assert main([*arguments.split(), str(tmp_path)]) == 0
     (line, *_) = capsys.readouterr().out.splitlines()
     assert line.startswith("humanoid, unreachable: nothing is out of its reach")
@@ -83,9 +99,8 @@ def test_problems_that_do_not_exist_take_one_line(tmp_path: Path, capsys: pytest
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for a child there")
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, real_time: None) -> None:
-    arguments = (
-        "bench --solvers lm ccd --robots puma560 --sets cold --count 2000 --seconds 999 --no-plots --out"
-    )
+    arguments = "bench --solvers lm ccd --robots puma560 --sets cold --count 2000 --seconds 999"
+    arguments += " --no-plots --out"
     child = subprocess.Popen(
         [sys.executable, "-m", "robot_ik", *arguments.split(), str(tmp_path)],
         stdout=subprocess.PIPE,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.figure.motion.bvh import Bvh, own_motion
+from robot_ik.figure.motion.bvh import Bvh, exported_motion
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.robot import load_robot
 
@@ -98,7 +98,7 @@ def test_a_motion_is_exported_and_imported(robot_ik: Any, tmp_path: Path) -> Non
     assert robot_ik("poses", "export", "walk", out, "--rate", "20").code == 0
     assert robot_ik("poses", "export", "walk", tmp_path / "walk.csv", "--rate", "20").code == 0
     frames = Keyframes.load_csv(tmp_path / "walk.csv", robot)
-    own = own_motion(Bvh.load(out), robot)
+    own = exported_motion(Bvh.load(out), robot)
     off = [np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, own.q, strict=True)]
     assert max(off) < 1e-10
     refused = robot_ik("poses", "export", "walk", out)

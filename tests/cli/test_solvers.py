@@ -47,7 +47,7 @@ def test_every_option_is_explained(name: str, robot_ik: Any) -> None:
         line = next(line for line in run.out.splitlines() if line.startswith(option + " "))
         assert row["help"] and row["help"] in line, option
         if isinstance(row["default"], (int, float)) and not isinstance(row["default"], bool):
-            assert row["low"] <= row["default"] <= row["high"], option
+            assert row["lower"] <= row["default"] <= row["upper"], option
 
 
 def test_unknown_method_names_the_close_one(robot_ik: Any) -> None:

@@ -97,9 +97,9 @@ def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
     arm = open_arm(wanted, "sim", virtual_bus=servos)
     with pytest.raises(ServoMismatchError) as caught:
         arm.connect()
-    assert caught.value.expected[9] == "joint2: XM430-W350" and 9 not in caught.value.found
-    assert caught.value.found[2] == "XM430-W350"  # there is one with an id nobody named
-    assert caught.value.found[4] == "XL430-W250" and caught.value.expected[4] == "joint4: XM430-W350"
+    assert caught.value.expected[9] == "joint2: XM430-W350" and 9 not in caught.value.detected
+    assert caught.value.detected[2] == "XM430-W350"  # there is one with an id nobody named
+    assert caught.value.detected[4] == "XL430-W250" and caught.value.expected[4] == "joint4: XM430-W350"
     assert "missing" in str(caught.value)
     assert arm.state is ArmState.DISCONNECTED and not arm.bus.is_open
     assert not any(servo.torque for servo in servos.servos)

@@ -16,7 +16,9 @@ NUMBER = st.integers(-600, 600).map(lambda i: i / 1000)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
 # Axes and quaternions of any length but zero: MuJoCo normalises them, and so must the tree.
 AXIS = VECTOR.filter(lambda v: sum(x * x for x in v) > 1e-4)
-QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(lambda v: sum(x * x for x in v) > 1e-4)
+QUATERNION = st.tuples(NUMBER, NUMBER, NUMBER, NUMBER).filter(
+    lambda v: sum(x * x for x in v) > 1e-4
+)
 MIXTURES = [
     [],
     ["hinge"],
@@ -52,21 +54,27 @@ class RandomModel:
 
 @st.composite
 def random_models(draw: Any) -> RandomModel:
-    """One to five bodies, each hanging on an earlier one or on the world, with a site on every body."""
+    """One to five bodies, each attached to an earlier body or the world, with a site each."""
     count = draw(st.integers(1, 5))
     parents = [draw(st.integers(-1, i - 1)) for i in range(count)]
     names: list[str] = []
     bodies: list[str] = []
     for i in range(count):
         kinds = (
-            ["free"] if parents[i] < 0 and draw(st.integers(0, 5)) == 0 else draw(st.sampled_from(MIXTURES))
+            ["free"]
+            if parents[i] < 0 and draw(st.integers(0, 5)) == 0
+            else draw(st.sampled_from(MIXTURES))
         )
         if i == count - 1 and not names and not kinds:
             kinds = ["hinge"]
         joints = ""
         for kind in kinds:
             names.append(f"j{len(names)}")
-            joints += f'<freejoint name="{names[-1]}"/>' if kind == "free" else draw(_joint(kind, names[-1]))
+            joints += (
+                f'<freejoint name="{names[-1]}"/>'
+                if kind == "free"
+                else draw(_joint(kind, names[-1]))
+            )
         pose = f'pos="{_text(draw(VECTOR))}" quat="{_text(draw(QUATERNION))}"'
         site = f'<site name="s{i}" pos="{_text(draw(VECTOR))}" quat="{_text(draw(QUATERNION))}"/>'
         bodies.append(f'<body name="b{i}" {pose}>{joints}<geom size="0.1"/>{site}%s</body>')
@@ -75,7 +83,11 @@ def random_models(draw: Any) -> RandomModel:
         bodies[i] = bodies[i] % inside
     world = "".join(bodies[i] for i in range(count) if parents[i] < 0)
     xml = f'<mujoco><compiler angle="radian"/><worldbody>{world}</worldbody></mujoco>'
-    moving = draw(st.lists(st.sampled_from(names), min_size=1, unique=True)) if draw(st.booleans()) else None
+    moving = (
+        draw(st.lists(st.sampled_from(names), min_size=1, unique=True))
+        if draw(st.booleans())
+        else None
+    )
     return RandomModel(xml, tuple(moving) if moving else None)
 
 
@@ -126,10 +138,11 @@ def dof_addresses() -> Callable[[Robot], np.ndarray]:
     """Where the robot's dq stands in MuJoCo's whole qvel."""
 
     def find(robot: Robot) -> np.ndarray:
-        model, found = robot.model, []
+        model = robot.model
+        dofs = []
         for joint in robot.joints:
             first = int(model.joint(joint).dofadr[0])
-            found += range(first, first + {0: 6, 1: 3, 2: 1, 3: 1}[int(model.joint(joint).type[0])])
-        return np.array(found)
+            dofs += range(first, first + {0: 6, 1: 3, 2: 1, 3: 1}[int(model.joint(joint).type[0])])
+        return np.array(dofs)
 
     return find

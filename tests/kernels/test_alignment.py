@@ -36,10 +36,10 @@ def correlate_axes(weight, targets, poses):
 
 
 @kernel
-def angle_about(correlation, axis, low, high):
+def angle_about(correlation, axis, lower, upper):
     """Best angle about an axis."""
     a, b = rotation_terms(correlation, axis)
-    return best_angle(a, b, low, high)
+    return best_angle(a, b, lower, upper)
 
 
 @kernel
@@ -71,18 +71,18 @@ def test_the_axes_of_a_frame_are_three_vectors():
     np.testing.assert_allclose(correlate_axes(0.7, *rows), expected, atol=1e-14)
 
 
-@pytest.mark.parametrize(("low", "high"), [(-math.pi, math.pi), (-0.4, 0.3), (2.0, 5.0)])
-def test_the_best_angle_about_an_axis_is_that_of_a_search(low, high):
+@pytest.mark.parametrize(("lower", "upper"), [(-math.pi, math.pi), (-0.4, 0.3), (2.0, 5.0)])
+def test_the_best_angle_about_an_axis_is_that_of_a_search(lower, upper):
     rng = np.random.default_rng(3)
-    angles = np.linspace(low, high, 20_001)
+    angles = np.linspace(lower, upper, 20_001)
     for _ in range(20):
         weights, targets, vectors = random_pairs(rng)
         axis = rng.normal(size=3)
         axis /= np.linalg.norm(axis)
         correlation, _ = correlate(weights, targets, vectors)
-        angle = angle_about(correlation, tuple(axis.tolist()), low, high)
+        angle = angle_about(correlation, tuple(axis.tolist()), lower, upper)
         best = max(gain(weights, targets, vectors, Rotation.from_rotvec(a * axis)) for a in angles)
-        assert low <= angle <= high
+        assert lower <= angle <= upper
         value = gain(weights, targets, vectors, Rotation.from_rotvec(angle * axis))
         assert value >= best - 1e-12
 

@@ -1,4 +1,4 @@
-"""Forward kinematics, Jacobian, integration and limits against MuJoCo's own, on random and shipped models."""
+"""Forward kinematics, Jacobian, integration and limits against MuJoCo, on random trees."""
 
 import copy
 import gc
@@ -19,7 +19,9 @@ EXACT = 1e-12
 
 
 def check_against_mujoco(robot, q, data, columns):
-    scale = max(1.0, np.abs(data.xpos).max(), np.abs(data.site_xpos).max() if robot.model.nsite else 0.0)
+    scale = max(
+        1.0, np.abs(data.xpos).max(), np.abs(data.site_xpos).max() if robot.model.nsite else 0.0
+    )
     sites = {robot.model.site(site).name for site in range(robot.model.nsite)}
     for body in range(1, robot.model.nbody):
         if robot.model.body(body).name in sites.union(robot.file.tools):
@@ -34,7 +36,8 @@ def check_against_mujoco(robot, q, data, columns):
         pose = robot.forward(q, name)
         np.testing.assert_allclose(pose.position, data.site_xpos[site], atol=EXACT * scale)
         np.testing.assert_allclose(pose.rotation.ravel(), data.site_xmat[site], atol=EXACT)
-        linear, angular = np.zeros((3, robot.model.nv)), np.zeros((3, robot.model.nv))
+        linear = np.zeros((3, robot.model.nv))
+        angular = np.zeros((3, robot.model.nv))
         mujoco.mj_jacSite(robot.model, data, linear, angular, site)
         jacobian = robot.jacobian(q, name)
         np.testing.assert_allclose(jacobian[:3], linear[:, columns], atol=EXACT * scale)
@@ -43,7 +46,9 @@ def check_against_mujoco(robot, q, data, columns):
 
 @settings(max_examples=50)
 @given(data=st.data(), seed=st.integers(0, 2**32))
-def test_random_trees_move_as_in_mujoco(any_model, load_xml, mujoco_at, dof_addresses, roam, data, seed):
+def test_random_trees_move_as_in_mujoco(
+    any_model, load_xml, mujoco_at, dof_addresses, roam, data, seed
+):
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
@@ -115,7 +120,9 @@ def test_a_zero_quaternion_turns_nothing_as_in_mujoco(load_xml, mujoco_at):
 
 
 @settings(max_examples=30)
-@given(vector=st.tuples(*[st.floats(-1e-5, 1e-5)] * 3), scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e5]))
+@given(
+    vector=st.tuples(*[st.floats(-1e-5, 1e-5)] * 3), scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e5])
+)
 def test_small_and_large_turns_integrate_as_in_mujoco(load_xml, vector, scale):
     robot = load_xml(BALL)
     step = np.array(vector) * scale
@@ -127,7 +134,8 @@ def test_small_and_large_turns_integrate_as_in_mujoco(load_xml, vector, scale):
 
 def test_a_rotated_tool_is_a_frame_like_any_other(load_xml):
     robot = load_xml(
-        """<mujoco><worldbody><body name="arm" pos="0 0 1"><joint name="turn" axis="0 0 2"/><geom size="0.1"/>
+        """<mujoco><worldbody>
+ <body name="arm" pos="0 0 1"><joint name="turn" axis="0 0 2"/><geom size="0.1"/>
         <site name="tool" pos="0.5 0 0" quat="0.70710678118654752 0 0.70710678118654752 0"/></body>
         <site name="fixed" pos="1 2 3"/></worldbody></mujoco>"""
     )
@@ -145,7 +153,11 @@ def test_copies_own_their_arrays(load_xml):
     robot = load_xml(BALL)
     q = robot.sample(np.random.default_rng(0))
     expected = robot.forward(q).matrix
-    copies = [copy.copy(robot.tree), copy.deepcopy(robot.tree), pickle.loads(pickle.dumps(robot.tree))]
+    copies = [
+        copy.copy(robot.tree),
+        copy.deepcopy(robot.tree),
+        pickle.loads(pickle.dumps(robot.tree)),
+    ]
     deep = copy.deepcopy(robot)
     assert len({tree.block.address for tree in [*copies, robot.tree, deep.tree]}) == 5
     del robot, copies

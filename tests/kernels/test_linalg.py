@@ -1,4 +1,4 @@
-"""The box-constrained step against an independent bounded least-squares solver; the rest against NumPy."""
+"""The box-constrained step against SciPy's bounded least squares; the rest against NumPy."""
 
 import numpy as np
 import pytest
@@ -26,12 +26,12 @@ def solve_by_rows(address, hits, hit_count, damping, step):
     return linalg.solve_box_by_rows(box, hits, hit_count, damping, step)
 
 
-def solve(matrix, gradient, low, high, damping=0.0):
+def solve(matrix, gradient, low_bounds, high_bounds, damping=0.0):
     n = len(gradient)
     box = BOX_PROBLEM.allocate({"m": 0, "u": n, "k": n})
     box.arrays["gradient"][:] = gradient
-    box.arrays["lower"][:] = low
-    box.arrays["upper"][:] = high
+    box.arrays["lower"][:] = low_bounds
+    box.arrays["upper"][:] = high_bounds
     step = np.zeros(n)
     pressed = solve_by_columns(box.address, np.tril(matrix), damping, step)
     return pressed, step
@@ -48,34 +48,39 @@ def problems(draw):
     factor = rng.normal(size=(n + draw(st.integers(0, 3)), n))
     matrix = factor.T @ factor + 1e-3 * np.eye(n)
     bound = draw(st.sampled_from([0.01, 0.3, 3.0, np.inf]))
-    low, high = -bound * rng.uniform(size=n), bound * rng.uniform(size=n)
+    low_bounds = -bound * rng.uniform(size=n)
+    high_bounds = bound * rng.uniform(size=n)
     for i in range(n):  # some joints stand at a bound
         if draw(st.integers(0, 3)) == 0:
-            (low if draw(st.booleans()) else high)[i] = 0.0
-    return matrix, rng.normal(size=n), low, high
+            (low_bounds if draw(st.booleans()) else high_bounds)[i] = 0.0
+    return matrix, rng.normal(size=n), low_bounds, high_bounds
 
 
-def best(matrix, gradient, low, high):
+def best(matrix, gradient, low_bounds, high_bounds):
     """The exact minimiser, by SciPy: min |R d - R^-T g|^2 with M = R^T R is the same problem."""
     upper = np.linalg.cholesky(matrix).T
     wanted = np.linalg.solve(upper.T, gradient)
     # lsq_linear wants an interior: a joint with no range at all is taken out.
-    some = high > low
-    return some, lsq_linear(upper[:, some], wanted, (low[some], high[some]), method="bvls", tol=1e-14).x
+    some = high_bounds > low_bounds
+    return some, lsq_linear(
+        upper[:, some], wanted, (low_bounds[some], high_bounds[some]), method="bvls", tol=1e-14
+    ).x
 
 
 @settings(max_examples=100)
 @given(problems())
 def test_a_step_is_feasible_and_never_uphill(problem):
-    matrix, gradient, low, high = problem
-    pressed, step = solve(matrix, gradient, low, high)
+    matrix, gradient, low_bounds, high_bounds = problem
+    pressed, step = solve(matrix, gradient, low_bounds, high_bounds)
     assert pressed >= 0
-    assert (step >= low).all() and (step <= high).all()
+    assert (step >= low_bounds).all() and (step <= high_bounds).all()
     assert value(matrix, gradient, step) <= 1e-12
     # It stands still only where no step inside the box leads down (Kuhn-Tucker).
     if not step.any():
         stuck = (
-            ((gradient <= 0) & (high >= 0) & (low == 0)) | ((gradient >= 0) & (high == 0)) | (gradient == 0)
+            ((gradient <= 0) & (high_bounds >= 0) & (low_bounds == 0))
+            | ((gradient >= 0) & (high_bounds == 0))
+            | (gradient == 0)
         )
         assert stuck.all()
 
@@ -83,26 +88,27 @@ def test_a_step_is_feasible_and_never_uphill(problem):
 @settings(max_examples=100)
 @given(problems())
 def test_a_step_is_the_minimiser_inside_the_box(problem):
-    matrix, gradient, low, high = problem
-    _, step = solve(matrix, gradient, low, high)
+    matrix, gradient, low_bounds, high_bounds = problem
+    _, step = solve(matrix, gradient, low_bounds, high_bounds)
     # Kuhn and Tucker's conditions, which for a convex problem hold at the minimum and nowhere else.
     slope = matrix @ step - gradient
     slack = 1e-9 * (1 + np.abs(matrix).max() * np.abs(step).max() + np.abs(gradient).max())
-    assert (np.abs(slope[(step > low) & (step < high)]) <= slack).all()
-    assert (slope[(step == low) & (low < high)] >= -slack).all()
-    assert (slope[(step == high) & (low < high)] <= slack).all()
+    assert (np.abs(slope[(step > low_bounds) & (step < high_bounds)]) <= slack).all()
+    assert (slope[(step == low_bounds) & (low_bounds < high_bounds)] >= -slack).all()
+    assert (slope[(step == high_bounds) & (low_bounds < high_bounds)] <= slack).all()
     # SciPy's own solution is never better; now and then it stops early, and is worse.
-    some, found = best(matrix, gradient, low, high)
+    some, free_step = best(matrix, gradient, low_bounds, high_bounds)
     other = np.zeros_like(step)
-    other[some] = found
+    other[some] = free_step
     assert value(matrix, gradient, step) <= value(matrix, gradient, other) + slack
     free = np.linalg.solve(matrix, gradient)
-    if (free > low).all() and (free < high).all():
+    if (free > low_bounds).all() and (free < high_bounds).all():
         np.testing.assert_allclose(step, free, rtol=1e-9)
 
 
 def test_joints_pressed_against_their_bounds_are_counted():
-    matrix, gradient = np.eye(3), np.array([1.0, -1.0, 1.0])
+    matrix = np.eye(3)
+    gradient = np.array([1.0, -1.0, 1.0])
     pressed, step = solve(matrix, gradient, np.array([-1.0, 0.0, -1.0]), np.array([1.0, 1.0, 0.0]))
     assert pressed == 2 and step.tolist() == [1.0, 0.0, 0.0]
 
@@ -145,9 +151,11 @@ def test_definite_systems_are_solved(n):
 @pytest.mark.parametrize("n", [1, 6, 9])
 def test_normal_equations_are_those_of_numpy(rows, n):
     rng = np.random.default_rng(rows + n)
-    jacobian, residual = rng.normal(size=(rows, n)), rng.normal(size=rows)
+    jacobian = rng.normal(size=(rows, n))
+    residual = rng.normal(size=rows)
     jacobian[:, 0] = 0.0  # a joint that moves nothing
-    normal, gradient = np.full((n, n), 7.0), np.full(n, 7.0)
+    normal = np.full((n, n), 7.0)
+    gradient = np.full(n, 7.0)
     normal_of(jacobian, residual, normal, gradient)
     np.testing.assert_allclose(np.tril(normal), np.tril(jacobian.T @ jacobian), atol=1e-13)
     np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-13)
@@ -155,30 +163,41 @@ def test_normal_equations_are_those_of_numpy(rows, n):
 
 @settings(max_examples=100)
 @given(
-    m=st.integers(1, 8), more=st.integers(0, 5), seed=st.integers(0, 2**32),
-    size=st.floats(-6, 1), damping=st.floats(-6, 0), bound=st.sampled_from([0.01, 0.3, 3.0]),
-)  # fmt: skip
+    m=st.integers(1, 8),
+    more=st.integers(0, 5),
+    seed=st.integers(0, 2**32),
+    size=st.floats(-6, 1),
+    damping=st.floats(-6, 0),
+    bound=st.sampled_from([0.01, 0.3, 3.0]),
+)
 def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, bound):
-    rng, n = np.random.default_rng(seed), m + more
-    jacobian, residual = rng.normal(size=(m, n)), rng.normal(size=m) * 10.0**size
+    rng = np.random.default_rng(seed)
+    n = m + more
+    jacobian = rng.normal(size=(m, n))
+    residual = rng.normal(size=m) * 10.0**size
     jacobian[rng.uniform(size=(m, n)) < 0.3] = 0.0
-    low, high = -bound * rng.uniform(size=n), bound * rng.uniform(size=n)
-    low[rng.uniform(size=n) < 0.2] = 0.0
-    high[rng.uniform(size=n) < 0.2] = 0.0
+    low_bounds = -bound * rng.uniform(size=n)
+    high_bounds = bound * rng.uniform(size=n)
+    low_bounds[rng.uniform(size=n) < 0.2] = 0.0
+    high_bounds[rng.uniform(size=n) < 0.2] = 0.0
     products = jacobian.T @ jacobian
-    pressed, expected = solve(products, jacobian.T @ residual, low, high, 10.0**damping)
+    pressed, expected = solve(
+        products, jacobian.T @ residual, low_bounds, high_bounds, 10.0**damping
+    )
     hits = np.ascontiguousarray(np.argsort(jacobian == 0.0, axis=0, kind="stable").T)
     hit_count = (jacobian != 0.0).sum(axis=0)
     box = BOX_PROBLEM.allocate({"m": m, "u": n, "k": n})
     box.arrays["jacobian"][:] = jacobian
     box.arrays["residual"][:] = residual
-    box.arrays["lower"][:] = low
-    box.arrays["upper"][:] = high
+    box.arrays["lower"][:] = low_bounds
+    box.arrays["upper"][:] = high_bounds
     step = np.zeros(n)
     assert solve_by_rows(box.address, hits, hit_count, 10.0**damping, step) == pressed
     gradient = box.arrays["gradient"]
     np.testing.assert_allclose(gradient, jacobian.T @ residual, atol=1e-14 + 1e-13 * 10.0**size)
-    np.testing.assert_allclose(step, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max(initial=1e-300))
+    np.testing.assert_allclose(
+        step, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max(initial=1e-300)
+    )
 
 
 @njit

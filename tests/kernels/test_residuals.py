@@ -1,4 +1,4 @@
-"""Residual rows: zero at the goal, derivative exact, error unweighted; for every kind, near 0 and near pi."""
+"""Residuals are zero at the goal, Jacobians exact, errors unweighted, for every kind of goal."""
 
 import numpy as np
 import pytest
@@ -47,16 +47,23 @@ def make_goal(data, kind, robot, there, weights):
         return OrientationGoal(frame, pose.wxyz, weight=weights[1], free_axis=free, **extra)
     if kind is PoseGoal:
         return PoseGoal(
-            frame, pose.position, pose.wxyz,
-            position_weight=weights[0], angle_weight=weights[1], free_axis=free, **extra,
-        )  # fmt: skip
+            frame,
+            pose.position,
+            pose.wxyz,
+            position_weight=weights[0],
+            angle_weight=weights[1],
+            free_axis=free,
+            **extra,
+        )
     if kind is CenterOfMassGoal:
         body = data.draw(st.sampled_from([None, robot.model.body(robot.model.nbody - 1).name]))
         com = robot.center_of_mass(there, body)
         return CenterOfMassGoal(body, com, weight=weights[0], axes=data.draw(AXES), **extra)
     if kind is PostureGoal:
         joint_weights = {robot.joints[0]: weights[1]}
-        return PostureGoal(q=there, weight=weights[0], joints=joint_weights, only=data.draw(st.booleans()))
+        return PostureGoal(
+            q=there, weight=weights[0], joints=joint_weights, only=data.draw(st.booleans())
+        )
     axis = data.draw(AXIS)
     if kind is AimGoal:
         point = pose.position + pose.rotation @ axis_vector(axis) * 0.4
@@ -88,9 +95,12 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
-    there, here = robot.sample(rng), robot.sample(rng)
+    there = robot.sample(rng)
+    here = robot.sample(rng)
     kinds = data.draw(st.lists(KIND, min_size=1, max_size=3))
-    goals = [make_goal(data, kind, robot, there, data.draw(st.tuples(WEIGHT, WEIGHT))) for kind in kinds]
+    goals = [
+        make_goal(data, kind, robot, there, data.draw(st.tuples(WEIGHT, WEIGHT))) for kind in kinds
+    ]
     problem = Problem(robot, goals)
     met = rows_at(problem, there)
     assert met.cost < 1e-20
@@ -101,13 +111,15 @@ def test_zero_at_the_goal_and_an_exact_jacobian_elsewhere(any_model, load_xml, d
     assert rows.cost == pytest.approx(0.5 * rows.residual @ rows.residual, rel=1e-12)
     for goal, row in zip(goals, rows.error, strict=True):
         metres, radians = goal.error(robot, here)  # MuJoCo's forward pass
-        asked = goal.weights
-        assert row[0] == pytest.approx(metres, abs=1e-9) or asked[0] == 0.0
-        assert row[1] == pytest.approx(radians, abs=2e-8) or asked[1] == 0.0
+        goal_weights = goal.weights
+        assert row[0] == pytest.approx(metres, abs=1e-9) or goal_weights[0] == 0.0
+        assert row[1] == pytest.approx(radians, abs=2e-8) or goal_weights[1] == 0.0
         if radians > np.pi - 1e-3:
             return  # within a step of pi the residual jumps, and differences say nothing; see below
     largest = np.abs(rows.jacobian).max(initial=0)
-    np.testing.assert_allclose(rows.jacobian, differences(problem, here), atol=2e-6 * max(1, largest))
+    np.testing.assert_allclose(
+        rows.jacobian, differences(problem, here), atol=2e-6 * max(1, largest)
+    )
 
 
 ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
@@ -117,7 +129,9 @@ ONE_BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/>
 @settings(max_examples=40)
 @given(
     axis=st.tuples(*[st.integers(-5, 5)] * 3).filter(any),
-    angle=st.sampled_from([0.0, 1e-12, 1e-8, 1e-5, 1e-3, 0.1, 2.0, 2.69, 2.7, 3.0, 3.14, np.pi - 1e-4]),
+    angle=st.sampled_from(
+        [0.0, 1e-12, 1e-8, 1e-5, 1e-3, 0.1, 2.0, 2.69, 2.7, 3.0, 3.14, np.pi - 1e-4]
+    ),
 )
 def test_rotation_rows_are_exact_from_nothing_to_half_a_turn(load_xml, axis, angle):
     robot = load_xml(ONE_BALL)

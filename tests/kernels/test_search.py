@@ -59,7 +59,7 @@ def test_starts_are_inside_the_limits_and_fill_them(load_xml):
     out = starts(robot, 12345)
     for q in out[:300]:
         np.testing.assert_allclose(robot.clip(q), q, atol=1e-12)
-    for column, low, high in [
+    for column, lower, upper in [
         (0, 0.2, 0.9),
         (1, -0.3, 0.1),
         (6, -1, 1),
@@ -67,7 +67,7 @@ def test_starts_are_inside_the_limits_and_fill_them(load_xml):
         (8, 0, 2),
         (10, 2, 4),
     ]:
-        spread = (out[:, column] - low) / (high - low)
+        spread = (out[:, column] - lower) / (upper - lower)
         assert 0.0 <= spread.min() < 0.01 and 0.99 < spread.max() <= 1.0, column
         assert abs(spread.mean() - 0.5) < 0.04 and abs(spread.std() - 12**-0.5) < 0.02, column
     cone = 2 * np.arccos(np.clip(out[:, 2], -1, 1))

@@ -17,9 +17,12 @@ from tests.residual_rows import rows_at
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="base"><joint name="rail" type="slide" axis="1 0.2 0"/><geom size="0.1"/>
  <body name="arm" pos="0 0 0.3"><joint name="shoulder" axis="0 1 0.1"/><geom size="0.1"/>
-  <body name="column" pos="0.4 0 0"><joint name="column" type="slide" axis="0 0.1 1"/><geom size="0.1"/>
-   <body name="hand" pos="0.3 0.1 0"><joint name="wrist" axis="1 0 0.3"/><joint name="roll" axis="0 0 1"/>
-    <geom size="0.1"/><site name="tool" pos="0.1 0.05 0" quat="0.7 0.2 0.7 0.1"/></body></body></body>
+  <body name="column" pos="0.4 0 0"><joint name="column" type="slide" axis="0 0.1 1"/>
+  <geom size="0.1"/>
+   <body name="hand" pos="0.3 0.1 0"><joint name="wrist" axis="1 0 0.3"/>
+   <joint name="roll" axis="0 0 1"/>
+    <geom size="0.1"/><site name="tool" pos="0.1 0.05 0" quat="0.7 0.2 0.7 0.1"/></body></body>
+    </body>
  <body name="branch" pos="0 0.2 0"><joint name="swing" axis="0 0 1"/><geom size="0.1"/>
   <site name="lamp" pos="0.2 0.3 0"/></body></body></worldbody></mujoco>"""
 BALL = """<mujoco><worldbody><body name="b"><joint name="ball" type="ball"/><geom size="0.1"/>
@@ -32,7 +35,7 @@ open_run = RUN.open
 
 @kernel
 def write_curvature(address, jacobian, out):
-    """Write ``curvature_of_goals`` at the point that was measured last; return whether it is known."""
+    """Write ``curvature_of_goals`` at the last measured point; return whether it is known."""
     run = open_run(address)
     known = has_curvature(run.tree, run.goals)
     if known:
@@ -58,7 +61,8 @@ def parts(problem, q):
 def by_differences(problem, q, scale, h=1e-4):
     dofs = problem.compiled.block.arrays["dofs"]
     n = len(dofs)
-    step, hessian = np.zeros((n, len(q))), np.zeros((n, n))
+    step = np.zeros((n, len(q)))
+    hessian = np.zeros((n, n))
     step[np.arange(n), dofs] = h * scale  # hinges and slides: q has one number for each
     for i in range(n):
         for j in range(n):
@@ -74,10 +78,12 @@ CASES = [
     [rik.PoseGoal("tool", (1, 2, 0.5), (0.5, 0.5, 0.1, 0.4), angle_weight=0.6)],
     [rik.PoseGoal("tool", (1, 2, 0.5)), rik.PoseGoal("lamp", (3, 0, 1), (1, 1, 0, 0))],
     [rik.PoseGoal("tool", (1, 2, 0.5), angle_weight=0.0)],
-]  # fmt: skip
+]
 
 
-@pytest.mark.parametrize("goals", CASES, ids=lambda goals: "+".join(goal.name.split()[0] for goal in goals))
+@pytest.mark.parametrize(
+    "goals", CASES, ids=lambda goals: "+".join(goal.name.split()[0] for goal in goals)
+)
 @pytest.mark.parametrize("stiff", [False, True])
 def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
     robot = load_xml(MIXED)
@@ -91,10 +97,16 @@ def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
         wanted = by_differences(problem, q, scale)
         _, first, second, known = parts(problem, q)
         assert known
-        np.testing.assert_allclose(first + second, wanted, atol=2e-5 * max(1.0, np.abs(wanted).max()))
+        np.testing.assert_allclose(
+            first + second, wanted, atol=2e-5 * max(1.0, np.abs(wanted).max())
+        )
 
 
 def test_balls_parts_of_goals_and_coupled_joints_go_without(load_xml):
-    assert not parts(Problem(load_xml(BALL), rik.PositionGoal("tool", (0, 0, 2))), [1.0, 0, 0, 0])[3]
+    assert not parts(Problem(load_xml(BALL), rik.PositionGoal("tool", (0, 0, 2))), [1.0, 0, 0, 0])[
+        3
+    ]
     robot = load_xml(MIXED)
-    assert not parts(Problem(robot, rik.PositionGoal("tool", (0, 0, 2), axes="xy")), np.zeros(robot.nq))[3]
+    assert not parts(
+        Problem(robot, rik.PositionGoal("tool", (0, 0, 2), axes="xy")), np.zeros(robot.nq)
+    )[3]

@@ -17,7 +17,9 @@ def svd(matrix, left, sigma, right):
 def decompose(matrix):
     m, n = matrix.shape
     p = min(m, n)
-    left, sigma, right = np.full((p, m), np.nan), np.full(p, np.nan), np.full((p, n), np.nan)
+    left = np.full((p, m), np.nan)
+    sigma = np.full(p, np.nan)
+    right = np.full((p, n), np.nan)
     before = matrix.copy()
     svd(matrix, left, sigma, right)
     assert np.array_equal(matrix, before, equal_nan=True)
@@ -26,7 +28,8 @@ def decompose(matrix):
 
 @st.composite
 def matrices(draw):
-    m, n = draw(st.integers(1, 9)), draw(st.integers(1, 12))
+    m = draw(st.integers(1, 9))
+    n = draw(st.integers(1, 12))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     matrix = rng.normal(size=(m, n))
     shape = draw(st.sampled_from(["any", "rank", "graded", "columns", "close"]))

@@ -1,4 +1,4 @@
-"""What the tests of several arms' models share: MuJoCo's answers by name, and the checks that are alike."""
+"""Checks that the tests of several arms share, and MuJoCo's answers by name."""
 
 import math
 
@@ -17,8 +17,8 @@ def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
 
 
 def site(data: mujoco.MjData, name: str) -> tuple[Array, Array]:
-    found = data.site(name)
-    return found.xpos.copy(), found.xmat.reshape(3, 3).copy()
+    site_data = data.site(name)
+    return site_data.xpos.copy(), site_data.xmat.reshape(3, 3).copy()
 
 
 def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
@@ -28,7 +28,8 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]
 
 def extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float, float]:
     """Lowest and highest point of a geom, exactly."""
-    up, size = data.geom_xmat[geom].reshape(3, 3)[2], model.geom_size[geom]
+    up = data.geom_xmat[geom].reshape(3, 3)[2]
+    size = model.geom_size[geom]
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         half = float(np.linalg.norm(up * size))
@@ -48,10 +49,11 @@ def quarter(count: int) -> tuple[int, int]:
 
 
 def solve(model: mujoco.MjModel, tool: str, position: Array, rotation: Array) -> Array | None:
-    """Plain damped least squares from `ready`: a judge that shares nothing with the library's solvers."""
+    """Damped least squares from `ready`, independent of the library's solvers."""
     data = mujoco.MjData(model)
     q: Array = model.key("ready").qpos.copy()
-    jacobian, at = np.zeros((6, model.nv)), model.site(tool).id
+    jacobian = np.zeros((6, model.nv))
+    at = model.site(tool).id
     lower, upper = model.jnt_range.T
     for _ in range(200):
         data.qpos[:] = q
@@ -64,7 +66,9 @@ def solve(model: mujoco.MjModel, tool: str, position: Array, rotation: Array) ->
             return q
         mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], at)
         square = jacobian @ jacobian.T + 1e-5 * np.eye(6)
-        q = np.clip(q + jacobian.T @ np.linalg.solve(square, np.clip(error, -0.2, 0.2)), lower, upper)
+        q = np.clip(
+            q + jacobian.T @ np.linalg.solve(square, np.clip(error, -0.2, 0.2)), lower, upper
+        )
     return None
 
 

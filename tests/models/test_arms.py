@@ -1,4 +1,4 @@
-"""What holds of every arm of six or seven axes: keyframes, motors, masses, robot.toml, markers, a reach."""
+"""Every arm with six or seven axes: keyframes, motors, masses, robot.toml, markers, a reach."""
 
 from __future__ import annotations
 
@@ -53,24 +53,48 @@ def load(name: str, file: str) -> mujoco.MjModel:
 ARMS = (
     Arm(
         # Masses: Gaz et al. 2019, the hand, and the cube.
-        "panda", "hand_tcp", 30.0, 0.05, 0.999, (87, 87, 87, 87, 12, 12, 12),
-        pytest.approx(16.062132 + 0.73 + 0.12), (0, 11.4592, 0, -171.8873, 0, 114.5916, 45.8366),
+        "panda",
+        "hand_tcp",
+        30.0,
+        0.05,
+        0.999,
+        (87, 87, 87, 87, 12, 12, 12),
+        pytest.approx(16.062132 + 0.73 + 0.12),
+        (0, 11.4592, 0, -171.8873, 0, 114.5916, 45.8366),
     ),
     Arm(
         # Torques: Armstrong, Khatib & Burdick 1986; masses: theirs, the base, and the gripper.
-        "puma560", "gripper", 15.0, 0.1, math.sin(math.radians(40)), (97.6, 186.4, 89.4, 24.2, 20.1, 21.3),
-        pytest.approx(17.4 + 4.8 + 0.82 + 0.34 + 0.09 + 13.0 + 0.6), (0, 45, 85, 0, 0, 0),
+        "puma560",
+        "gripper",
+        15.0,
+        0.1,
+        math.sin(math.radians(40)),
+        (97.6, 186.4, 89.4, 24.2, 20.1, 21.3),
+        pytest.approx(17.4 + 4.8 + 0.82 + 0.34 + 0.09 + 13.0 + 0.6),
+        (0, 45, 85, 0, 0, 0),
     ),
     Arm(
-        "srs_arm", "gripper", 30.0, 0.05, 0.8, (180, 180, 100, 100, 60, 40, 40),
-        pytest.approx(17.5, abs=2.5), (0, 110, 0, 135, 0, 0, 0),
+        "srs_arm",
+        "gripper",
+        30.0,
+        0.05,
+        0.8,
+        (180, 180, 100, 100, 60, 40, 40),
+        pytest.approx(17.5, abs=2.5),
+        (0, 110, 0, 135, 0, 0, 0),
     ),
     Arm(
         # Masses: the maker's, and the gripper.
-        "ur5e", "gripper", 50.0, 0.05, 0.999, (150, 150, 150, 28, 28, 28),
-        pytest.approx(17.7 + 0.6), (0, -90, 172, 0, 0, 0),
+        "ur5e",
+        "gripper",
+        50.0,
+        0.05,
+        0.999,
+        (150, 150, 150, 28, 28, 28),
+        pytest.approx(17.7 + 0.6),
+        (0, -90, 172, 0, 0, 0),
     ),
-)  # fmt: skip
+)
 WITH_MARKERS = [arm for arm in ARMS if arm.name != "srs_arm"]
 
 
@@ -120,7 +144,9 @@ def test_masses_and_inertias_are_those_of_rigid_bodies(arm: Arm) -> None:
 
 @named(ARMS)
 def test_robot_toml_names_what_the_model_has(arm: Arm) -> None:
-    robot, model, settings = load_robot(arm.name), arm.model, arm.settings
+    robot = load_robot(arm.name)
+    model = arm.model
+    settings = arm.settings
     assert robot.joints == tuple(model.joint(i).name for i in range(model.njnt))
     assert robot.tool == arm.tool and set(settings["tools"]) <= set(robot.frames)
     assert robot.home == pytest.approx(model.key(settings["home"]).qpos)
@@ -132,18 +158,23 @@ def test_robot_toml_names_what_the_model_has(arm: Arm) -> None:
 
 @named(WITH_MARKERS)
 def test_markers_lie_on_the_cube_with_z_outwards_and_y_along_its_z(arm: Arm) -> None:
-    model, reach = arm.model, arm.settings["reach"]["tool_marker"]
+    model = arm.model
+    reach = arm.settings["reach"]["tool_marker"]
     data = posed(model, model.key("ready").qpos)
     centre, axes = site(data, reach["site"])
     assert reach["size"] < reach["cube"]
     assert model.geom("marker_cube").size == pytest.approx([reach["cube"] / 2] * 3)
     assert centre == pytest.approx(data.geom("marker_cube").xpos)
-    for number, out in zip(reach["ids"], [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)], strict=True):
+    for number, out in zip(
+        reach["ids"], [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)], strict=True
+    ):
         position, rotation = site(data, f"marker_{number}")
         assert rotation[:, 2] == pytest.approx(axes @ out, abs=1e-14), number
         assert rotation[:, 1] == pytest.approx(-axes[:, 2], abs=1e-14), number
         assert np.linalg.det(rotation) == pytest.approx(1.0)
-        assert position == pytest.approx(centre + reach["cube"] / 2 * rotation[:, 2], abs=1e-14), number
+        assert position == pytest.approx(centre + reach["cube"] / 2 * rotation[:, 2], abs=1e-14), (
+            number
+        )
         # The PUMA's pictures are held to OpenCV's.
         printed = Path("assets") / f"marker_{number}.png"
         ours, pumas = (MODELS / name / printed for name in (arm.name, "puma560"))
@@ -152,12 +183,14 @@ def test_markers_lie_on_the_cube_with_z_outwards_and_y_along_its_z(arm: Arm) -> 
 
 @named(WITH_MARKERS)
 def test_scene_table_is_that_of_robot_toml(arm: Arm) -> None:
-    table, top = arm.settings["reach"]["table"], arm.scene.geom("table_top")
+    table = arm.settings["reach"]["table"]
+    top = arm.scene.geom("table_top")
     centre = posed(arm.scene, arm.scene.key("ready").qpos).geom("table_top").xpos
-    low, high = centre - top.size, centre + top.size
-    assert [low[0], high[0]] == pytest.approx(table["x"])
-    assert [low[1], high[1]] == pytest.approx(table["y"])
-    assert high[2] == pytest.approx(table["height"], abs=1e-12)
+    lower_corner = centre - top.size
+    upper_corner = centre + top.size
+    assert [lower_corner[0], upper_corner[0]] == pytest.approx(table["x"])
+    assert [lower_corner[1], upper_corner[1]] == pytest.approx(table["y"])
+    assert upper_corner[2] == pytest.approx(table["height"], abs=1e-12)
 
 
 PLACES = [
@@ -172,10 +205,14 @@ def test_markers_on_the_table_are_reached_without_contact(
     name: str, x: float, y: float, yaw_deg: float
 ) -> None:
     arm = next(arm for arm in ARMS if arm.name == name)
-    reach, c, s = arm.settings["reach"], math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
+    reach = arm.settings["reach"]
+    c = math.cos(math.radians(yaw_deg))
+    s = math.sin(math.radians(yaw_deg))
     rotation = np.array([[c, s, 0], [s, -c, 0], [0, 0, -1.0]])
     place = np.array([x, y, reach["table"]["height"] + reach["hover"]])
-    check_way_from_ready(arm.scene, solve(arm.scene, arm.tool, place, rotation), ELBOW[name], above=0.4)
+    check_way_from_ready(
+        arm.scene, solve(arm.scene, arm.tool, place, rotation), ELBOW[name], above=0.4
+    )
 
 
 @pytest.mark.parametrize("name", ["panda", "ur5e"])

@@ -17,13 +17,15 @@ from tests.models.arm_checks import extent
 Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[2] / "models" / "humanoid"
-STATURE, MASS = 1.75, 73.0
+STATURE = 1.75
+MASS = 73.0
 SIDES = ("left", "right")
-# Fractions of stature, Drillis & Contini 1966 as drawn by Winter; typed again here, the XML is not read.
+# Fractions of stature, Drillis & Contini 1966 as drawn by Winter. Not read from the XML.
 HEIGHT = {"ankle": 0.039, "knee": 0.285, "hip": 0.530, "shoulder": 0.818, "eye": 0.936}
 LENGTH = {"upper_arm": 0.186, "forearm": 0.146, "thigh": 0.245, "shank": 0.246}
 FOOT_LENGTH = 0.152
-# Dempster as tabled by Winter: share of the mass; centre of mass from the proximal joint; radius of gyration.
+# Dempster, in the table of Winter: share of the mass, centre of mass from the proximal joint, and
+# radius of gyration.
 LIMB = {
     "upper_arm": (0.028, 0.436, 0.322),
     "forearm": (0.016, 0.430, 0.303),
@@ -31,11 +33,12 @@ LIMB = {
     "shank": (0.0465, 0.433, 0.302),
 }
 OTHER_MASS = {"hand": 0.006}
-FOOT_MASS, FOOT_GYRATION = 0.0145, 0.475  # foot and toes
+FOOT_MASS = 0.0145
+FOOT_GYRATION = 0.475  # foot and toes
 TOES = ("left_toe_pitch", "right_toe_pitch")
 TRUNK_MASS = {"head": 0.081, "abdomen": 0.139, "pelvis": 0.142}
 THORAX = 0.216  # torso and both shoulder girdles
-# Degrees: AAOS 1965; girdle Levangie & Norkin; loaded ankle and adduction of the arm as the README says.
+# Degrees: AAOS 1965; girdle Levangie & Norkin; loaded ankle and adduction of the arm: README.
 SIDED_RANGE = {
     "clavicle_yaw": (-25, 20),
     "clavicle_roll": (-10, 45),
@@ -61,7 +64,9 @@ MIDDLE_RANGE = {
     "pelvis_pitch": (-12.5, 40),
     "pelvis_roll": (-35, 35),
 }
-RANGE = MIDDLE_RANGE | {f"{side}_{name}": span for side in SIDES for name, span in SIDED_RANGE.items()}
+RANGE = MIDDLE_RANGE | {
+    f"{side}_{name}": span for side in SIDES for name, span in SIDED_RANGE.items()
+}
 
 
 @cache
@@ -83,13 +88,15 @@ def posed(joints: dict[str, float] | None = None) -> mujoco.MjData:
 
 
 def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
-    """Two joints for each of torso, head, shoulders and pelvis; 3 + 1 + 2 for each limb; the torso floats."""
+    """Torso, head, shoulders and pelvis have two joints each, limbs 3 + 1 + 2. The torso floats."""
     parts = list(reported()["groups"].items())[:9]
     freedoms = {name: len([joint for joint in joints if joint != "root"]) for name, joints in parts}
     one_segment = ("torso", "head", "pelvis", "left_shoulder", "right_shoulder")
     limbs = ("left_arm", "right_arm", "left_leg", "right_leg")
     assert freedoms == dict.fromkeys(one_segment, 2) | dict.fromkeys(limbs, 6)
-    assert sorted(joint for _, joints in parts for joint in joints) == sorted({"root", *RANGE} - {*TOES})
+    assert sorted(joint for _, joints in parts for joint in joints) == sorted(
+        {"root", *RANGE} - {*TOES}
+    )
     model = load()
     assert model.nv == 6 + 5 * 2 + 4 * 6 + len(TOES)
     assert model.joint("root").type[0] == mujoco.mjtJoint.mjJNT_FREE
@@ -104,11 +111,16 @@ def test_nine_parts_have_the_freedoms_of_arkineman() -> None:
 def test_lengths_are_those_of_the_table() -> None:
     data = posed()
     heights = {
-        "ankle": "foot", "knee": "shank", "hip": "thigh", "shoulder": "upper_arm",
-    }  # fmt: skip
+        "ankle": "foot",
+        "knee": "shank",
+        "hip": "thigh",
+        "shoulder": "upper_arm",
+    }
     for side, sign in (("left", 1), ("right", -1)):
         for joint, body in heights.items():
-            assert data.body(f"{side}_{body}").xpos[2] == pytest.approx(HEIGHT[joint] * STATURE, abs=1e-12)
+            assert data.body(f"{side}_{body}").xpos[2] == pytest.approx(
+                HEIGHT[joint] * STATURE, abs=1e-12
+            )
         for upper, lower in zip(LENGTH, ("forearm", "hand", "shank", "foot"), strict=True):
             gap = data.body(f"{side}_{upper}").xpos - data.body(f"{side}_{lower}").xpos
             assert gap == pytest.approx([0, 0, LENGTH[upper] * STATURE], abs=1e-12), upper
@@ -118,8 +130,8 @@ def test_lengths_are_those_of_the_table() -> None:
         assert data.body(f"{side}_thigh").xpos[1] == pytest.approx(sign * 0.049 * STATURE)
     assert data.site("gaze").xpos[2] == pytest.approx(HEIGHT["eye"] * STATURE, abs=1e-12)
     spans = [extent(load(), data, geom) for geom in range(load().ngeom)]
-    assert min(low for low, _ in spans) == pytest.approx(0, abs=1e-12)
-    assert max(high for _, high in spans) == pytest.approx(STATURE, abs=1e-5)
+    assert min(bottom for bottom, _ in spans) == pytest.approx(0, abs=1e-12)
+    assert max(top for _, top in spans) == pytest.approx(STATURE, abs=1e-5)
 
 
 def test_masses_are_those_of_the_table() -> None:
@@ -127,13 +139,17 @@ def test_masses_are_those_of_the_table() -> None:
     assert model.body_mass.sum() == pytest.approx(MASS, abs=1e-9)
     for side in SIDES:
         for name, (share, centre, gyration) in LIMB.items():
-            body, length = model.body(f"{side}_{name}"), LENGTH[name] * STATURE
+            body = model.body(f"{side}_{name}")
+            length = LENGTH[name] * STATURE
             assert body.mass[0] == pytest.approx(share * MASS)
             assert body.ipos == pytest.approx([0, 0, -centre * length], abs=1e-5)
-            assert body.inertia[:2] == pytest.approx([share * MASS * (gyration * length) ** 2] * 2, rel=5e-3)
+            assert body.inertia[:2] == pytest.approx(
+                [share * MASS * (gyration * length) ** 2] * 2, rel=5e-3
+            )
         for name, share in OTHER_MASS.items():
             assert model.body(f"{side}_{name}").mass[0] == pytest.approx(share * MASS)
-        foot, toes = model.body(f"{side}_foot"), model.body(f"{side}_toes")
+        foot = model.body(f"{side}_foot")
+        toes = model.body(f"{side}_toes")
         assert foot.mass[0] + toes.mass[0] == pytest.approx(FOOT_MASS * MASS)
     for name, share in TRUNK_MASS.items():
         assert model.body(name).mass[0] == pytest.approx(share * MASS)
@@ -145,7 +161,8 @@ def test_masses_are_those_of_the_table() -> None:
 
 def test_foot_and_toes_together_are_the_foot_of_the_table() -> None:
     """Centre of mass half way along the foot, and the table's radius of gyration across it."""
-    model, data = load(), posed()
+    model = load()
+    data = posed()
     whole = FOOT_MASS * MASS
     parts = [model.body(f"left_{part}").id for part in ("foot", "toes")]
     centre = sum(model.body_mass[b] * data.xipos[b] for b in parts) / whole
@@ -188,31 +205,49 @@ def test_joint_ranges_are_those_of_the_table() -> None:
 @pytest.mark.parametrize(
     ("joint", "site", "axis", "sign"),
     [
-        ("shoulder_pitch", "hand", 0, 1), ("shoulder_roll", "hand", 1, 1), ("elbow_pitch", "hand", 0, 1),
-        ("wrist_pitch", "hand", 0, 1), ("wrist_yaw", "hand", 1, -1), ("clavicle_yaw", "hand", 0, 1),
-        ("clavicle_roll", "hand", 2, 1), ("hip_pitch", "toe", 0, 1), ("hip_roll", "toe", 1, 1),
-        ("hip_yaw", "toe", 1, -1), ("knee_pitch", "toe", 0, -1), ("ankle_pitch", "toe", 2, 1),
-        ("ankle_yaw", "toe", 1, -1), ("toe_pitch", "toe", 2, 1),
+        ("shoulder_pitch", "hand", 0, 1),
+        ("shoulder_roll", "hand", 1, 1),
+        ("elbow_pitch", "hand", 0, 1),
+        ("wrist_pitch", "hand", 0, 1),
+        ("wrist_yaw", "hand", 1, -1),
+        ("clavicle_yaw", "hand", 0, 1),
+        ("clavicle_roll", "hand", 2, 1),
+        ("hip_pitch", "toe", 0, 1),
+        ("hip_roll", "toe", 1, 1),
+        ("hip_yaw", "toe", 1, -1),
+        ("knee_pitch", "toe", 0, -1),
+        ("ankle_pitch", "toe", 2, 1),
+        ("ankle_yaw", "toe", 1, -1),
+        ("toe_pitch", "toe", 2, 1),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("side", SIDES)
-def test_positive_is_flexion_abduction_inward(side: str, joint: str, site: str, axis: int, sign: int) -> None:
+def test_positive_is_flexion_abduction_inward(
+    side: str, joint: str, site: str, axis: int, sign: int
+) -> None:
     """Which way a positive angle moves hand or toe; y counts outwards on either side."""
-    moved = posed({f"{side}_{joint}": 0.1}).site(f"{side}_{site}").xpos - posed().site(f"{side}_{site}").xpos
+    moved = (
+        posed({f"{side}_{joint}": 0.1}).site(f"{side}_{site}").xpos
+        - posed().site(f"{side}_{site}").xpos
+    )
     outwards = np.array([1, 1 if side == "left" else -1, 1])
     assert (moved * outwards)[axis] * sign > 1e-3
 
 
 def test_bending_and_nodding_forward_are_positive() -> None:
     model = load()
-    for joint in ("torso_pitch", "pelvis_pitch"):  # the torso is the root: bending brings the feet forward
+    for joint in (
+        "torso_pitch",
+        "pelvis_pitch",
+    ):  # the torso is the root: bending brings the feet forward
         assert posed({joint: 0.1}).site("left_toe").xpos[0] > posed().site("left_toe").xpos[0]
     assert posed({"head_pitch": 0.1}).site("gaze").xpos[2] < posed().site("gaze").xpos[2]
     assert model.joint("head_pitch").range[1] > 0
 
 
 def test_frames_are_where_they_are_said_to_be() -> None:
-    data, robot = posed(), rik.load_robot("humanoid")
+    data = posed()
+    robot = rik.load_robot("humanoid")
     home = mujoco.MjData(load())
     mujoco.mj_resetDataKeyframe(load(), home, load().key("home").id)
     mujoco.mj_forward(load(), home)
@@ -227,7 +262,8 @@ def test_frames_are_where_they_are_said_to_be() -> None:
     for side in SIDES:
         foot = data.site(f"{side}_foot").xpos
         assert foot == pytest.approx(data.body(f"{side}_foot").xpos * [1, 1, 0], abs=1e-12)
-        hand, palm = data.site(f"{side}_hand").xpos, data.geom(f"{side}_palm").xpos
+        hand = data.site(f"{side}_hand").xpos
+        palm = data.geom(f"{side}_palm").xpos
         assert np.linalg.norm(hand - palm) < 0.04
         assert data.site(f"{side}_heel").xpos[0] < foot[0] < data.site(f"{side}_toe").xpos[0]
     for name in reported()["tools"]:
@@ -238,7 +274,8 @@ def test_frames_are_where_they_are_said_to_be() -> None:
 
 
 def test_shapes_are_mirrored_and_touch_where_bodies_would() -> None:
-    model, data = load(), posed()
+    model = load()
+    data = posed()
     for k in range(model.ngeom):
         name = model.geom(k).name
         if name.startswith("left_"):
@@ -252,10 +289,21 @@ def test_shapes_are_mirrored_and_touch_where_bodies_would() -> None:
 
 
 def test_readme_and_robot_toml_name_what_there_is() -> None:
-    model, text = load(), (FOLDER / "README.md").read_text()
+    model = load()
+    text = (FOLDER / "README.md").read_text()
     names = {model.joint(j).name for j in range(model.njnt)}
     assert all(joint in names for joints in reported()["groups"].values() for joint in joints)
     assert all(model.site(tool["site"]).id >= 0 for tool in reported()["tools"].values())
     assert reported()["home"] == "home" and reported()["provenance"]["sources"]
-    for source in ("Pađen", "Drillis", "Winter", "Dempster", "AAOS", "Boone", "Inman", "Levangie", "Bell"):
+    for source in (
+        "Pađen",
+        "Drillis",
+        "Winter",
+        "Dempster",
+        "AAOS",
+        "Boone",
+        "Inman",
+        "Levangie",
+        "Bell",
+    ):
         assert source in text, source

@@ -17,7 +17,8 @@ FOLDER = Path(__file__).parents[2] / "models" / "humanoid"
 SIDES = ("left", "right")
 FEET = tuple(f"{side}_{part}" for side in SIDES for part in ("foot", "heel", "toe"))
 KEYS = ("home", "t_pose", "squat")
-SHOULDER, HIP = 0.818 * 1.75, 0.530 * 1.75  # heights, m
+SHOULDER = 0.818 * 1.75
+HIP = 0.530 * 1.75  # heights, m
 TURNS_OVER = ("head_yaw", "torso_yaw", "pelvis_roll")  # change sign in the mirror
 
 
@@ -43,16 +44,20 @@ def posed(joints: dict[str, float] | None = None, key: str | None = None) -> muj
 
 @pytest.mark.parametrize("key", KEYS)
 def test_keyframes_stand_flat_balanced_free_and_inside_limits(key: str) -> None:
-    model, data = load(), posed(key=key)
+    model = load()
+    data = posed(key=key)
     for name in FEET:
         assert abs(data.site(name).xpos[2]) < 1e-9
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-9)
-    assert min(extent(model, data, geom)[0] for geom in range(model.ngeom)) == pytest.approx(0, abs=1e-9)
+    assert min(extent(model, data, geom)[0] for geom in range(model.ngeom)) == pytest.approx(
+        0, abs=1e-9
+    )
     assert data.ncon == 0
-    heel, toe = data.site("left_heel").xpos[0], data.site("left_toe").xpos[0]
+    heel = data.site("left_heel").xpos[0]
+    toe = data.site("left_toe").xpos[0]
     assert heel + 0.04 < data.subtree_com[0][0] < toe - 0.08
-    low, high = model.jnt_range[1:].T
-    assert np.all(data.qpos[7:] >= low) and np.all(data.qpos[7:] <= high)
+    lower, upper = model.jnt_range[1:].T
+    assert np.all(data.qpos[7:] >= lower) and np.all(data.qpos[7:] <= upper)
     assert model.key(key).ctrl == pytest.approx(data.qpos[7:], abs=1e-12)
     assert np.linalg.norm(data.qpos[3:7]) == pytest.approx(1, abs=1e-15)
 
@@ -86,9 +91,11 @@ def across(name: str) -> str:
 @settings(max_examples=40)
 @given(pose=poses(), roll=st.floats(-0.5, 0.5), yaw=st.floats(-3, 3))
 def test_mirrored_pose_has_mirrored_frames(pose: dict[str, float], roll: float, yaw: float) -> None:
-    model, flip = load(), np.array([1.0, -1.0, 1.0])
+    model = load()
+    flip = np.array([1.0, -1.0, 1.0])
     turned = {across(n): -v if n in TURNS_OVER else v for n, v in pose.items()}
-    data, image = posed(pose), posed(turned)
+    data = posed(pose)
+    image = posed(turned)
     root = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
     lean = np.array([math.cos(roll / 2), math.sin(roll / 2), 0.0, 0.0])
     mujoco.mju_mulQuat(root, root.copy(), lean)
@@ -96,20 +103,27 @@ def test_mirrored_pose_has_mirrored_frames(pose: dict[str, float], roll: float, 
         scene.qpos[:7] = [0.3, side * 0.2, 1.1, *(root * [1, side, 1, side])]
         mujoco.mj_kinematics(model, scene)
     for k in range(model.nsite):
-        here, there = data.site(k), image.site(across(data.site(k).name))
+        here = data.site(k)
+        there = image.site(across(data.site(k).name))
         assert np.abs(there.xpos - flip * here.xpos).max() < 1e-12
-        assert np.abs(there.xmat.reshape(3, 3) - np.outer(flip, flip) * here.xmat.reshape(3, 3)).max() < 1e-12
+        assert (
+            np.abs(there.xmat.reshape(3, 3) - np.outer(flip, flip) * here.xmat.reshape(3, 3)).max()
+            < 1e-12
+        )
     for k in range(1, model.nbody):
-        here, there = data.body(k), image.body(across(data.body(k).name))
+        here = data.body(k)
+        there = image.body(across(data.body(k).name))
         assert np.abs(there.xipos - flip * here.xipos).max() < 1e-12
 
 
 @pytest.mark.parametrize(("key", "floor"), [("home", 0.02), ("squat", 0.01), ("t_pose", 0.0)])
 def test_limbs_have_six_freedoms_where_the_readme_says(key: str, floor: float) -> None:
-    """At home and squatting all six; at t_pose stretched knees and the shoulders' singularity take some."""
+    """Rank 6 at home and squatting; at t_pose knees and shoulders are singular."""
     for limb, frame in (("left_leg", "left_foot"), ("left_arm", "left_hand")):
         part = rik.load_robot("humanoid", joints=limb)
-        q = np.array([load().key(key).qpos[load().joint(joint).qposadr[0]] for joint in part.joints])
+        q = np.array(
+            [load().key(key).qpos[load().joint(joint).qposadr[0]] for joint in part.joints]
+        )
         least = np.linalg.svd(part.jacobian(q, frame), compute_uv=False)[5]
         assert least > floor if floor else least < 1e-9, limb
 
@@ -118,7 +132,8 @@ def pinned(*frames: str) -> list[rik.PoseGoal]:
     robot = figure()
     places = [robot.forward(robot.home, frame) for frame in frames]
     return [
-        rik.PoseGoal(frame, place.position, place.wxyz) for frame, place in zip(frames, places, strict=True)
+        rik.PoseGoal(frame, place.position, place.wxyz)
+        for frame, place in zip(frames, places, strict=True)
     ]
 
 
@@ -133,7 +148,8 @@ def pinned(*frames: str) -> list[rik.PoseGoal]:
     ],
 )
 def test_hands_reach_while_the_feet_stay(hands: dict[str, tuple[float, float, float]]) -> None:
-    robot, feet = figure(), pinned("left_foot", "right_foot")
+    robot = figure()
+    feet = pinned("left_foot", "right_foot")
     goals = [*feet, *(rik.PositionGoal(frame, place) for frame, place in hands.items())]
     solution = rik.solve(robot, goals, solver="lm")
     assert solution.converged and robot.outside(solution.q) == []
@@ -141,12 +157,15 @@ def test_hands_reach_while_the_feet_stay(hands: dict[str, tuple[float, float, fl
         pose = robot.measure(solution.q, goal.frame)
         assert np.linalg.norm(pose.position - goal.target.position) < 1e-4
     for goal in feet:
-        assert abs(robot.measure(solution.q, goal.frame).wxyz @ goal.target.wxyz) > math.cos(1e-3 / 2)
+        assert abs(robot.measure(solution.q, goal.frame).wxyz @ goal.target.wxyz) > math.cos(
+            1e-3 / 2
+        )
 
 
 def test_the_feet_hold_a_wide_stance() -> None:
     """Two ankle joints, one of them oblique, still set the sole flat wherever the leg stands."""
-    robot, wide = figure(), []
+    robot = figure()
+    wide = []
     for side, sign in (("left", 1), ("right", -1)):
         wide.append(rik.PoseGoal(f"{side}_foot", (0, sign * 0.28, 0), (1, 0, 0, 0)))
     solution = rik.solve(robot, [*wide, rik.PositionGoal("pelvis", (-0.1, 0, 0.82))], solver="lm")

@@ -1,4 +1,4 @@
-"""Arms that people own: the tables of their READMEs, the maker's numbers, five joints, and their scenes."""
+"""Arms that people own: tables of their READMEs, the maker's numbers, five joints, scenes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,11 @@ class OwnedArm:
     """
 
     name: str
-    base: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    base: tuple[tuple[float, float, float], ...] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
 
     @property
     def folder(self) -> Path:
@@ -71,19 +75,22 @@ class OwnedArm:
 
     @cached_property
     def chain(self) -> list[tuple[str, Array, Array, tuple[float, float] | None]]:
-        """Joint (or fixed frame), axis in the base's frame, origin in its parent, range in degrees."""
+        """Joint or fixed frame, axis in the base, origin in its parent, range in degrees."""
         found = []
         for name, axis, origin, span in self.rows("| joint | axis"):
             sign = -1.0 if axis.startswith("-") else 1.0
             ends = [float(part) for part in span.split("…")] if "…" in span else None
-            direction = sign * np.array(AXES[axis.lstrip("-")]) if axis.lstrip("-") in AXES else np.zeros(3)
+            direction = (
+                sign * np.array(AXES[axis.lstrip("-")]) if axis.lstrip("-") in AXES else np.zeros(3)
+            )
             place = np.array([float(part) for part in origin.split(",")])
             found.append((name, direction, place, None if ends is None else (ends[0], ends[1])))
         return found
 
     def tool(self, q: Array) -> tuple[Array, Array]:
-        """Position and rotation of the last frame of the README's table: all frames are parallel at q = 0."""
-        rotation, position = np.array(self.base), np.zeros(3)
+        """Pose of the last frame of the README's table. At q = 0 all frames are parallel."""
+        rotation = np.array(self.base)
+        position = np.zeros(3)
         joints = iter(q)
         for _, axis, place, ends in self.chain:
             position = position + rotation @ place
@@ -113,9 +120,15 @@ ARMS = {
     "omx_f": OwnedArm("omx_f"),
     "koch_v11": OwnedArm("koch_v11", ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))),
 }
-SIX, FIVE = ("vx300s", "wx250s"), ("koch_v11", "omx_f")
-# Where the table of the README ends: the maker's frame, x along the approach; a Koch has none of its own.
-FRAMES = {"wx250s": "ee_gripper", "vx300s": "ee_gripper", "omx_f": "end_effector", "koch_v11": "gripper"}
+SIX = ("vx300s", "wx250s")
+FIVE = ("koch_v11", "omx_f")
+# The last frame of the README's table: the maker's, with x along the approach. A Koch has none.
+FRAMES = {
+    "wx250s": "ee_gripper",
+    "vx300s": "ee_gripper",
+    "omx_f": "end_effector",
+    "koch_v11": "gripper",
+}
 
 
 @pytest.fixture(params=sorted(ARMS))
@@ -123,7 +136,7 @@ def arm(request: pytest.FixtureRequest) -> OwnedArm:
     return ARMS[request.param]
 
 
-# ------------------------------------------------------------------------------ the maker's numbers
+# The maker's numbers
 
 
 def test_the_tool_is_where_the_readmes_table_puts_it(arm: OwnedArm) -> None:
@@ -153,14 +166,22 @@ def test_the_makers_frame_at_zero(name: str, place: tuple[float, float, float]) 
 # Screw axes in the base's frame: (axis, -axis x point), from the handbook's Slist of each arm.
 SCREWS = {
     "wx250s": [
-        (0, 0, 1, 0, 0, 0), (0, 1, 0, -0.11065, 0, 0), (0, 1, 0, -0.36065, 0, 0.04975),
-        (1, 0, 0, 0, 0.36065, 0), (0, 1, 0, -0.36065, 0, 0.29975), (1, 0, 0, 0, 0.36065, 0),
+        (0, 0, 1, 0, 0, 0),
+        (0, 1, 0, -0.11065, 0, 0),
+        (0, 1, 0, -0.36065, 0, 0.04975),
+        (1, 0, 0, 0, 0.36065, 0),
+        (0, 1, 0, -0.36065, 0, 0.29975),
+        (1, 0, 0, 0, 0.36065, 0),
     ],
     "vx300s": [
-        (0, 0, 1, 0, 0, 0), (0, 1, 0, -0.12705, 0, 0), (0, 1, 0, -0.42705, 0, 0.05955),
-        (1, 0, 0, 0, 0.42705, 0), (0, 1, 0, -0.42705, 0, 0.35955), (1, 0, 0, 0, 0.42705, 0),
+        (0, 0, 1, 0, 0, 0),
+        (0, 1, 0, -0.12705, 0, 0),
+        (0, 1, 0, -0.42705, 0, 0.05955),
+        (1, 0, 0, 0, 0.42705, 0),
+        (0, 1, 0, -0.42705, 0, 0.35955),
+        (1, 0, 0, 0, 0.42705, 0),
     ],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", SIX)
@@ -168,7 +189,8 @@ def test_the_screw_axes_are_the_handbooks(name: str) -> None:
     model = ARMS[name].model
     data = ARMS[name].posed(np.zeros(6))
     for joint, screw in zip(ARMS[name].robot.joints, SCREWS[name], strict=True):
-        axis, point = data.joint(joint).xaxis, data.joint(joint).xanchor
+        axis = data.joint(joint).xaxis
+        point = data.joint(joint).xanchor
         np.testing.assert_allclose([*axis, *-np.cross(axis, point)], screw, atol=1e-12)
     assert model.nkey == 2
 
@@ -177,7 +199,11 @@ def test_the_tool_looks_along_the_approach_and_the_fingers_open_along_y(arm: Own
     pose = arm.robot.measure(np.zeros(arm.robot.nq))
     np.testing.assert_allclose(pose.rotation[:, 2], [1.0, 0.0, 0.0], atol=1e-12)  # forward at q = 0
     fingers = rik.load_robot(arm.name, joints="gripper")
-    names = [n for n in ("left_finger_link", "finger_link1", "gripper_moving_finger") if n in fingers.frames]
+    names = [
+        n
+        for n in ("left_finger_link", "finger_link1", "gripper_moving_finger")
+        if n in fingers.frames
+    ]
     data, wide = (arm.posed(np.zeros(arm.robot.nq)) for _ in range(2))
     joint = arm.config.group("gripper")[0]
     low, high = sorted(joint.limits, key=lambda end: abs(end - joint.value(2048)))
@@ -185,14 +211,17 @@ def test_the_tool_looks_along_the_approach_and_the_fingers_open_along_y(arm: Own
         d.joint(joint.name).qpos[:] = q
         mujoco.mj_forward(arm.model, d)
     tip = np.array([0.05 if arm.name != "koch_v11" else -0.05, 0.0, 0.0])
-    opened = [d.body(names[0]).xpos + d.body(names[0]).xmat.reshape(3, 3) @ tip for d in (data, wide)]
+    opened = [
+        d.body(names[0]).xpos + d.body(names[0]).xmat.reshape(3, 3) @ tip for d in (data, wide)
+    ]
     way = pose.rotation.T @ (opened[1] - opened[0])
     assert abs(way[1]) > 0.01 and abs(way[1]) > 0.5 * abs(way[2])
 
 
 def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     table = {name: ends for name, _, _, ends in arm.chain if ends is not None}
-    robot, config = arm.robot, arm.config.chain
+    robot = arm.robot
+    config = arm.config.chain
     assert tuple(table) == robot.joints == config.names
     spans = np.radians(list(table.values()))
     np.testing.assert_allclose(np.stack([robot.lower, robot.upper], axis=1), spans, atol=2e-6)
@@ -204,7 +233,9 @@ def test_limits_servos_and_speeds_agree(arm: OwnedArm) -> None:
     for joint in config.joints:
         servos = len(joint.servos)
         motor = joint.servo.table.motor
-        assert arm.model.actuator(joint.name).forcerange[1] == pytest.approx(servos * motor.stall_torque)
+        assert arm.model.actuator(joint.name).forcerange[1] == pytest.approx(
+            servos * motor.stall_torque
+        )
         assert joint.velocity <= 0.5 * motor.no_load_speed, joint.name
 
 
@@ -219,7 +250,9 @@ def test_the_servos_of_the_readme_are_those_of_the_arm_file(arm: OwnedArm) -> No
 
 @pytest.mark.parametrize("name", SIX)
 def test_drive_modes_of_the_readme_are_those_of_the_arm_file(name: str) -> None:
-    for joint, row in zip(ARMS[name].config.joints, ARMS[name].rows("| joint | id | servo |"), strict=True):
+    for joint, row in zip(
+        ARMS[name].config.joints, ARMS[name].rows("| joint | id | servo |"), strict=True
+    ):
         bits = [bool(int(number)) for number in re.findall(r"\d+", row[3])]
         assert bits == [servo.reverse for servo in joint.servos]
 
@@ -233,7 +266,7 @@ def test_masses_are_those_of_the_readme_and_inertias_those_of_bodies(arm: OwnedA
     assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) > 1.998 * inertia.max(axis=1))
 
 
-# ------------------------------------------------------------------------------------------ the model
+# The model
 
 
 def test_every_keyframe_is_inside_the_limits_and_touches_nothing(arm: OwnedArm) -> None:
@@ -247,8 +280,9 @@ def test_every_keyframe_is_inside_the_limits_and_touches_nothing(arm: OwnedArm) 
 
 
 def test_an_arm_folded_into_itself_is_a_contact(arm: OwnedArm) -> None:
-    """Some of all poses are contacts, and most are none: neither everything nor nothing is excluded."""
-    rng, hits = np.random.default_rng(0), 0
+    """Some random poses touch and most do not, so the exclusions are right in number."""
+    rng = np.random.default_rng(0)
+    hits = 0
     for _ in range(300):
         hits += bool(touching(arm.model, arm.posed(arm.robot.sample(rng))))
     assert 5 <= hits <= 120
@@ -270,7 +304,7 @@ def test_the_second_finger_follows_the_first_the_other_way_round(name: str) -> N
     np.testing.assert_allclose(fingers.apply_couplings([wanted, 0.0]), [wanted, -wanted])
 
 
-# --------------------------------------------------------------------------------- six joints, and five
+# Six joints, and five
 
 
 @pytest.mark.parametrize("name", SIX)
@@ -286,14 +320,17 @@ def test_six_joints_have_all_branches_in_closed_form(name: str) -> None:
 
 @pytest.mark.parametrize("name", FIVE)
 def test_five_joints_solve_a_place_with_one_axis_and_not_every_pose(name: str) -> None:
-    robot, rng = ARMS[name].robot, np.random.default_rng(2)
+    robot = ARMS[name].robot
+    rng = np.random.default_rng(2)
     for k in range(30):
         pose = robot.forward(robot.sample(rng))
         goal = rik.PoseGoal(None, pose.position, pose.wxyz, free_axis="z")
         found = rik.solve(robot, goal, seed=k)
         assert found.converged and found.error.position < 1e-4 and found.error.angle < 1e-3
     # Leaning out of the upright plane of the arm: no place in reach has that.
-    side = rik.PoseGoal(None, robot.forward(robot.home).position, (0.5, -0.5, 0.5, 0.5), free_axis="z")
+    side = rik.PoseGoal(
+        None, robot.forward(robot.home).position, (0.5, -0.5, 0.5, 0.5), free_axis="z"
+    )
     assert not rik.solve(robot, side).converged
 
 
@@ -303,7 +340,7 @@ def test_what_the_readme_of_a_five_joint_arm_shows_runs(name: str) -> None:
     exec(compile(code, f"{name}/README.md", "exec"), {})
 
 
-# ------------------------------------------------------------------------------------------- the scene
+# The scene
 
 PLACES = {
     "wx250s": [None, (0.22, 0.06, 0.0, 160.0)],
@@ -321,7 +358,9 @@ PLACES = {
         for place in PLACES[name]
     ],
 )
-def test_reach_on_simulated_servos_without_a_contact(name: str, place: tuple[float, ...] | None) -> None:
+def test_reach_on_simulated_servos_without_a_contact(
+    name: str, place: tuple[float, ...] | None
+) -> None:
     arm = ARMS[name]
     report = run_reach(ReachRequest(robot=name, bus="sim", rehearsal=Rehearsal(marker_at=place)))  # type: ignore[arg-type]
     assert report.reached, report.problem or report.verdict
@@ -340,7 +379,8 @@ def test_the_scenes_table_is_that_of_robot_toml(arm: OwnedArm) -> None:
     assert scene is not None and scene.table is not None
     data = arm.posed(arm.robot.home, arm.scene)
     top = arm.scene.geom("table_top")
-    low, high = data.geom("table_top").xpos - top.size, data.geom("table_top").xpos + top.size
+    low = data.geom("table_top").xpos - top.size
+    high = data.geom("table_top").xpos + top.size
     assert [low[0], high[0], low[1], high[1], high[2]] == pytest.approx(
         [*scene.table.x, *scene.table.y, scene.table.height], abs=1e-12
     )

@@ -32,14 +32,26 @@ DH = (
 FLANGE = 0.107
 # Gaz et al. 2019, in DH frame i: mass, centre of mass, inertia about it (xx, yy, zz, xy, xz, yz).
 LINKS = (
-    (4.970684, (0.003875, 0.002081, -0.04762), (0.70337, 0.70661, 0.009117, -0.000139, 0.006772, 0.019169)),
-    (0.646926, (-0.003141, -0.02872, 0.003495), (0.007962, 0.02811, 0.025995, -0.003925, 0.010254, 0.000704)),
+    (
+        4.970684,
+        (0.003875, 0.002081, -0.04762),
+        (0.70337, 0.70661, 0.009117, -0.000139, 0.006772, 0.019169),
+    ),
+    (
+        0.646926,
+        (-0.003141, -0.02872, 0.003495),
+        (0.007962, 0.02811, 0.025995, -0.003925, 0.010254, 0.000704),
+    ),
     (
         3.228604,
         (0.027518, 0.039252, -0.066502),
         (0.037242, 0.036155, 0.01083, -0.004761, -0.011396, -0.012805),
     ),
-    (3.587895, (-0.05317, 0.104419, 0.027454), (0.025853, 0.019552, 0.028323, 0.007796, -0.001332, 0.008641)),
+    (
+        3.587895,
+        (-0.05317, 0.104419, 0.027454),
+        (0.025853, 0.019552, 0.028323, 0.007796, -0.001332, 0.008641),
+    ),
     (
         1.225946,
         (-0.011953, 0.041065, -0.038437),
@@ -65,12 +77,19 @@ def load(name: str) -> mujoco.MjModel:
 
 def dh_frames(q: Array) -> list[Array]:
     """DH frames 1 to 7, (4, 4) each, as Rx(alpha) Tx(a) Tz(d) Rz(q) products."""
-    pose, frames = np.eye(4), []
+    pose = np.eye(4)
+    frames = []
     for angle, (a, turns, d) in zip(q, DH, strict=True):
-        c, s = math.cos(angle), math.sin(angle)
+        c = math.cos(angle)
+        s = math.sin(angle)
         ca, sa = quarter(turns)
         pose = pose @ np.array(
-            [[c, -s, 0, a], [s * ca, c * ca, -sa, -sa * d], [s * sa, c * sa, ca, ca * d], [0, 0, 0, 1.0]]
+            [
+                [c, -s, 0, a],
+                [s * ca, c * ca, -sa, -sa * d],
+                [s * sa, c * sa, ca, ca * d],
+                [0, 0, 0, 1.0],
+            ]
         )
         frames.append(pose)
     return frames
@@ -93,7 +112,8 @@ def test_masses_are_the_identified_ones(q: Array) -> None:
     data = posed(model, q)
     for link, (frame, (mass, centre, moments)) in enumerate(zip(dh_frames(q), LINKS, strict=True)):
         xx, yy, zz, xy, xz, yz = moments
-        body, turn = model.jnt_bodyid[link], frame[:3, :3]
+        body = model.jnt_bodyid[link]
+        turn = frame[:3, :3]
         assert model.body_mass[body] == mass
         assert np.abs(data.xipos[body] - (turn @ centre + frame[:3, 3])).max() < 1e-12, link
         axes = data.ximat[body].reshape(3, 3)

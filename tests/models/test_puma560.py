@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[2] / "models" / "puma560"
 JOINTS = tuple(f"joint{i}" for i in range(1, 7))
-LIMIT_DEG = np.array([160.0, 110.0, 135.0, 266.0, 100.0, 266.0])  # Robotics Toolbox, as in the benchmark
+LIMIT_DEG = np.array(
+    [160.0, 110.0, 135.0, 266.0, 100.0, 266.0]
+)  # Robotics Toolbox, as in the benchmark
 # a, alpha / 90 deg, d of the Toolbox's standard DH table; typed again here, the XML is not read.
 DH = (
     (0.0, 1, 26.45 * 0.0254),
@@ -36,10 +38,16 @@ def dh_flange(q: Array) -> Array:
     """DH frame 6 seen from the floor, (4, 4), as Rz(q) Tz(d) Tx(a) Rx(alpha) products."""
     pose = np.eye(4)
     for angle, (a, quarter, d) in zip(q, DH, strict=True):
-        c, s = math.cos(angle), math.sin(angle)
+        c = math.cos(angle)
+        s = math.sin(angle)
         ca, sa = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter % 4]
         pose = pose @ np.array(
-            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1.0]]
+            [
+                [c, -s * ca, s * sa, a * c],
+                [s, c * ca, -c * sa, a * s],
+                [0, sa, ca, d],
+                [0, 0, 0, 1.0],
+            ]
         )
     return pose
 
@@ -115,12 +123,14 @@ def test_gripper_frames_are_rigid_to_the_flange(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("number", [20, 21, 22, 23])
 def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int) -> None:
-    """Content and turn of the pictures; that MuJoCo lays them on the sites was checked with its renderer."""
+    """Content and rotation of the pictures. Their place was checked with MuJoCo's renderer."""
     turns = {20: 3, 21: 0, 22: 1, 23: 2}
     image = cv2.imread(str(FOLDER / "assets" / f"marker_{number}.png"), cv2.IMREAD_GRAYSCALE)
     assert image is not None
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
-    printed = np.pad(cv2.aruco.generateImageMarker(dictionary, number, 126), 21, constant_values=255)
+    printed = np.pad(
+        cv2.aruco.generateImageMarker(dictionary, number, 126), 21, constant_values=255
+    )
     assert np.array_equal(image, np.rot90(printed, turns[number]))
 
 
@@ -139,8 +149,14 @@ def test_arm_toml_names_every_joint_and_covers_the_model(model: mujoco.MjModel) 
         ticks = [servo_ticks(row, row[k]) for k in ("lower_deg", "upper_deg")]
         if row["mode"] == "position":
             assert row["ratio"] == 1.0 and min(ticks) >= 0 and max(ticks) <= 4095
-        for key in ("home", "ready"):  # whole turns are forgotten at power-off: start inside the first
-            assert 256 < servo_ticks(row, math.degrees(model.key(key).qpos[i])) < 4095 - 256, (row, key)
+        for key in (
+            "home",
+            "ready",
+        ):  # whole turns are forgotten at power-off: start inside the first
+            assert 256 < servo_ticks(row, math.degrees(model.key(key).qpos[i])) < 4095 - 256, (
+                row,
+                key,
+            )
 
 
 def servo_ticks(row: dict[str, Any], degrees: float) -> float:

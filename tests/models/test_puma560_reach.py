@@ -1,4 +1,4 @@
-"""The scene of `robot-ik reach` with the PUMA 560: reachable markers, and a camera that sees what it must."""
+"""The scene of `robot-ik reach` with the PUMA 560: markers within reach and in the picture."""
 
 import math
 import tomllib
@@ -30,9 +30,10 @@ def settings() -> dict[str, Any]:
 
 
 def goal(x: float, y: float, yaw: float) -> tuple[Array, Array]:
-    """The gripper hovering over a marker at (x, y), its z into the marker, its x along the marker's x."""
+    """Return a pose over a marker at (x, y): z into the marker, x along the marker's x."""
     reach = settings()
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]) @ np.diag([1.0, -1.0, -1.0])
     return np.array([x, y, reach["table"]["height"] + reach["hover"]]), rotation
 
@@ -58,7 +59,7 @@ def camera() -> tuple[Array, Array]:
 
 
 def pixels(points: Array) -> Array:
-    """Pinhole image (n, 2) of world points (n, 3); distortion moves the picture by less than the margin."""
+    """Return the pinhole image (n, 2) of points (n, 3). The distortion is less than the margin."""
     shot = settings()["camera"]
     eye, axes = camera()
     local = (points - eye) @ axes
@@ -74,10 +75,12 @@ def square(centre: Array, axes: Array, size: float) -> Array:
     return np.array([centre + axes @ [u, v, 5e-4] for u in span for v in span])
 
 
-def seen(model: mujoco.MjModel, data: mujoco.MjData, points: Array) -> bool:
-    """Inside the picture with 40 px to spare, and no geom between the camera and any of the points."""
+def is_visible(model: mujoco.MjModel, data: mujoco.MjData, points: Array) -> bool:
+    """Return whether all points are 40 px inside the picture and no geom hides one."""
     shot = settings()["camera"]
-    image, eye, hit = pixels(points), camera()[0], np.zeros(1, np.int32)
+    image = pixels(points)
+    eye = camera()[0]
+    hit = np.zeros(1, np.int32)
     if np.any(image < 40) or np.any(image > [shot["width"] - 40, shot["height"] - 40]):
         return False
     for point in points:
@@ -91,32 +94,47 @@ def seen(model: mujoco.MjModel, data: mujoco.MjData, points: Array) -> bool:
 def table_marker() -> tuple[Array, Array, float]:
     marker = settings()["marker"]
     yaw = math.radians(marker["yaw_deg"])
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array(marker["position"]), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]), marker["size"]
+    c = math.cos(yaw)
+    s = math.sin(yaw)
+    return (
+        np.array(marker["position"]),
+        np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]),
+        marker["size"],
+    )
 
 
 def test_table_marker_lies_on_the_table_and_is_seen_from_home_and_ready() -> None:
-    model, reach = load("scene.xml"), settings()
+    model = load("scene.xml")
+    reach = settings()
     centre, axes, size = table_marker()
     assert centre[2] == reach["table"]["height"]
     for k, key in enumerate(("x", "y")):
         assert reach["table"][key][0] + size < centre[k] < reach["table"][key][1] - size
     for name in ("home", "ready"):
-        assert seen(model, posed(model, model.key(name).qpos), square(centre, axes, size)), name
+        assert is_visible(model, posed(model, model.key(name).qpos), square(centre, axes, size)), (
+            name
+        )
 
 
 def test_two_sides_of_the_gripper_cube_are_seen_at_the_goal() -> None:
-    model, reach = load("scene.xml"), settings()
+    model = load("scene.xml")
+    reach = settings()
     centre = table_marker()[0]
-    q = solve(model, "gripper", *goal(centre[0], centre[1], math.radians(reach["marker"]["yaw_deg"])))
+    q = solve(
+        model, "gripper", *goal(centre[0], centre[1], math.radians(reach["marker"]["yaw_deg"]))
+    )
     assert q is not None
-    data, eye, visible = posed(model, q), camera()[0], 0
+    data = posed(model, q)
+    eye = camera()[0]
+    visible = 0
     for number in reach["tool_marker"]["ids"]:
         position, axes = site(data, f"marker_{number}")
         away = eye - position
         facing = float(away @ axes[:, 2] / np.linalg.norm(away))
         if facing > math.cos(math.radians(60)):
-            assert seen(model, data, square(position, axes, reach["tool_marker"]["size"])), number
+            assert is_visible(model, data, square(position, axes, reach["tool_marker"]["size"])), (
+                number
+            )
             assert 1.1 < np.linalg.norm(away) < 1.6
             visible += 1
     assert visible == 2

@@ -1,4 +1,4 @@
-"""The thesis' arm of seven segments: product of rotations, hinges through one point, limits as a variant."""
+"""The thesis' arm of seven segments: product of rotations, hinges through one point, limits."""
 
 import math
 import tomllib
@@ -33,17 +33,20 @@ def contacts(model: mujoco.MjModel, q: Array) -> int:
 
 
 def turn(axis: int, angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
+    c = math.cos(angle)
+    s = math.sin(angle)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     rotation = np.eye(3)
     rotation[i, i] = rotation[j, j] = c
-    rotation[i, j], rotation[j, i] = -s, s
+    rotation[i, j] = -s
+    rotation[j, i] = s
     return rotation
 
 
 def tip(q: Array) -> tuple[Array, Array]:
     """Rx(90 deg) then Rx Rz Ry Ty(1) for each segment, the XML is not read."""
-    position, rotation = np.zeros(3), np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    position = np.zeros(3)
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     for x, z, y in q.reshape(7, 3):
         rotation = rotation @ turn(0, x) @ turn(2, z) @ turn(1, y)
         position = position + rotation[:, 1]
@@ -56,10 +59,10 @@ angles = st.tuples(*[st.floats(-math.pi, math.pi)] * 21).map(np.array)
 @pytest.mark.parametrize("file", FILES)
 @given(q=angles)
 def test_tip_is_the_product_of_its_segments(file: str, q: Array) -> None:
-    found = posed(load(file), q).site("tip")
+    tip_site = posed(load(file), q).site("tip")
     position, rotation = tip(q)
-    assert np.abs(found.xpos - position).max() < 1e-12
-    assert np.abs(found.xmat.reshape(3, 3) - rotation).max() < 1e-12
+    assert np.abs(tip_site.xpos - position).max() < 1e-12
+    assert np.abs(tip_site.xmat.reshape(3, 3) - rotation).max() < 1e-12
 
 
 @given(q=angles)
@@ -83,13 +86,16 @@ def test_upright_at_zero_and_the_last_twist_moves_no_point() -> None:
 
 
 def test_the_shipped_arm_is_free_and_the_limited_one_is_its_variant() -> None:
-    free, limited = load_robot("seven_segment"), load_robot(FOLDER / "limited.xml")
+    free = load_robot("seven_segment")
+    limited = load_robot(FOLDER / "limited.xml")
     assert free.joints == limited.joints == JOINTS and free.tool == limited.tool == "tip"
     assert np.all(np.isinf(free.lower)) and np.all(np.isinf(free.upper))
     bend = np.where([joint.endswith("twist") for joint in JOINTS], np.inf, LIMIT)
     assert np.array_equal(limited.lower, -bend) and np.array_equal(limited.upper, bend)
     narrowed = free.with_limits(-bend, bend)
-    assert np.array_equal(narrowed.lower, limited.lower) and np.array_equal(narrowed.upper, limited.upper)
+    assert np.array_equal(narrowed.lower, limited.lower) and np.array_equal(
+        narrowed.upper, limited.upper
+    )
     assert np.array_equal(narrowed.home, limited.home) and np.array_equal(free.home, limited.home)
 
 
@@ -116,8 +122,13 @@ def test_keyframes_are_inside_the_limits_free_and_regular(file: str, key: str) -
 
 
 def test_rolling_up_is_a_contact_and_leaning_is_not() -> None:
-    model, bends = load("seven_segment.xml"), np.arange(21) % 3 == 1
-    assert contacts(model, np.zeros(21)) == contacts(model, np.where(bends, -math.radians(15), 0.0)) == 0
+    model = load("seven_segment.xml")
+    bends = np.arange(21) % 3 == 1
+    assert (
+        contacts(model, np.zeros(21))
+        == contacts(model, np.where(bends, -math.radians(15), 0.0))
+        == 0
+    )
     assert contacts(model, np.where(bends, -math.radians(85), 0.0)) > 0
 
 

@@ -1,4 +1,4 @@
-"""The seven-axis limb: its DH product, three axes through one point twice, and what follows from that."""
+"""The seven-axis limb: its DH product, shoulder and wrist with three axes through one point."""
 
 import math
 from functools import cache
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 FOLDER = Path(__file__).parents[2] / "models" / "srs_arm"
 JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 LIMIT = np.radians([170.0, 115.0, 170.0, 135.0, 170.0, 115.0, 175.0])
-# alpha / 90 deg, d of the README's standard DH table (every a is 0); typed again here, the XML is not read.
+# alpha / 90 deg and d of the README's standard DH table (every a is 0). Not read from the XML.
 DH = ((-1, 0.36), (1, 0.0), (-1, 0.42), (1, 0.0), (-1, 0.40), (1, 0.0), (0, 0.126))
 
 
@@ -31,7 +31,8 @@ def dh_flange(q: Array) -> Array:
     """DH frame 7, (4, 4), as Rz(q) Tz(d) Rx(alpha) products."""
     pose = np.eye(4)
     for angle, (turns, d) in zip(q, DH, strict=True):
-        c, s = math.cos(angle), math.sin(angle)
+        c = math.cos(angle)
+        s = math.sin(angle)
         ca, sa = quarter(turns)
         pose = pose @ np.array(
             [[c, -s * ca, s * sa, 0], [s, c * ca, -c * sa, 0], [0, sa, ca, d], [0, 0, 0, 1.0]]
@@ -53,8 +54,11 @@ def test_flange_is_dh_frame_7(q: Array) -> None:
 @given(q=angles)
 def test_shoulder_and_wrist_are_points_and_the_elbow_has_no_offset(q: Array) -> None:
     data = posed(load("srs_arm.xml"), q)
-    anchor, axis = data.xanchor, data.xaxis
-    shoulder, elbow, wrist = anchor[0], anchor[3], anchor[4]
+    anchor = data.xanchor
+    axis = data.xaxis
+    shoulder = anchor[0]
+    elbow = anchor[3]
+    wrist = anchor[4]
     assert np.array_equal(anchor[1], shoulder) and np.array_equal(anchor[2], shoulder)
     assert np.array_equal(anchor[5], wrist) and np.array_equal(anchor[6], wrist)
     assert shoulder == pytest.approx([0, 0, 0.36], abs=1e-15)
@@ -70,7 +74,8 @@ def test_the_elbow_swivels_without_moving_the_hand() -> None:
     """What makes it a limb: one freedom is left over at every pose, and it moves the elbow."""
     model = load("srs_arm.xml")
     data = posed(model, model.key("ready").qpos)
-    jacobian, elbow = np.zeros((6, 7)), np.zeros((3, 7))
+    jacobian = np.zeros((6, 7))
+    elbow = np.zeros((3, 7))
     mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], model.site("flange").id)
     mujoco.mj_jac(model, data, elbow, None, data.body("link4").xpos, model.body("link4").id)
     free = np.linalg.svd(jacobian)[2][-1]

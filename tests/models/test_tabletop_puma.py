@@ -56,21 +56,25 @@ def carrying() -> np.ndarray:
 def rows(head: str) -> list[list[str]]:
     """Cells of the README's table that starts so."""
     lines = README[README.index(head) :].split("\n\n")[0].splitlines()[2:]
-    return [[cell.strip().replace("−", "-") for cell in line.strip("|").split("|")] for line in lines]
+    return [
+        [cell.strip().replace("−", "-") for cell in line.strip("|").split("|")] for line in lines
+    ]
 
 
 def dh_table() -> list[tuple[float, float, float, float, float]]:
     """a, alpha (deg), d, lower, upper (deg) of the README, joint by joint."""
-    found = []
+    table_rows = []
     for _, a, alpha, d, span in rows("| joint | a (m)"):
         low, high = (float(part) for part in span.split("…"))
-        found.append((float(a), float(alpha), float(d), low, high))
-    return found
+        table_rows.append((float(a), float(alpha), float(d), low, high))
+    return table_rows
 
 
 @cache
 def torques() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("torque_table", ROOT / "docs" / "make" / "torque_table.py")
+    spec = importlib.util.spec_from_file_location(
+        "torque_table", ROOT / "docs" / "make" / "torque_table.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
@@ -89,10 +93,17 @@ def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
 def dh_flange(q: Array) -> Array:
     pose = np.eye(4)
     for angle, (a, alpha, d, *_) in zip(q, dh_table(), strict=True):
-        c, s = math.cos(angle), math.sin(angle)
-        ca, sa = round(math.cos(math.radians(alpha))), round(math.sin(math.radians(alpha)))
+        c = math.cos(angle)
+        s = math.sin(angle)
+        ca = round(math.cos(math.radians(alpha)))
+        sa = round(math.sin(math.radians(alpha)))
         pose = pose @ np.array(
-            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1.0]]
+            [
+                [c, -s * ca, s * sa, a * c],
+                [s, c * ca, -c * sa, a * s],
+                [0, sa, ca, d],
+                [0, 0, 0, 1.0],
+            ]
         )
     return pose
 
@@ -132,7 +143,9 @@ def test_masses_are_those_of_the_readme_and_servos_weigh_what_the_maker_says() -
     model = load()
     reported = {name.strip("`"): float(grams) / 1000 for name, grams in rows("| body | mass")}
     have = {model.body(b).name: float(model.body_mass[b]) for b in range(model.nbody)}
-    assert {name: round(mass, 4) for name, mass in have.items() if mass > 0} == pytest.approx(reported)
+    assert {name: round(mass, 4) for name, mass in have.items() if mass > 0} == pytest.approx(
+        reported
+    )
     assert "0.68 kg" in README and sum(have.values()) == pytest.approx(0.675, abs=0.005)
     inertia = model.body_inertia[model.body_mass > 0]
     assert np.all(inertia > 0) and np.all(inertia.sum(axis=1) > 2 * inertia.max(axis=1))
@@ -156,7 +169,9 @@ def test_servos_of_the_readme_are_those_of_the_arm_file() -> None:
         servo, ratio, free, used = reported[joint.name.removeprefix("joint")]
         assert (joint.servo.model, joint.gear.ratio) == (servo, ratio)
         assert math.degrees(speed) == pytest.approx(used)
-        assert math.degrees(joint.servo.table.motor.no_load_speed) / ratio == pytest.approx(free, abs=0.6)
+        assert math.degrees(joint.servo.table.motor.no_load_speed) / ratio == pytest.approx(
+            free, abs=0.6
+        )
         assert used <= free / 2
         row = next(row for row in rows("| servo | mass") if row[0] == servo)
         assert float(row[3].split()[0]) == joint.servo.table.motor.stall_torque
@@ -174,17 +189,15 @@ def test_the_torque_table_of_the_readme_is_up_to_date() -> None:
 
 def test_torques_leave_the_margins_that_the_readme_promises() -> None:
     make = torques()
-    load_, can = (
-        make.loads(robot(), make.loaded_model(robot()), poses=500, seed=1),
-        make.strength(robot(), arm()),
-    )
+    load_ = make.loads(robot(), make.loaded_model(robot()), poses=500, seed=1)
+    can = make.strength(robot(), arm())
     assert np.all(load_.still.max(axis=0) < can.stall / 2)
     assert np.all(load_.still.max(axis=0) < can.continuous)
     assert np.all(load_.moving.max(axis=0) < can.at_speed)
 
 
 def test_static_loads_equal_what_the_lifted_weight_says() -> None:
-    """Stretched out level, joint 2 bears all behind it: gravity's moment from masses and places alone."""
+    """Stretched out level, joint 2 bears all later links: a moment of masses and positions."""
     make = torques()
     model = make.loaded_model(robot())
     q = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])
@@ -213,7 +226,9 @@ def test_the_right_finger_follows_the_left() -> None:
     fingers = rik.load_robot("tabletop_puma", joints="gripper", tool="finger_right")
     assert fingers.joints == ("finger_left", "finger_right")
     np.testing.assert_allclose(fingers.apply_couplings([0.012, 0.0]), [0.012, 0.012])
-    place = fingers.forward(fingers.home).position + 0.004 * fingers.jacobian(fingers.home)[:3].sum(axis=1)
+    place = fingers.forward(fingers.home).position + 0.004 * fingers.jacobian(fingers.home)[:3].sum(
+        axis=1
+    )
     solution = rik.solve(fingers, rik.PositionGoal("finger_right", place), solver="lm")
     assert solution.converged
     np.testing.assert_allclose(solution.q, [0.013, 0.013], atol=2e-4)
@@ -224,7 +239,9 @@ def test_the_right_finger_follows_the_left() -> None:
     for _ in range(500):
         mujoco.mj_step(model, data)
     assert data.joint("finger_left").qpos[0] == pytest.approx(0.015, abs=1e-3)
-    assert data.joint("finger_right").qpos[0] == pytest.approx(data.joint("finger_left").qpos[0], abs=1e-4)
+    assert data.joint("finger_right").qpos[0] == pytest.approx(
+        data.joint("finger_left").qpos[0], abs=1e-4
+    )
     assert np.abs(data.qpos[:6] - robot().home).max() < math.radians(1)
 
 
@@ -243,18 +260,24 @@ def test_folding_the_gripper_onto_the_shoulder_is_a_contact() -> None:
 
 
 def test_scene_table_and_markers_are_those_of_robot_toml() -> None:
-    scene: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))["reach"]
+    scene: dict[str, Any] = tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))[
+        "reach"
+    ]
     model = load("scene.xml")
     data = posed(model, robot().home)
     top = model.geom("table_top")
-    low, high = data.geom("table_top").xpos - top.size, data.geom("table_top").xpos + top.size
+    low = data.geom("table_top").xpos - top.size
+    high = data.geom("table_top").xpos + top.size
     assert [low[0], high[0], low[1], high[1], high[2]] == pytest.approx(
         [*scene["table"]["x"], *scene["table"]["y"], scene["table"]["height"]], abs=1e-12
     )
     cube = scene["tool_marker"]
     assert model.geom("marker_cube").size == pytest.approx([cube["cube"] / 2] * 3)
-    centre, axes = data.site(cube["site"]).xpos, data.site(cube["site"]).xmat.reshape(3, 3)
-    for number, out in zip(cube["ids"], [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)], strict=True):
+    centre = data.site(cube["site"]).xpos
+    axes = data.site(cube["site"]).xmat.reshape(3, 3)
+    for number, out in zip(
+        cube["ids"], [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0)], strict=True
+    ):
         side = data.site(f"marker_{number}")
         turn = side.xmat.reshape(3, 3)
         assert turn[:, 2] == pytest.approx(axes @ out, abs=1e-12), number

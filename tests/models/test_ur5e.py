@@ -52,12 +52,19 @@ def load(name: str) -> mujoco.MjModel:
 
 def dh_frames(q: Array) -> list[Array]:
     """DH frames 1 to 6, (4, 4) each, as Rz(q) Tz(d) Tx(a) Rx(alpha) products."""
-    pose, frames = np.eye(4), []
+    pose = np.eye(4)
+    frames = []
     for angle, (a, turns, d) in zip(q, DH, strict=True):
-        c, s = math.cos(angle), math.sin(angle)
+        c = math.cos(angle)
+        s = math.sin(angle)
         ca, sa = quarter(turns)
         pose = pose @ np.array(
-            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1.0]]
+            [
+                [c, -s * ca, s * sa, a * c],
+                [s, c * ca, -c * sa, a * s],
+                [0, sa, ca, d],
+                [0, 0, 0, 1.0],
+            ]
         )
         frames.append(pose)
     return frames
@@ -81,12 +88,16 @@ def test_masses_sit_where_the_maker_has_them(q: Array) -> None:
     for link, (frame, (mass, centre)) in enumerate(zip(dh_frames(q), LINKS, strict=True)):
         body = model.jnt_bodyid[link]
         assert model.body_mass[body] == mass
-        assert np.abs(data.xipos[body] - (frame[:3, :3] @ centre + frame[:3, 3])).max() < 1e-12, link
+        assert np.abs(data.xipos[body] - (frame[:3, :3] @ centre + frame[:3, 3])).max() < 1e-12, (
+            link
+        )
 
 
 def test_known_pose_of_the_zero_configuration() -> None:
     position, rotation = site(posed(load("ur5e.xml"), np.zeros(6)), "flange")
-    assert position == pytest.approx([-0.425 - 0.3922, -0.1333 - 0.0996, 0.1625 - 0.0997], abs=1e-15)
+    assert position == pytest.approx(
+        [-0.425 - 0.3922, -0.1333 - 0.0996, 0.1625 - 0.0997], abs=1e-15
+    )
     assert rotation == pytest.approx(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), abs=1e-15)
 
 

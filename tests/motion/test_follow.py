@@ -58,10 +58,11 @@ def test_a_slower_follower_takes_smaller_steps(puma):
 
 def test_a_capped_step_slows_all_joints_alike(puma):
     """The first command lies on the straight way to the first solution."""
-    seen = []
-    run(puma, ManualSource(beside(puma, (0.0, -0.3, 0.1))), on_tick=seen.append)
-    assert seen[0].capped
-    way, done = seen[0].solution.q - puma.home, seen[0].q - puma.home
+    recorded_ticks = []
+    run(puma, ManualSource(beside(puma, (0.0, -0.3, 0.1))), on_tick=recorded_ticks.append)
+    assert recorded_ticks[0].capped
+    way = recorded_ticks[0].solution.q - puma.home
+    done = recorded_ticks[0].q - puma.home
     share = done @ way / (way @ way)
     assert 0.0 < share < 1.0
     np.testing.assert_allclose(done, share * way, atol=1e-12)
@@ -70,9 +71,9 @@ def test_a_capped_step_slows_all_joints_alike(puma):
 def test_the_tool_stays_on_a_moving_goal(puma):
     center = puma.forward(puma.home).position + np.array([0.05, 0.0, 0.0])
     circle = CurveSource.circle("gripper", center, 0.05, 4.0, wxyz=puma.forward(puma.home).wxyz)
-    seen = []
-    report, path = run(puma, circle, duration=6.0, on_tick=seen.append)
-    late = [tick for tick in seen if tick.time > 2.0]
+    recorded_ticks = []
+    report, path = run(puma, circle, duration=6.0, on_tick=recorded_ticks.append)
+    late = [tick for tick in recorded_ticks if tick.time > 2.0]
     assert not any(tick.capped for tick in late) and all(tick.solution.converged for tick in late)
     for tick in late[::20]:
         np.testing.assert_allclose(site_position(puma, tick.q), tick.goal.position, atol=2e-3)
@@ -81,13 +82,14 @@ def test_the_tool_stays_on_a_moving_goal(puma):
 
 
 def test_goals_may_change_kind_and_go_away_on_the_way(puma):
-    pose, up = beside(puma, (0.0, -0.1, 0.0)), np.array([0.0, 0.0, 0.05])
+    pose = beside(puma, (0.0, -0.1, 0.0))
+    up = np.array([0.0, 0.0, 0.05])
     point = PositionGoal("flange", position=puma.forward(puma.home, "flange").position + up)
     script = ScriptSource([(0.0, pose), (1.0, None), (1.5, point), (3.0, pose)])
-    seen = []
-    report, _ = run(puma, script, duration=4.5, on_tick=seen.append)
+    recorded_ticks = []
+    report, _ = run(puma, script, duration=4.5, on_tick=recorded_ticks.append)
     assert report.held == 50
-    at = {round(tick.time, 2): tick for tick in seen}
+    at = {round(tick.time, 2): tick for tick in recorded_ticks}
     np.testing.assert_allclose(site_position(puma, at[0.99].q), pose.position, atol=2e-3)
     np.testing.assert_array_equal(at[1.49].q, at[0.99].q)
     np.testing.assert_allclose(site_position(puma, at[2.99].q, "flange"), point.position, atol=2e-3)
@@ -103,7 +105,9 @@ def test_several_goals_at_once_are_one_goal(puma):
     ]
     report, _ = run(puma, ManualSource(goals), duration=2.0)
     for goal in goals:
-        np.testing.assert_allclose(site_position(puma, report.q, goal.frame), goal.position, atol=2e-3)
+        np.testing.assert_allclose(
+            site_position(puma, report.q, goal.frame), goal.position, atol=2e-3
+        )
 
 
 def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
@@ -117,8 +121,10 @@ def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
 
 def test_a_goal_behind_a_joint_limit_does_not_shake_the_arm(puma):
     """Within arm's length, so nothing is proven, but the waist may not turn far enough."""
-    lower, upper = puma.lower.copy(), puma.upper.copy()
-    lower[:3], upper[:3] = puma.home[:3] - 0.2, puma.home[:3] + 0.2
+    lower = puma.lower.copy()
+    upper = puma.upper.copy()
+    lower[:3] = puma.home[:3] - 0.2
+    upper[:3] = puma.home[:3] + 0.2
     narrow = puma.with_limits(lower, upper)
     report, path = run(narrow, ManualSource(beside(puma, (0.3, 0.6, 0.0))), duration=6.0)
     assert report.solved == 0
@@ -128,7 +134,9 @@ def test_a_goal_behind_a_joint_limit_does_not_shake_the_arm(puma):
 
 def test_until_ends_the_loop(puma):
     goal = ManualSource(beside(puma, (0.02, 0.0, 0.0)))
-    report, _ = run(puma, goal, duration=60.0, until=lambda tick: tick.solution.converged and not tick.capped)
+    report, _ = run(
+        puma, goal, duration=60.0, until=lambda tick: tick.solution.converged and not tick.capped
+    )
     assert report.ticks < 200 and report.last.converged
 
 
@@ -136,7 +144,9 @@ class Mirror:
     """An arm that is always where it was commanded, with a small offset."""
 
     def __init__(self, clock, q, away=0.0):
-        self.clock, self.q, self.away = clock, np.array(q), away
+        self.clock = clock
+        self.q = np.array(q)
+        self.away = away
 
     def send(self, q, now):
         self.q = np.array(q)
@@ -149,10 +159,20 @@ def test_it_starts_where_the_arm_is_unclipped(puma):
     clock = VirtualClock()
     outside = puma.home.copy()
     outside[0] = puma.upper[0] + 0.05
-    arm, seen = Mirror(clock, outside), []
+    arm = Mirror(clock, outside)
+    recorded_ticks = []
     goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
-    follow(puma, goal, sinks=[arm], solver="lm", clock=clock, source=arm, duration=0.1, on_tick=seen.append)
-    first = seen[0].q - outside
+    follow(
+        puma,
+        goal,
+        sinks=[arm],
+        solver="lm",
+        clock=clock,
+        source=arm,
+        duration=0.1,
+        on_tick=recorded_ticks.append,
+    )
+    first = recorded_ticks[0].q - outside
     assert (np.abs(first) <= puma.velocity_limits / 100.0 * (1 + 1e-9)).all() and first[0] < 0.0
 
 
@@ -167,7 +187,8 @@ def test_tracking_error_is_that_of_the_source(puma):
 
 
 def test_a_stall_is_counted_and_not_caught_up(puma):
-    clock, recorder = VirtualClock(), RecorderSink(puma.joints)
+    clock = VirtualClock()
+    recorder = RecorderSink(puma.joints)
 
     def stall(tick):
         if tick.index in (20, 40):
@@ -175,7 +196,14 @@ def test_a_stall_is_counted_and_not_caught_up(puma):
 
     goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     report = follow(
-        puma, goal, sinks=[recorder], solver="lm", clock=clock, start=puma.home, duration=1.0, on_tick=stall
+        puma,
+        goal,
+        sinks=[recorder],
+        solver="lm",
+        clock=clock,
+        start=puma.home,
+        duration=1.0,
+        on_tick=stall,
     )
     assert report.overruns == 2
     assert (
@@ -213,7 +241,13 @@ def test_no_sink_can_bend_the_command(puma):
     for source, sink in ((ManualSource(), Bender()), (goal, LateBender())):
         with pytest.raises(ValueError, match="read-only"):
             follow(
-                puma, source, sinks=[sink], solver="lm", clock=VirtualClock(), start=puma.home, duration=1.0
+                puma,
+                source,
+                sinks=[sink],
+                solver="lm",
+                clock=VirtualClock(),
+                start=puma.home,
+                duration=1.0,
             )
 
 
@@ -221,7 +255,9 @@ def test_it_stays_on_the_branch_where_the_arm_is(puma):
     """From the flipped wrist: solving from anywhere but the last command would flip it back."""
     start = puma.home + np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.2])
     start[3:] = start[3] - np.pi, -start[4], start[5] - np.pi
-    goal = PoseGoal.at("gripper", puma.forward(puma.home + np.array([0.1, -0.1, 0.1, 0.2, 0.0, 0.2])))
+    goal = PoseGoal.at(
+        "gripper", puma.forward(puma.home + np.array([0.1, -0.1, 0.1, 0.2, 0.0, 0.2]))
+    )
     report, path = run(puma, ManualSource(goal), start=start, duration=2.0)
     assert report.last.converged and (path.q[:, 4] < 0.0).all() and (path.q[:, 3] < -1.5).all()
 
@@ -229,21 +265,28 @@ def test_it_stays_on_the_branch_where_the_arm_is(puma):
 def test_a_problem_is_built_once_for_goals_of_one_kind(puma, monkeypatch):
     from robot_ik import problem
 
-    built, build = [], problem.Problem.__init__
-    monkeypatch.setattr(problem.Problem, "__init__", lambda *a, **k: built.append(1) or build(*a, **k))
+    built = []
+    build = problem.Problem.__init__
+    monkeypatch.setattr(
+        problem.Problem, "__init__", lambda *a, **k: built.append(1) or build(*a, **k)
+    )
     circle = CurveSource.circle("gripper", puma.forward(puma.home).position, 0.02, 1.0)
     run(puma, circle)
     assert len(built) == 1
 
 
 @pytest.mark.parametrize(
-    "options", [{"start": None}, {"start": [np.nan] * 6}, {"start": [0.0]}, {"rate": 0.0}, {"speed": 1.5}]
+    "options",
+    [{"start": None}, {"start": [np.nan] * 6}, {"start": [0.0]}, {"rate": 0.0}, {"speed": 1.5}],
 )
 def test_malformed_options_are_refused_before_anything_is_sent(puma, options):
     recorder = RecorderSink(puma.joints)
     with pytest.raises(TrajectoryError):
         follow(
-            puma, ManualSource(), sinks=[recorder], solver="lm",
+            puma,
+            ManualSource(),
+            sinks=[recorder],
+            solver="lm",
             **({"clock": VirtualClock(), "start": puma.home, "duration": 1.0} | options),
-        )  # fmt: skip
+        )
     assert len(recorder) == 0

@@ -1,4 +1,4 @@
-"""Key poses: a smooth motion within limits, replayed without solving, written and read back equal."""
+"""Key poses: smooth motions within limits, replayed without solving, written and read back."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def humanoid() -> rik.Robot:
 def random_keys(robot: rik.Robot, count: int = 5, size: float = 0.25, seed: int = 3) -> list[Array]:
     rng = np.random.default_rng(seed)
     return [
-        robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv))) for _ in range(count)
+        robot.clip(robot.integrate(robot.home, size * rng.standard_normal(robot.nv)))
+        for _ in range(count)
     ]
 
 
@@ -52,7 +53,7 @@ def test_a_motion_passes_through_its_keys_inside_limits_and_speed_limits(robot: 
     assert not [k for k, row in enumerate(rows) if robot.outside(row, 1e-6)]
     fastest = speeds(robot, rows, rate)
     assert (fastest <= 0.5 * robot.velocity_limits * (1 + 1e-6)).all()
-    # Each way is as fast as its slowest joint allows, but for what balls spare (their bound is not tight).
+    # Each segment is as fast as its slowest joint allows. The bound of balls is not tight.
     assert motion.peak_velocity_of_segments().max(axis=1).max() > 0.49 * robot.velocity_limits.min()
     # No corner at a key.
     for t in motion.times[1:-1].tolist():
@@ -66,10 +67,11 @@ def test_hinges_stay_between_the_two_keys_beside_them(humanoid: rik.Robot) -> No
     motion = Keyframes.through(humanoid, keys)
     first = 7  # behind the base
     for i, (one, two) in enumerate(pairwise(keys)):
-        low, high = np.minimum(one, two)[first:], np.maximum(one, two)[first:]
+        lower = np.minimum(one, two)[first:]
+        upper = np.maximum(one, two)[first:]
         for s in np.linspace(0.0, 1.0, 21):
             q = motion.at(motion.times[i] + s * (motion.times[i + 1] - motion.times[i]))[first:]
-            assert (q >= low - 1e-12).all() and (q <= high + 1e-12).all()
+            assert (q >= lower - 1e-12).all() and (q <= upper + 1e-12).all()
 
 
 def test_between_two_keys_balls_and_the_base_go_the_geodesic() -> None:
@@ -101,7 +103,9 @@ def test_a_loop_runs_on_without_a_jump(robot: rik.Robot) -> None:
         before = robot.difference(motion.at(t - 2e-5), motion.at(t - 1e-5)) / 1e-5
         after = robot.difference(motion.at(t + 1e-5), motion.at(t + 2e-5)) / 1e-5
         assert np.abs(before - after).max() < 5e-3
-    assert np.abs(robot.difference(motion.at(0.3), motion.at(0.3 + 5 * motion.duration))).max() < 1e-9
+    assert (
+        np.abs(robot.difference(motion.at(0.3), motion.at(0.3 + 5 * motion.duration))).max() < 1e-9
+    )
 
 
 def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
@@ -125,7 +129,8 @@ def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
 
 def test_a_blend_begins_as_one_motion_and_ends_as_the_other(humanoid: rik.Robot) -> None:
     keys = random_keys(humanoid, 6, size=0.1)
-    one, two = Keyframes.through(humanoid, keys[:3]), Keyframes.through(humanoid, keys[3:])
+    one = Keyframes.through(humanoid, keys[:3])
+    two = Keyframes.through(humanoid, keys[3:])
     both = one.blended(two, 0.4)
     assert both.duration == pytest.approx(one.duration + two.duration - 0.4)
     assert np.abs(humanoid.difference(both.at(0.5), one.at(0.5))).max() < 1e-3
@@ -160,7 +165,7 @@ def test_an_open_loop_is_refused() -> None:
         Keyframes(puma, [0.0, 1.0], random_keys(puma, 2), loop=True)
 
 
-# ------------------------------------------------------------------------------ names and files
+# Names and files
 
 
 def test_poses_and_motions_are_read_back_equal(robot: rik.Robot, tmp_path: Path) -> None:
@@ -203,11 +208,18 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
     ("text", "message"),
     [
         ("schema = 2", "schema: 2 is not right; allowed: 1"),
-        ("schema = 1\n[poses.a]\njiont1 = 1.0", r"(?s)poses.a.jiont1: unknown joint.*did you mean joint1"),
-        ("schema = 1\n[poses.a]\njoint1 = true", "poses.a.joint1: True is not right; allowed: a number"),
+        (
+            "schema = 1\n[poses.a]\njiont1 = 1.0",
+            r"(?s)poses.a.jiont1: unknown joint.*did you mean joint1",
+        ),
+        (
+            "schema = 1\n[poses.a]\njoint1 = true",
+            "poses.a.joint1: True is not right; allowed: a number",
+        ),
         (
             "schema = 1\n[poses.a]\njoint1 = 99.0",
-            "poses.a: joint 'joint1' at 5672.28 deg is outside its limits; allowed: -160 to 160 deg",
+            "poses.a: joint 'joint1' at 5672.28 deg is outside its limits; "
+            "allowed: -160 to 160 deg",
         ),
         ("schema = 1\nposes = 3", "poses: 3 is not right; allowed: a table"),
         ("schema = 1\n[motions.m]\nposes = ['a', 'b']", "motions.m: there is no pose 'a'"),
@@ -215,7 +227,10 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
             "schema = 1\n[motions.m]\nposes = []\nloop = 1",
             "motions.m.loop: 1 is not right; allowed: true or false",
         ),
-        ("schema = 1\n[motions.m]\nloops = true", "motions.m.loops: unknown key 'loops'; allowed: poses"),
+        (
+            "schema = 1\n[motions.m]\nloops = true",
+            "motions.m.loops: unknown key 'loops'; allowed: poses",
+        ),
         ("schema = 1\n[poses.a]\njoint1 = nan", "nan is not right"),
     ],
 )

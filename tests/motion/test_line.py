@@ -21,7 +21,8 @@ def tool_poses(robot, trajectory, times, site):
     """Positions (n, 3) and quaternions (n, 4) of a site, by mj_kinematics."""
     data = mujoco.MjData(robot.model)
     index = mujoco.mj_name2id(robot.model, mujoco.mjtObj.mjOBJ_SITE, site)
-    positions, quats = [], []
+    positions = []
+    quats = []
     for t in times:
         data.qpos[:] = robot.qpos(trajectory.at(t))
         mujoco.mj_kinematics(robot.model, data)
@@ -43,10 +44,14 @@ def check_straight(robot, trajectory, begin, end, site, allowed=1e-4):
     positions, quats = tool_poses(robot, trajectory, times, site)
     way = end.position - begin.position
     along = np.clip((positions - begin.position) @ way / (way @ way), 0.0, 1.0)
-    assert np.linalg.norm(positions - begin.position - along[:, None] * way, axis=1).max() <= allowed
+    assert (
+        np.linalg.norm(positions - begin.position - along[:, None] * way, axis=1).max() <= allowed
+    )
     exact, _ = tool_poses(robot, trajectory, trajectory.times, site)
     share = np.clip((exact - begin.position) @ way / (way @ way), 0.0, 1.0)
-    assert np.linalg.norm(exact - begin.position - share[:, None] * way, axis=1).max() <= 1e-6  # samples
+    assert (
+        np.linalg.norm(exact - begin.position - share[:, None] * way, axis=1).max() <= 1e-6
+    )  # samples
     full = rotation_log(quat_multiply(begin.inverse().wxyz, end.wxyz))
     for share, quat in zip(along, quats, strict=True):
         wanted = Pose((0, 0, 0), quat_multiply(begin.wxyz, rotation_exp(share * full)))
@@ -135,9 +140,11 @@ def test_a_place_out_of_reach_tells_how_far_the_line_is_possible(puma):
 
 
 def test_a_joint_limit_in_the_way_is_named(puma):
-    """The waist may not turn: going sideways ends at once or jumps, and the text says which joint."""
-    lower, upper = puma.lower.copy(), puma.upper.copy()
-    upper[0], lower[0] = puma.home[0] + 0.1, puma.home[0] - 0.1
+    """The waist may not turn: a line sideways ends at once or jumps. The error names the joint."""
+    lower = puma.lower.copy()
+    upper = puma.upper.copy()
+    upper[0] = puma.home[0] + 0.1
+    lower[0] = puma.home[0] - 0.1
     narrow = puma.with_limits(lower, upper)
     _, end = goal_beside(puma, puma.home, (0.0, 0.25, 0.0))
     with pytest.raises(TrajectoryError, match="joint 'joint"):
@@ -147,7 +154,7 @@ def test_a_joint_limit_in_the_way_is_named(puma):
 
 @dataclass(frozen=True)
 class OtherBranch(Solver):
-    """A solver that changes to the other solution of the wrist half-way: same pose, other angles."""
+    """A solver that changes to the other branch of the wrist half-way: same pose, other angles."""
 
     def __post_init__(self):
         """No options to check."""
@@ -181,7 +188,8 @@ def test_a_jump_is_never_planned_and_names_the_joint(puma):
 
 def test_random_lines_are_straight_or_refused(puma):
     """Short lines from anywhere: whatever is planned keeps every bound."""
-    rng, planned = np.random.default_rng(5), 0
+    rng = np.random.default_rng(5)
+    planned = 0
     for _ in range(12):
         q = puma.sample(rng)
         begin, end = goal_beside(puma, q, rng.uniform(-0.1, 0.1, 3), rng.uniform(-0.2, 0.2, 3))
@@ -199,7 +207,13 @@ def test_random_lines_are_straight_or_refused(puma):
 
 @pytest.mark.parametrize(
     "options",
-    [{"linear_speed": 0.0}, {"angular_speed": np.nan}, {"rate": -1.0}, {"deviation": 0.0}, {"speed": 2.0}],
+    [
+        {"linear_speed": 0.0},
+        {"angular_speed": np.nan},
+        {"rate": -1.0},
+        {"deviation": 0.0},
+        {"speed": 2.0},
+    ],
 )
 def test_malformed_options_are_refused(puma, options):
     with pytest.raises(TrajectoryError):

@@ -40,7 +40,9 @@ def test_a_straight_path_is_run_as_fast_as_the_trapezoid(velocity, acceleration)
     ideal = PROFILES["trapezoid"](velocity, acceleration)
     assert timing.duration == pytest.approx(ideal.duration, rel=0.01)
     phase = np.linspace(0.0, 1.0, 50)
-    np.testing.assert_allclose(timing.progress(phase * timing.duration), ideal.progress(phase), atol=0.01)
+    np.testing.assert_allclose(
+        timing.progress(phase * timing.duration), ideal.progress(phase), atol=0.01
+    )
 
 
 @given(seed=st.integers(0, 10_000))
@@ -49,8 +51,12 @@ def test_a_curved_path_keeps_joint_bounds_nearly_and_uses_them(seed):
     """Random smooth curves of four joints; the bounds hold to the density of the knots."""
     rng = np.random.default_rng(seed)
     s = np.linspace(0.0, 1.0, 600)
-    q = sum(rng.normal(size=4) * np.sin((k + 1) * s[:, None] * 2.0 + rng.uniform(0, 6, 4)) for k in range(3))
-    velocity, acceleration = rng.uniform(0.2, 2.0, 4), rng.uniform(0.5, 5.0, 4)
+    q = sum(
+        rng.normal(size=4) * np.sin((k + 1) * s[:, None] * 2.0 + rng.uniform(0, 6, 4))
+        for k in range(3)
+    )
+    velocity = rng.uniform(0.2, 2.0, 4)
+    acceleration = rng.uniform(0.5, 5.0, 4)
     timing = fastest_timing(s, np.asarray(q), velocity, acceleration, np.inf)
     times = np.linspace(0.0, timing.duration, 1500)
     step = times[1]

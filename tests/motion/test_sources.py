@@ -29,21 +29,24 @@ def test_manual_source_gives_the_newest_and_can_be_cleared():
 
 
 def test_manual_source_takes_goals_from_many_threads():
-    source, sent = ManualSource(), [[(worker, k) for k in range(200)] for worker in range(4)]
-    seen = []
-    threads = [threading.Thread(target=lambda mine=mine: [source.set(g) for g in mine]) for mine in sent]
+    source = ManualSource()
+    sent = [[(worker, k) for k in range(200)] for worker in range(4)]
+    polled = []
+    threads = [
+        threading.Thread(target=lambda mine=mine: [source.set(g) for g in mine]) for mine in sent
+    ]
     for thread in threads:
         thread.start()
     while any(thread.is_alive() for thread in threads):
-        seen.append(source.poll(0.0))
+        polled.append(source.poll(0.0))
     assert source.poll(0.0)[1] == 199
-    assert set(seen) <= {None, *(goal for mine in sent for goal in mine)}
+    assert set(polled) <= {None, *(goal for mine in sent for goal in mine)}
 
 
 def test_script_steps_in_order_counted_from_the_first_poll():
     source = ScriptSource([(2.0, "c"), (0.5, "a"), (1.0, None)])
-    asked = [100.0, 100.49, 100.5, 100.99, 101.0, 101.9, 102.0, 500.0]
-    assert [source.poll(t) for t in asked] == [None, None, "a", "a", None, None, "c", "c"]
+    poll_times = [100.0, 100.49, 100.5, 100.99, 101.0, 101.9, 102.0, 500.0]
+    assert [source.poll(t) for t in poll_times] == [None, None, "a", "a", None, None, "c", "c"]
 
 
 @pytest.mark.parametrize(
@@ -56,7 +59,8 @@ def test_malformed_scripts_are_refused(steps):
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (1, 0, 0), (1, -2, 0.5)])
 def test_circle_is_round_flat_and_runs_counter_clockwise(normal):
-    center, axis = np.array([0.4, 0.1, 0.3]), np.array(normal) / np.linalg.norm(normal)
+    center = np.array([0.4, 0.1, 0.3])
+    axis = np.array(normal) / np.linalg.norm(normal)
     source = CurveSource.circle("tip", center, 0.1, 4.0, normal=normal)
     spokes = np.array([source.poll(50.0 + t).position - center for t in np.linspace(0.0, 4.0, 41)])
     np.testing.assert_allclose(np.linalg.norm(spokes, axis=1), 0.1)
@@ -91,7 +95,13 @@ def test_any_function_of_time_is_a_curve():
 
 @pytest.mark.parametrize(
     "change",
-    [{"radius": 0.0}, {"period": -1}, {"normal": (0, 0, 0)}, {"center": (0, np.nan, 0)}, {"center": (0, 0)}],
+    [
+        {"radius": 0.0},
+        {"period": -1},
+        {"normal": (0, 0, 0)},
+        {"center": (0, np.nan, 0)},
+        {"center": (0, 0)},
+    ],
 )
 def test_malformed_curves_are_refused(change):
     plain = {"center": (0, 0, 0), "radius": 0.1, "period": 1.0}
@@ -100,7 +110,7 @@ def test_malformed_curves_are_refused(change):
             make("tip", **(plain | change))
 
 
-# ------------------------------------------------------------------------- with a real robot
+# With a real robot
 
 
 def test_random_goals_are_reachable_seeded_and_last_a_period(puma):
@@ -119,7 +129,8 @@ def test_random_goals_are_reachable_seeded_and_last_a_period(puma):
 
 
 def test_random_goals_do_not_depend_on_how_often_one_asks(puma):
-    often, seldom = RandomSource(puma, seed=1, period=1.0), RandomSource(puma, seed=1, period=1.0)
+    often = RandomSource(puma, seed=1, period=1.0)
+    seldom = RandomSource(puma, seed=1, period=1.0)
     for t in np.arange(0.0, 5.0, 0.25):
         last = often.poll(t)
     seldom.poll(0.0)
@@ -128,6 +139,9 @@ def test_random_goals_do_not_depend_on_how_often_one_asks(puma):
 
 def test_random_goals_need_a_frame_and_a_period(puma):
     assert RandomSource(puma, "flange").poll(0.0).frame == "flange"
-    assert type(RandomSource(puma, "flange", free_orientation=True).poll(0.0)).__name__ == "PositionGoal"
+    assert (
+        type(RandomSource(puma, "flange", free_orientation=True).poll(0.0)).__name__
+        == "PositionGoal"
+    )
     with pytest.raises(InvalidGoalError):
         RandomSource(puma, period=0.0)

@@ -36,7 +36,12 @@ def moves(draw, lowest=1):
 def plan(number_robot, move):
     robot = number_robot(move["velocity"], move["acceleration"])
     return joint_move(
-        robot, move["start"], move["goal"], speed=move["speed"], rate=move["rate"], profile=move["profile"]
+        robot,
+        move["start"],
+        move["goal"],
+        speed=move["speed"],
+        rate=move["rate"],
+        profile=move["profile"],
     )
 
 
@@ -75,14 +80,17 @@ def test_joints_are_synchronised_on_one_straight_line(number_robot, move):
 @given(move=moves())
 @law
 def test_the_trapezoid_is_as_fast_as_its_textbook_time(number_robot, move):
-    """The independent oracle: duration of the slowest joint alone, Siciliano et al. 2009, section 4.2."""
+    """Return the duration of the slowest joint alone (Siciliano et al. 2009, section 4.2)."""
     path = plan(number_robot, move | {"profile": "trapezoid"})
     way = np.abs(move["goal"] - move["start"])
-    v, a = move["speed"] * move["velocity"], move["speed"] * move["acceleration"]
-    v_needed, a_needed = np.inf, np.inf
+    v = move["speed"] * move["velocity"]
+    a = move["speed"] * move["acceleration"]
+    v_needed = np.inf
+    a_needed = np.inf
     for distance, top, push in zip(way, v, a, strict=True):
         if distance > 1e-9:
-            v_needed, a_needed = min(v_needed, top / distance), min(a_needed, push / distance)
+            v_needed = min(v_needed, top / distance)
+            a_needed = min(a_needed, push / distance)
     if not np.isfinite(v_needed):
         return
     cruises = v_needed**2 < a_needed
@@ -97,7 +105,9 @@ def test_resampling_keeps_ends_box_and_velocity(number_robot, move, rate):
     again = path.resampled(rate)
     assert (again.q[0] == path.q[0]).all() and (again.q[-1] == path.q[-1]).all()
     assert again.duration == pytest.approx(path.duration)
-    assert (again.q >= path.q.min(axis=0) - 1e-12).all() and (again.q <= path.q.max(axis=0) + 1e-12).all()
+    assert (again.q >= path.q.min(axis=0) - 1e-12).all() and (
+        again.q <= path.q.max(axis=0) + 1e-12
+    ).all()
     if len(again) > 2:  # the last interval may be short, and rounding large in it
         between = np.abs(np.diff(again.q, axis=0))[:-1] * rate
         assert (between <= path.peak_velocity * SLACK + 1e-9).all()
@@ -153,7 +163,9 @@ def test_a_start_outside_the_limits_walks_in(number_robot):
 
 def test_further_caps_count_when_lower(number_robot):
     robot = number_robot([1.0, 1.0], [2.0, 2.0])
-    path = joint_move(robot, [0, 0], [2, 2], velocity_limits=[0.25, 5.0], acceleration_limits=[0.5, 5.0])
+    path = joint_move(
+        robot, [0, 0], [2, 2], velocity_limits=[0.25, 5.0], acceleration_limits=[0.5, 5.0]
+    )
     assert path.peak_velocity.max() == pytest.approx(0.25, rel=0.01)
     assert path.peak_acceleration.max() <= 0.5 * SLACK
 
@@ -180,7 +192,14 @@ def test_malformed_vectors_are_refused(number_robot, start, goal, said):
 
 @pytest.mark.parametrize(
     "options",
-    [{"speed": 0.0}, {"speed": 1.1}, {"speed": np.nan}, {"rate": 0.0}, {"rate": np.inf}, {"profile": "x"}],
+    [
+        {"speed": 0.0},
+        {"speed": 1.1},
+        {"speed": np.nan},
+        {"rate": 0.0},
+        {"rate": np.inf},
+        {"profile": "x"},
+    ],
 )
 def test_malformed_options_are_refused(number_robot, options):
     with pytest.raises(TrajectoryError):
@@ -207,7 +226,12 @@ def test_trajectory_is_checked_and_cannot_be_changed():
     path.at(0.0)[0] = 9.0
     assert path.q[0, 0] == 0.0
     nothing = np.zeros((0, 1))
-    for times, q in [([0, 0], [[0], [1]]), ([0, 1], [[0], [np.nan]]), ([], nothing), ([0, 1], [[0]])]:
+    for times, q in [
+        ([0, 0], [[0], [1]]),
+        ([0, 1], [[0], [np.nan]]),
+        ([], nothing),
+        ([0, 1], [[0]]),
+    ]:
         with pytest.raises(TrajectoryError):
             Trajectory(times, q, ["a"])
     with pytest.raises(TrajectoryError, match="nan"):
@@ -218,10 +242,12 @@ def test_measures_of_a_known_path():
     times = np.linspace(0.0, 2.0, 201)
     path = Trajectory(times, np.column_stack([times**2, -times]), ["a", "b"])
     np.testing.assert_allclose(path.peak_velocity, [4.0, 1.0], rtol=0.01)
-    assert path.peak_acceleration[1] == pytest.approx(1.0 / 0.01)  # starts at full speed: one sample
+    assert path.peak_acceleration[1] == pytest.approx(
+        1.0 / 0.01
+    )  # starts at full speed: one sample
 
 
-# ------------------------------------------------------------------------------------- CSV
+# CSV
 
 
 @given(move=moves())
@@ -237,7 +263,9 @@ def test_csv_gives_back_every_bit(number_robot, move, tmp_path_factory):
 
 
 def test_csv_has_a_header_that_a_person_reads(tmp_path):
-    Trajectory([0.0, 0.01], [[0.5, 1.0], [0.25, 2.0]], ["waist", "arm, upper"]).save_csv(tmp_path / "t.csv")
+    Trajectory([0.0, 0.01], [[0.5, 1.0], [0.25, 2.0]], ["waist", "arm, upper"]).save_csv(
+        tmp_path / "t.csv"
+    )
     text = (tmp_path / "t.csv").read_text()
     assert text == 'time_s,waist,"arm, upper"\n0.0,0.5,1.0\n0.01,0.25,2.0\n'
     assert Trajectory.load_csv(tmp_path / "t.csv").joints == ("waist", "arm, upper")
@@ -294,12 +322,12 @@ def test_a_broken_csv_names_the_line(tmp_path, text, said):
 def test_what_is_no_number_of_each_joint_and_a_move_without_end_are_refused_in_words():
     robot = load_robot("puma560")
     end = robot.home + 0.1
-    for asked, says in (
+    for arguments, says in (
         ({"velocity_limits": np.ones(5)}, "velocity_limits must be 6 numbers"),
         ({"acceleration_limits": "fast"}, "acceleration_limits must be 6 numbers"),
         ({"velocity_limits": 1e-300}, "samples at 100 Hz"),
     ):
         with pytest.raises(TrajectoryError, match=says):
-            joint_move(robot, robot.home, end, **asked)
+            joint_move(robot, robot.home, end, **arguments)
     with pytest.raises(TrajectoryError, match="start must be 6 numbers"):
         joint_move(robot, "home", end)

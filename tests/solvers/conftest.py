@@ -16,24 +16,27 @@ from robot_ik.solvers.iterative import IterativeSolver
 
 PLANAR = """<mujoco model="planar"><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 0 1" range="-2.8 2.8"/><geom size="0.02"/>
- <body name="lower" pos="0.5 0 0"><joint name="elbow" axis="0 0 1" range="-2.6 2.6"/><geom size="0.02"/>
+ <body name="lower" pos="0.5 0 0"><joint name="elbow" axis="0 0 1" range="-2.6 2.6"/>
+ <geom size="0.02"/>
   <body name="hand" pos="0.4 0 0"><joint name="wrist" axis="0 0 1" range="-2 2"/><geom size="0.02"/>
    <site name="tool" pos="0.2 0 0"/></body></body></body>
 <site name="nail" pos="0.3 0.3 0"/>
 </worldbody><keyframe><key name="home" qpos="0.2 0.4 0.3"/></keyframe></mujoco>"""
 
-# A carriage on a rail carries a column, on it a ball-jointed arm with a turned hand, and a branch beside it.
+# A carriage on a rail with a column. The column carries an arm with a ball joint, and a branch.
 TREE = """<mujoco model="tree"><compiler angle="radian"/><worldbody>
 <body name="carriage" pos="0 0 0.2" quat="0.9 0.1 -0.2 0.3">
  <joint name="rail" type="slide" axis="1 0 0" range="-0.5 0.5"/>
  <joint name="column" type="slide" axis="0 0 1" range="0 0.6" ref="0.1"/><geom size="0.05"/>
  <body name="arm" pos="0 0 0.3"><joint name="shoulder" type="ball" range="0 1.2" limited="true"/>
   <geom size="0.05"/>
-  <body name="forearm" pos="0.4 0 0"><joint name="elbow" pos="0.05 0 0" axis="0 1 0.2" range="-2.2 2.2"/>
+  <body name="forearm" pos="0.4 0 0">
+  <joint name="elbow" pos="0.05 0 0" axis="0 1 0.2" range="-2.2 2.2"/>
    <geom size="0.05"/>
    <body name="hand" pos="0.3 0 0"><joint name="roll" axis="1 0 0"/><geom size="0.05"/>
     <site name="tool" pos="0.1 0 0" quat="0.7 0 0.7 0.1"/></body></body></body>
- <body name="branch" pos="0 0.2 0"><joint name="swing" axis="0 0 1" range="-1 1"/><geom size="0.05"/>
+ <body name="branch" pos="0 0.2 0"><joint name="swing" axis="0 0 1" range="-1 1"/>
+ <geom size="0.05"/>
   <site name="lamp" pos="0 0.3 0"/></body>
 </body></worldbody></mujoco>"""
 
@@ -61,7 +64,7 @@ TOOLS = {"puma560": None, "planar": "tool", "tree": "tool"}
 
 @pytest.fixture(scope="session")
 def reachable() -> Callable[..., list[np.ndarray]]:
-    """``reachable(robot, count)``: the seeded q whose poses make the set that solve rates are measured on."""
+    """``reachable(robot, count)``: the seeded q whose poses are the set of the solve rates."""
 
     def draw(robot: Robot, count: int, seed: int = 20) -> list[np.ndarray]:
         rng = np.random.default_rng(seed)
@@ -71,7 +74,7 @@ def reachable() -> Callable[..., list[np.ndarray]]:
 
 
 def _right_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
-    """How a rotation vector phi = log(R_target R^T) shrinks while R rotates (Solà et al. 2018, eq. 144)."""
+    """J_r⁻¹ of phi = log(R_target Rᵀ), for a rotation of R (Solà et al. 2018, eq. 144)."""
     cross = np.cross(np.eye(3), -phi)
     angle = float(np.linalg.norm(phi))
     if angle < 1e-9:
@@ -82,15 +85,21 @@ def _right_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def linear_model() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
-    """``linear_model(problem, q, alternative=False)``: J (m, nu), e (m,) from ``robot.jacobian`` and MuJoCo.
+    """``linear_model(problem, q, alternative=False)``: J (m, nu) and e (m,).
 
-    ``alternative``: positions with the target in place of the frame, v × (t − p) = v × (s − p) + v × (t − s).
+    J is from ``robot.jacobian`` and e from MuJoCo. With ``alternative`` the target replaces the
+    frame in the rows of positions: v × (t − p) = v × (s − p) + v × (t − s).
     """
 
-    def model(problem: Problem, q: np.ndarray, alternative: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        robot, rows, errors = problem.robot, [], []
+    def model(
+        problem: Problem, q: np.ndarray, alternative: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        robot = problem.robot
+        rows = []
+        errors = []
         for goal in problem.goals:
-            here, whole = robot.measure(q, goal.frame), robot.jacobian(q, goal.frame)
+            here = robot.measure(q, goal.frame)
+            whole = robot.jacobian(q, goal.frame)
             off = goal.target.position - here.position
             if goal.weights[0] > 0.0:
                 weight = goal.weights[0] / length_scale(robot, goal)
@@ -126,13 +135,16 @@ def one_step() -> Callable[..., np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def near_problems(robots: Callable[[str], Robot]) -> Callable[..., list[tuple[Problem, np.ndarray]]]:
-    """``near_problems(robot name, kind, distance)``: starts well inside the limits, goals near them."""
+def near_problems(
+    robots: Callable[[str], Robot],
+) -> Callable[..., list[tuple[Problem, np.ndarray]]]:
+    """``near_problems(robot name, kind, distance)``: starts inside the limits, goals near them."""
 
     def make(
         name: str, kind: str, distance: float = 0.05, count: int = 6
     ) -> list[tuple[Problem, np.ndarray]]:
-        robot, rng = robots(name), np.random.default_rng(7)
+        robot = robots(name)
+        rng = np.random.default_rng(7)
         ball = robot.tree.kind[robot.tree.dof_node] >= BALL
         margin = np.where(np.isfinite(robot.lower), 0.25 * (robot.upper - robot.lower), 0.5)
         lower = np.where(ball, -np.inf, np.maximum(robot.lower, -9) + margin)

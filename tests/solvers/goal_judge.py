@@ -24,9 +24,21 @@ from robot_ik.goals import (
 
 TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 KINDS = (
-    "position", "height", "orientation", "axis", "pose", "drill", "aim",
-    "line", "plane", "wall", "mass", "balance", "posture", "some joints",
-)  # fmt: skip
+    "position",
+    "height",
+    "orientation",
+    "axis",
+    "pose",
+    "drill",
+    "aim",
+    "line",
+    "plane",
+    "wall",
+    "mass",
+    "balance",
+    "posture",
+    "some joints",
+)
 # The frame and the axis that point, and the body whose mass counts.
 LOOKS = {"humanoid": ("gaze", "x"), "puma560": (None, "z"), "srs_arm": (None, "-y")}
 BODY = {"humanoid": "right_upper_arm", "puma560": None, "srs_arm": None}
@@ -34,10 +46,12 @@ BODY = {"humanoid": "right_upper_arm", "puma560": None, "srs_arm": None}
 
 def goals_met_at(robot, q):
     """A goal of every kind and of every part, met at q (nq,), by what it is called in the tests."""
-    pose, (eye, axis) = robot.forward(q), LOOKS[robot.name]
-    seen, body = robot.forward(q, eye), BODY[robot.name]
+    pose = robot.forward(q)
+    (eye, axis) = LOOKS[robot.name]
+    eye_pose = robot.forward(q, eye)
+    body = BODY[robot.name]
     sign, letter = (-1, axis[1:]) if axis[0] == "-" else (1, axis)
-    point = seen.apply(0.6 * sign * np.eye(3)["xyz".index(letter)])
+    point = eye_pose.apply(0.6 * sign * np.eye(3)["xyz".index(letter)])
     slant = np.array([0.6, 0.0, 0.8])
     return {
         "position": PositionGoal(None, pose.position, weight=2.0),
@@ -53,7 +67,9 @@ def goals_met_at(robot, q):
         "mass": CenterOfMassGoal(body, robot.center_of_mass(q, body)),
         "balance": CenterOfMassGoal(body, robot.center_of_mass(q, body), axes="xy"),
         "posture": PostureGoal(q=q),
-        "some joints": PostureGoal(q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only=True),
+        "some joints": PostureGoal(
+            q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only=True
+        ),
     }
 
 
@@ -90,7 +106,8 @@ def angle_between(a, b):
 
 def measured(robot, q, goal):
     """Metres and radians off, from MuJoCo's data and the goal's public fields alone."""
-    model, data = robot.model, data_of(robot)
+    model = robot.model
+    data = data_of(robot)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
@@ -100,7 +117,8 @@ def measured(robot, q, goal):
         off = goal.position - data.subtree_com[model.body(goal.frame).id if goal.frame else 0]
         return float(np.linalg.norm([off["xyz".index(a)] for a in goal.axes])), 0.0
     site = data.site(goal.frame or robot.tool)
-    here, rotation = site.xpos, site.xmat.reshape(3, 3)
+    here = site.xpos
+    rotation = site.xmat.reshape(3, 3)
     if isinstance(goal, PositionGoal):
         off = goal.position - here
         return float(np.linalg.norm([off["xyz".index(a)] for a in goal.axes])), 0.0
@@ -124,7 +142,8 @@ def measured(robot, q, goal):
             ]
         )
         return metres, float(np.arctan2(sine, 0.5 * (np.trace(rotation_left) - 1)))
-    normal, off = direction(goal.direction), goal.point - here
+    normal = direction(goal.direction)
+    off = goal.point - here
     along = float(normal @ off)
     across = {
         LineGoal: np.linalg.norm(off - along * normal),
@@ -136,13 +155,15 @@ def measured(robot, q, goal):
 
 def joints_off(robot, qpos, goal):
     """The largest way of a joint that counts, metres and radians."""
-    model, way = robot.model, np.zeros(robot.model.nv)
+    model = robot.model
+    way = np.zeros(robot.model.nv)
     mujoco.mj_differentiatePos(model, way, 1.0, qpos, robot.qpos(goal.q))
     metres = radians = 0.0
     for name in robot.joints:
         if goal.joints.get(name, 0.0 if goal.only else 1.0) == 0.0:
             continue
-        joint, first = model.joint(name), int(model.joint(name).dofadr[0])
+        joint = model.joint(name)
+        first = int(model.joint(name).dofadr[0])
         if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE:
             metres = max(metres, np.abs(way[first : first + 3]).max())
             radians = max(radians, np.linalg.norm(way[first + 3 : first + 6]))
@@ -152,7 +173,7 @@ def joints_off(robot, qpos, goal):
 
 
 def cost(problem, q):
-    """What is minimised, from MuJoCo's measurement (of goals that are no postures): weighted, in rad²."""
+    """Return the minimised cost in rad², measured by MuJoCo. Not for postures."""
     total = 0.0
     for goal in problem.goals:
         metres, radians = measured(problem.robot, q, goal)

@@ -1,4 +1,4 @@
-"""Which methods, robots and goals the ten laws are about, and who judges them: shared by the laws' files."""
+"""Methods, robots and goals of the ten laws, and their judges: shared by the laws' files."""
 
 import itertools
 import tomllib
@@ -23,18 +23,24 @@ TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
 
 def serves(name, robot_name, kind):
-    """Whether the contract covers this: floors.toml has a row for all that a method can do at all."""
-    assert name in FLOORS, f"tests/solvers/floors.toml has no solve rates of {name}: begin with 1.0 for each"
+    """Return whether floors.toml has a row for this method, robot and goal."""
+    assert name in FLOORS, (
+        f"tests/solvers/floors.toml has no solve rates of {name}: begin with 1.0 for each"
+    )
     row = FLOORS[name].get(robot_name, {})
     if kind == "orientation":
-        return "position" in row and "pose" in row and issubclass(OrientationGoal, SOLVERS[name].goals)
+        return (
+            "position" in row and "pose" in row and issubclass(OrientationGoal, SOLVERS[name].goals)
+        )
     return kind in row
 
 
 def cases(*kinds, names=NAMES):
     """Every (name, robot_name, kind) of the contract."""
-    found = itertools.product(names, ROBOTS, kinds or KINDS)
-    return pytest.mark.parametrize(("name", "robot_name", "kind"), [c for c in found if serves(*c)])
+    products = itertools.product(names, ROBOTS, kinds or KINDS)
+    return pytest.mark.parametrize(
+        ("name", "robot_name", "kind"), [c for c in products if serves(*c)]
+    )
 
 
 # Methods that serve every robot and every kind of goal.

@@ -40,16 +40,21 @@ def test_at_a_singular_pose_steps_stay_small(svd, robots, one_step):
 
 def test_the_box_step_is_the_bounded_minimum(robots, linear_model, one_step):
     robot = robots("puma560")
-    rng, met = np.random.default_rng(5), 0
+    rng = np.random.default_rng(5)
+    met = 0
     for _ in range(20):
         q = robot.sample(rng)
         near = rng.integers(6)
         q[near] = robot.upper[near] - rng.uniform(0.0, 0.01)
-        problem = Problem(robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.1, 0.1, 3)))
+        problem = Problem(
+            robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.1, 0.1, 3))
+        )
         jacobian, e = linear_model(problem, q)
         step = one_step(DampedLeastSquares(damping=0.1, **FREE_STEP), problem, q)
         rows = np.vstack([jacobian, 0.1 * np.eye(6)])
-        exact = lsq_linear(rows, np.concatenate([e, np.zeros(6)]), (robot.lower - q, robot.upper - q + 1e-15))
+        exact = lsq_linear(
+            rows, np.concatenate([e, np.zeros(6)]), (robot.lower - q, robot.upper - q + 1e-15)
+        )
         np.testing.assert_allclose(step, exact.x, atol=1e-5)
         met += abs(q[near] + step[near] - robot.upper[near]) < 1e-12
     assert met > 3
@@ -57,11 +62,14 @@ def test_the_box_step_is_the_bounded_minimum(robots, linear_model, one_step):
 
 def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, one_step):
     robot = robots("puma560")
-    rng, stood = np.random.default_rng(3), 0
+    rng = np.random.default_rng(3)
+    stood = 0
     for _ in range(20):
         q = robot.home + rng.uniform(-0.3, 0.3, 6)
         q[1] = robot.lower[1]
-        problem = Problem(robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3)))
+        problem = Problem(
+            robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3))
+        )
         step = one_step(DampedLeastSquares(svd=True), problem, q)
         assert step[1] >= 0.0 and step.any()
         stood += step[1] == 0.0

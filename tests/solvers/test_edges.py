@@ -42,7 +42,19 @@ names = pytest.mark.parametrize("name", list(SOLVERS))
 # What comes out of a divided by zero, a file that was cut off, a wrong column …
 ODD = st.one_of(
     st.sampled_from(
-        [None, "abc", b"\0", object(), 1.5, True, {}, {"x": 1}, [[1, 2], [3]], [None] * 3, ["1", "a"]]
+        [
+            None,
+            "abc",
+            b"\0",
+            object(),
+            1.5,
+            True,
+            {},
+            {"x": 1},
+            [[1, 2], [3]],
+            [None] * 3,
+            ["1", "a"],
+        ]
     ),
     st.lists(st.floats(), max_size=8),
     st.lists(st.lists(st.floats(allow_nan=False), max_size=4), max_size=4),
@@ -54,13 +66,15 @@ def puma():
     return load_robot("puma560")
 
 
-# ------------------------------------------------------------------------------ refused with a message
+# Refused with a message
 
 
 @FEW
 @given(
     odd=ODD,
-    makes=st.sampled_from([PositionGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal]),
+    makes=st.sampled_from(
+        [PositionGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal]
+    ),
 )
 def test_whatever_is_given_as_a_place_is_a_place_or_refused(odd, makes):
     try:
@@ -100,17 +114,18 @@ def test_whatever_is_given_as_an_orientation_a_posture_or_an_axis_is_one_or_refu
 @FEW
 @given(odd=ODD)
 def test_whatever_is_given_as_a_start_or_a_batch_is_one_or_refused(puma, odd):
-    goal, poses = PositionGoal(None, (0.3, 0.3, 0.5)), np.tile(np.eye(4), (2, 1, 1))
+    goal = PositionGoal(None, (0.3, 0.3, 0.5))
+    poses = np.tile(np.eye(4), (2, 1, 1))
     for ask, error in (
         (lambda: solve(puma, goal, start=odd, budget=SHORT), ModelError),
         (lambda: solve_batch(puma, odd, budget=SHORT), InvalidGoalError),
         (lambda: solve_batch(puma, poses, starts=odd, budget=SHORT), InvalidGoalError),
     ):
         try:
-            found = ask()
+            result = ask()
         except error:
             continue
-        assert np.isfinite(found.q).all()
+        assert np.isfinite(result.q).all()
 
 
 KINDS = [
@@ -127,19 +142,26 @@ KINDS = [
 
 @FEW
 @given(odd=ODD, kind=st.sampled_from(KINDS))
-def test_whatever_is_given_as_a_new_target_is_one_or_is_refused_and_changes_nothing(puma, odd, kind):
+def test_whatever_is_given_as_a_new_target_is_one_or_is_refused_and_changes_nothing(
+    puma, odd, kind
+):
     problem = Problem(puma, kind)
     before = problem.search.arrays["target"].copy(), problem.goals[0]
     try:
         problem.retarget(odd)
     except InvalidGoalError:
-        assert np.array_equal(problem.search.arrays["target"], before[0]) and problem.goals[0] is before[1]
+        assert (
+            np.array_equal(problem.search.arrays["target"], before[0])
+            and problem.goals[0] is before[1]
+        )
     else:
         assert np.isfinite(problem.search.arrays["target"]).all()
 
 
 @pytest.mark.parametrize("kind", KINDS[2:-1])
-@pytest.mark.parametrize("matrix", [np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1])])
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1])]
+)
 def test_a_matrix_that_is_no_rotation_is_no_target(puma, kind, matrix):
     problem = Problem(puma, kind)
     with pytest.raises(InvalidGoalError, match="is not a rotation"):
@@ -182,11 +204,13 @@ def test_no_solver_is_an_unknown_solver(puma):
 
 
 def test_a_class_in_place_of_a_solver_is_named(puma):
-    with pytest.raises(OptionError, match=r"LevenbergMarquardt is a class.*\n.*LevenbergMarquardt\(\)"):
+    with pytest.raises(
+        OptionError, match=r"LevenbergMarquardt is a class.*\n.*LevenbergMarquardt\(\)"
+    ):
         solve(puma, KINDS[0], solver=SOLVERS["lm"])
 
 
-# ------------------------------------------------------------------------------ weights, duplicates
+# Weights, duplicates
 
 
 @names
@@ -206,7 +230,9 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
             continue
         solution = problem.solve(np.full(6, 0.1))
         assert (
-            solution.converged and solution.iterations == 0 and solution.error == rik.solution.Deviation(0, 0)
+            solution.converged
+            and solution.iterations == 0
+            and solution.error == rik.solution.Deviation(0, 0)
         )
         assert np.array_equal(solution.q, puma.clip(np.full(6, 0.1)))
 

@@ -1,4 +1,4 @@
-"""Limits, sizes and joints at their edges: defined in docs/reference/goals.md, the same for every method."""
+"""Limits, sizes and joints at their edges, as docs/reference/goals.md defines, for every method."""
 
 import numpy as np
 import pytest
@@ -54,15 +54,21 @@ def make_robot(tmp_path_factory):
 
 def chain(scale=1.0, ranges=("-2 2",) * 3):
     """Three hinges; masses are stated, because MuJoCo wants some even of a tiny arm."""
-    bodies, inertia = "", '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-    for offset, axis, limits in zip((0, 0.5, 0.4), ("0 0 1", "0 1 0", "0 1 0"), ranges, strict=True):
-        bodies += f'<body pos="{offset * scale} 0 0"><joint axis="{axis}" range="{limits}"/>{inertia}'
+    bodies = ""
+    inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    for offset, axis, limits in zip(
+        (0, 0.5, 0.4), ("0 0 1", "0 1 0", "0 1 0"), ranges, strict=True
+    ):
+        bodies += (
+            f'<body pos="{offset * scale} 0 0"><joint axis="{axis}" range="{limits}"/>{inertia}'
+        )
     return f'{bodies}<site name="tip" pos="{0.3 * scale} 0 0"/>' + "</body>" * 3
 
 
 def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
     return (
-        f'<body name="a"><joint name="j" {kind}/><geom size="0.02"/><site name="tip" pos="0.5 0 0"/></body>'
+        f'<body name="a"><joint name="j" {kind}/><geom size="0.02"/>'
+        '<site name="tip" pos="0.5 0 0"/></body>'
         '<site name="nail" pos="0.3 0.3 0"/>'
     )
 
@@ -70,17 +76,19 @@ def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
 def honest(robot, solution, tolerance):
     """q finite and inside, and the status as MuJoCo's error has it."""
     assert np.isfinite(solution.q).all() and not robot.outside(solution.q)
-    within = solution.error.position <= tolerance.position and solution.error.angle <= tolerance.angle
+    within = (
+        solution.error.position <= tolerance.position and solution.error.angle <= tolerance.angle
+    )
     assert solution.converged == within, (solution, solution.error)
 
 
-# ------------------------------------------------------------------------------ limits
+# Limits
 
 
 @pytest.mark.parametrize(
     "joint",
     [
-        'type="hinge" axis="0 0 1" range="1 -1"',  # MuJoCo by itself would take this for no limit at all
+        'type="hinge" axis="0 0 1" range="1 -1"',  # MuJoCo alone takes this for no limit
         'type="hinge" axis="0 0 1" range="1 -1" limited="true"',
         'type="hinge" axis="0 0 1" range="0.5 0.5"',
         'type="slide" axis="0 0 1" range="2 1"',
@@ -131,12 +139,16 @@ def test_a_start_outside_the_limits_begins_at_the_nearest_place_inside(puma, dat
     rng = np.random.default_rng(seed)
     outside = rng.normal(size=6) * 10 ** rng.uniform(0, 200)
     goal = PoseGoal.at(None, puma.forward(puma.sample(rng)))
-    far, near = (solve(puma, goal, start=q, solver=name, seed=3) for q in (outside, puma.clip(outside)))
+    far, near = (
+        solve(puma, goal, start=q, solver=name, seed=3) for q in (outside, puma.clip(outside))
+    )
     assert far.status is near.status and np.array_equal(far.q, near.q)
-    assert not puma.outside(solve(puma, goal, start=outside, budget=Budget(iterations=0), solver="lm").q)
+    assert not puma.outside(
+        solve(puma, goal, start=outside, budget=Budget(iterations=0), solver="lm").q
+    )
 
 
-# ------------------------------------------------------------------------------ sizes
+# Sizes
 
 
 @names
@@ -179,7 +191,9 @@ def test_size_does_not_matter(make_robot, name, scale):
             PoseGoal.at(None, here),
             AimGoal(None, here.position + size * here.rotation[:, 2]),
         ):
-            problem = served(robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver)
+            problem = served(
+                robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver
+            )
             if problem is not None:
                 solution = problem.solve([0, 0.1, 0.1])
                 honest(robot, solution, tolerance)
@@ -194,7 +208,8 @@ def test_size_does_not_matter(make_robot, name, scale):
 @names
 @pytest.mark.parametrize("fine", [1e-12, 1e-15, 1e-300])
 def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
-    tolerance, solver = Tolerance(fine, fine), make_solver(name)
+    tolerance = Tolerance(fine, fine)
+    solver = make_solver(name)
     there = puma.forward(puma.home + 0.2)
     for goal in (PositionGoal(None, there.position), PoseGoal.at(None, there)):
         problem = served(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
@@ -208,7 +223,7 @@ def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
             assert max(solution.error.position, solution.error.angle) < 1e-7
 
 
-# ------------------------------------------------------------------------------ few joints, still frames
+# Few joints, still frames
 
 
 @names
@@ -239,7 +254,8 @@ def test_one_joint_is_an_arm(make_robot, name):
 @pytest.mark.parametrize("frame", ["base", "link2"])  # fixed to the world; behind no active joint
 def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
     robot = load_robot("puma560", joints=["joint4", "joint5"])
-    solver, here = make_solver(name), robot.forward(robot.home, frame)
+    solver = make_solver(name)
+    here = robot.forward(robot.home, frame)
     for moved, met in ((0.0, True), (0.2, False)):
         world = np.array([moved, 0, 0])
         for goal in (
@@ -264,7 +280,9 @@ def test_frozen_joints_stay_and_the_active_ones_are_enough(puma, name):
     robot = load_robot("puma560", joints=["joint1", "joint2", "joint3"])
     q = robot.home + np.array([0.4, 0.2, -0.3])
     goal = PositionGoal(None, robot.forward(q).position)
-    solution = solve(robot, goal, solver=name) if served(robot, goal, solver=name) is not None else None
+    solution = (
+        solve(robot, goal, solver=name) if served(robot, goal, solver=name) is not None else None
+    )
     if solution is not None and name != "recursive":
         assert solution.converged and solution.q.shape == (3,)
         whole = robot.qpos(solution.q)

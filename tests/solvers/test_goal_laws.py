@@ -1,7 +1,7 @@
-"""The laws of every solver, for every kind of goal: positions, axes, walls, the centre of mass, postures.
+"""The laws of every solver, for every kind of goal.
 
-``test_laws.py`` has them for whole positions, orientations and poses; ``test_goals_out_of_reach.py`` has
-the sixth law.
+``test_laws.py`` has them for whole positions, orientations and poses.
+``test_goals_out_of_reach.py`` has the sixth law.
 """
 
 import dataclasses
@@ -38,7 +38,9 @@ def _serving():
 
 
 NAMES_OF = _serving()
-cases = pytest.mark.parametrize(("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]])
+cases = pytest.mark.parametrize(
+    ("name", "kind"), [(name, kind) for kind in KINDS for name in NAMES_OF[kind]]
+)
 # Methods that reach every goal near home; others may stall at limits or saddles, and say so.
 SURE = ("auto", "lm", "combined", "sdls", "bfgs")
 
@@ -55,7 +57,7 @@ def outcome(solution):
 
 
 def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
-    # A pose prior is of one robot, always soft and never missed: tests/figure/motion/test_pose_prior.py.
+    # A pose prior belongs to one robot and has no error: tests/figure/motion/test_pose_prior.py.
     tried = {type(goal) for goal in goals_near(robots["puma560"], 0).values()}
     assert tried == set(GOALS) - {PosePriorGoal}, "goals_met_at (goal_judge.py) has one of each"
     general = {"auto", "lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose", "combined"}
@@ -78,11 +80,14 @@ def test_methods_that_do_not_serve_a_kind_refuse_it_by_name(robots, kind):
 
 @cases
 def test_laws_1_2_what_is_reported_is_true(robots, name, kind):
-    solver, solved = make_solver(name), 0
+    solver = make_solver(name)
+    solved = 0
     for robot in robots.values():
         for seed in range(2):
             goal = goals_near(robot, seed)[kind]
-            problem = served(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=2000), solver=solver)
+            problem = served(
+                robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=2000), solver=solver
+            )
             if problem is None:
                 continue
             solution = problem.solve()
@@ -112,8 +117,11 @@ def test_law_3_a_start_at_the_goal_is_the_answer(robots, name, kind):
 
 
 @cases
-def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_modified(robots, name, kind):
-    solver, budget = make_solver(name), Budget(iterations=60)
+def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_modified(
+    robots, name, kind
+):
+    solver = make_solver(name)
+    budget = Budget(iterations=60)
     for robot in (robots["srs_arm"], robots["humanoid"]):
         goals = [goals_near(robot, seed)[kind] for seed in (0, 1)]
         hot = served(robot, goals[0], budget=budget, seed=3, solver=solver)
@@ -122,7 +130,10 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
         start = near(robot, 6)
         start.flags.writeable = False
         kept = start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy()
-        fresh = [outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start)) for g in goals]
+        fresh = [
+            outcome(Problem(robot, g, budget=budget, seed=3, solver=name).solve(start))
+            for g in goals
+        ]
         for k in (0, 1, 0):
             solution = hot.solve(start, target=goals[k])
             assert outcome(solution) == fresh[k]
@@ -135,7 +146,8 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
 
 @cases
 def test_laws_7_8_budgets_hold_and_frozen_joints_stay(robots, name, kind):
-    whole, robot = robots["srs_arm"], robots["part of srs_arm"]
+    whole = robots["srs_arm"]
+    robot = robots["part of srs_arm"]
     goal = goals_near(robot, 1)[kind]
     if served(robot, goal, solver=name) is None:
         return
@@ -146,36 +158,44 @@ def test_laws_7_8_budgets_hold_and_frozen_joints_stay(robots, name, kind):
         first = int(robot.model.joint(joint).qposadr[0])
         assert qpos[first] == robot.frozen_qpos[first]
     for iterations in (0, 1, 3):
-        short = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(iterations), solver=name).solve()
+        short = Problem(
+            robot, goal, tolerance=TOLERANCE, budget=Budget(iterations), solver=name
+        ).solve()
         assert short.iterations <= iterations
         assert short.converged or short.status in (Status.ITERATION_LIMIT, Status.STALLED)
         assert iterations or np.array_equal(short.q, robot.home)
-    late = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(seconds=0.0), solver=name).solve()
+    late = Problem(
+        robot, goal, tolerance=TOLERANCE, budget=Budget(seconds=0.0), solver=name
+    ).solve()
     assert late.converged or late.status in (Status.TIME_LIMIT, Status.STALLED)
 
 
 @cases
 def test_a_goal_is_met_by_its_own_tolerance(robots, name, kind):
     robot = robots["srs_arm"]
-    wide, fine = Tolerance(0.2, 0.3), Tolerance(1e-6, 1e-6)
-    q, made = near(robot, 1), goals_near(robot, 1)[kind]
-    goal = dataclasses.replace(made, tolerance=wide)
+    wide = Tolerance(0.2, 0.3)
+    fine = Tolerance(1e-6, 1e-6)
+    q = near(robot, 1)
+    goal_at = goals_near(robot, 1)[kind]
+    goal = dataclasses.replace(goal_at, tolerance=wide)
     problem = served(robot, goal, tolerance=fine, budget=Budget(iterations=2000), solver=name)
     if problem is None:
         return
     solution = problem.solve(robot.clip(q - 0.8))
     metres, radians = measured(robot, solution.q, goal)
     assert solution.converged == (metres <= wide.position and radians <= wide.angle)
-    narrow = Problem(robot, dataclasses.replace(made, tolerance=fine), tolerance=wide, solver=name).solve()
+    narrow = Problem(
+        robot, dataclasses.replace(goal_at, tolerance=fine), tolerance=wide, solver=name
+    ).solve()
     metres, radians = measured(robot, narrow.q, goal)
     assert narrow.converged == (metres <= fine.position and radians <= fine.angle)
 
 
 def test_two_goals_each_by_its_own_tolerance(robots):
     robot = robots["srs_arm"]
-    made = goals_near(robot, 1)
-    rough = dataclasses.replace(made["position"], tolerance=Tolerance(position=0.05))
-    exact = dataclasses.replace(made["plane"], tolerance=Tolerance(position=1e-8))
+    goal_at = goals_near(robot, 1)
+    rough = dataclasses.replace(goal_at["position"], tolerance=Tolerance(position=0.05))
+    exact = dataclasses.replace(goal_at["plane"], tolerance=Tolerance(position=1e-8))
     for name in ("lm", "dls", "sdls", "bfgs", "pseudoinverse", "transpose"):
         solution = solve(robot, [rough, exact], solver=name)
         assert solution.converged
@@ -192,19 +212,27 @@ def test_following_goals_of_every_kind(robots, name, kind):
     recorder = RecorderSink(robot.joints)
     goals = [goals_near(robot, seed)[kind] for seed in (0, 1)]
     report = follow(
-        robot, ScriptSource([(0.0, goals[0]), (0.8, goals[1])]), sinks=[recorder], solver=name,
+        robot,
+        ScriptSource([(0.0, goals[0]), (0.8, goals[1])]),
+        sinks=[recorder],
+        solver=name,
         clock=VirtualClock(),
-        start=robot.home, duration=1.6, rate=50.0, tolerance=TOLERANCE,
-    )  # fmt: skip
+        start=robot.home,
+        duration=1.6,
+        rate=50.0,
+        tolerance=TOLERANCE,
+    )
     path = recorder.trajectory()
-    assert (report.largest_step <= robot.velocity_limits / 50.0 * (1 + 1e-9)).all() and report.held == 0
+    assert (
+        report.largest_step <= robot.velocity_limits / 50.0 * (1 + 1e-9)
+    ).all() and report.held == 0
     for goal, tick in zip(goals, (39, 79), strict=True):
         metres, radians = measured(robot, path.q[tick], goal)
         assert metres <= TOLERANCE.position and radians <= TOLERANCE.angle
     assert np.array_equal(path.q[-1], path.q[-2])  # there, it stands still
 
 
-# ------------------------------------------------------------------------------ batches and branches
+# Batches and branches
 
 
 @pytest.mark.parametrize("name", ["auto", "lm", "dls"])
@@ -212,7 +240,9 @@ def test_a_batch_gives_the_answers_of_single_solves(robots, name):
     robot = robots["puma560"]
     poses = [*(robot.forward(near(robot, seed, 0.8)) for seed in range(4)), Pose((2.0, 0, 0))]
     for whole in (True, False):
-        batch = solve_batch(robot, [pose.matrix if whole else pose.position for pose in poses], solver=name)
+        batch = solve_batch(
+            robot, [pose.matrix if whole else pose.position for pose in poses], solver=name
+        )
         for k, pose in enumerate(poses):
             goal = PoseGoal.at(None, pose) if whole else PositionGoal(None, pose.position)
             single = solve(robot, goal, solver=name)

@@ -37,19 +37,24 @@ def tied():
     figure = load_robot("humanoid")
     figure = load_robot("humanoid", joints=[joint for joint in figure.joints if joint != "root"])
     narrow = [
-        robot.with_limits(robot.home - 0.3, robot.home + 0.4) for robot in (load_robot("puma560"), figure)
+        robot.with_limits(robot.home - 0.3, robot.home + 0.4)
+        for robot in (load_robot("puma560"), figure)
     ]
     return {robot.name: robot for robot in narrow}
 
 
 def never(robot, kind):
     """A goal of that kind that the limits put out of reach."""
-    pose, (eye, axis) = robot.forward(robot.home), LOOKS[robot.name]
-    seen, body = robot.forward(robot.home, eye), BODY[robot.name]
+    pose = robot.forward(robot.home)
+    (eye, axis) = LOOKS[robot.name]
+    eye_pose = robot.forward(robot.home, eye)
+    body = BODY[robot.name]
     rotated = (pose @ Pose((0, 0, 0), (np.cos(1.1), 0.6 * np.sin(1.1), 0.8 * np.sin(1.1), 0))).wxyz
     far = pose.position + np.array([1.1, -0.9, 0.8])
     slant = np.array([0.6, 0.0, 0.8])
-    backward = seen.position - 0.7 * (seen.rotation @ direction(axis)) + np.array([0.1, 0.3, 0.4])
+    backward = (
+        eye_pose.position - 0.7 * (eye_pose.rotation @ direction(axis)) + np.array([0.1, 0.3, 0.4])
+    )
     return {
         "position": PositionGoal(None, far),
         "height": PositionGoal(None, np.add(far, (0, 0, 1.5)), axes="z"),
@@ -71,26 +76,32 @@ unreachable = pytest.mark.parametrize("kind", UNREACHABLE)
 
 
 def slope(problem, q):
-    """The steepest descent of √(2 cost) that the limits leave open, by central differences of MuJoCo."""
-    robot, step = problem.robot, 1e-6
+    """Return the steepest descent of √(2 cost) inside the limits, by differences of MuJoCo."""
+    robot = problem.robot
+    step = 1e-6
     size = np.sqrt(2 * cost(problem, q))
     gradient = np.zeros(robot.nv)
     for v in columns_of(problem):
         dq = np.zeros(robot.nv)
         dq[v] = step
-        forward, backward = cost(problem, robot.integrate(q, dq)), cost(problem, robot.integrate(q, -dq))
+        forward = cost(problem, robot.integrate(q, dq))
+        backward = cost(problem, robot.integrate(q, -dq))
         gradient[v] = (forward - backward) / (2 * step) / size
-    open_ = ~((q <= robot.lower + 1e-9) & (gradient > 0) | (q >= robot.upper - 1e-9) & (gradient < 0))
+    open_ = ~(
+        (q <= robot.lower + 1e-9) & (gradient > 0) | (q >= robot.upper - 1e-9) & (gradient < 0)
+    )
     return float(np.abs(gradient * open_).max())
 
 
 @unreachable
 @pytest.mark.parametrize("name", ["auto", "lm", "combined"])
 def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
-    # The default budget polishes the best of all tries; one that runs out between two tries does not.
+    # The default budget polishes the best descent. A budget that ends between two does not.
     budget = Budget() if name == "lm" else Budget(restarts=0)
     for robot in tied.values():
-        problem = Problem(robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name)
+        problem = Problem(
+            robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name
+        )
         solution = problem.solve(near(robot, 2, 0.1))
         assert not solution.converged
         if kind == "posture":  # each joint by itself: as far as it may
@@ -101,14 +112,20 @@ def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
 
 @pytest.mark.parametrize("name", ["lm", "dls", "sdls", "pseudoinverse", "transpose", "bfgs"])
 def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(name):
-    """There the Jacobian loses a row, and a step along it all but leads along a level line of the cost."""
-    robot, rng = load_robot("puma560"), np.random.default_rng(1)
+    """There the Jacobian loses a row, and a step nearly follows a level line of the cost."""
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(1)
     for _ in range(4):
         pose = robot.forward(robot.sample(rng))
         far = pose.position / np.linalg.norm(pose.position) * rng.uniform(1.5, 4.0)
-        two = [PositionGoal(None, far), PositionGoal("flange", -far)]  # the way down is between them
+        two = [
+            PositionGoal(None, far),
+            PositionGoal("flange", -far),
+        ]  # the way down is between them
         for goal in (PositionGoal(None, far), PoseGoal(None, far, pose.wxyz), two):
-            problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0), solver=name)
+            problem = Problem(
+                robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0), solver=name
+            )
             solution = problem.solve(robot.home)
             assert not solution.converged
             assert slope(problem, solution.q) < 1e-3
@@ -119,7 +136,11 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
     for robot in tied.values():
         problem = served(
-            robot, never(robot, kind), tolerance=TOLERANCE, budget=Budget(iterations=200), solver=name
+            robot,
+            never(robot, kind),
+            tolerance=TOLERANCE,
+            budget=Budget(iterations=200),
+            solver=name,
         )
         if problem is None:
             continue
@@ -128,7 +149,9 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
         metres, radians = measured(robot, solution.q, problem.goals[0])
         assert not solution.converged and not robot.outside(solution.q)
         assert solution.status is not Status.NUMERICAL
-        assert (solution.error.position, solution.error.angle) == pytest.approx((metres, radians), abs=1e-7)
+        assert (solution.error.position, solution.error.angle) == pytest.approx(
+            (metres, radians), abs=1e-7
+        )
         if kind != "posture":
             assert cost(problem, solution.q) <= cost(problem, start) * (1 + 1e-9)
 
@@ -141,7 +164,8 @@ def test_law_6_tracking_comes_to_rest(tied, name, kind):
         problem = served(robot, never(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget)
         if problem is None:
             continue
-        q, largest = robot.home, 0.0
+        q = robot.home
+        largest = 0.0
         for tick in range(60):
             solution = problem.solve(q)
             if tick >= 30:
@@ -158,16 +182,19 @@ def test_law_6_tracking_comes_to_rest(tied, name, kind):
 )
 @pytest.mark.parametrize("method", ["auto", "bfgs"])
 def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name, other, method):
-    """Of 60 random poses those are met that are met alone, however the goal 9 m away stands beside them."""
-    robot, rng = load_robot(name), np.random.default_rng(0)
+    """A goal 9 m away does not change which of 60 random poses are met."""
+    robot = load_robot(name)
+    rng = np.random.default_rng(0)
     if method == "bfgs" and "priority" in other:
         other = {"weight": 1e-6}  # the methods without priorities
     frame = {"wrist": robot.frames[-1]}.get(other.get("frame"))
     extra = {key: value for key, value in other.items() if key != "frame"}
-    far, missed = PositionGoal(frame, (9.0, 0.0, 0.0), **extra), []
+    far = PositionGoal(frame, (9.0, 0.0, 0.0), **extra)
+    missed = []
     for k in range(60 if method == "auto" else 20):
         pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
-        alone, both = solve(robot, pose, solver=method), solve(robot, [pose, far], solver=method)
+        alone = solve(robot, pose, solver=method)
+        both = solve(robot, [pose, far], solver=method)
         assert both.status is Status.UNREACHABLE
         error = both.errors[0]
         if alone.converged and not (error.position <= 1e-4 and error.angle <= 1e-3):
@@ -176,7 +203,8 @@ def test_a_goal_out_of_reach_does_not_switch_the_search_off_for_the_others(name,
 
 
 def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
-    robot, rng = load_robot("puma560"), np.random.default_rng(1)
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(1)
     for _ in range(20):
         pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
         wall = HalfSpaceGoal(None, (0, 0, 9.0), "z", weight=1e-7)
@@ -186,12 +214,11 @@ def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
 
 
 def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothing_behind():
-    """Weights that were put to zero for the search count again: in the result, and in the next solve."""
-    robot, rng = load_robot("puma560"), np.random.default_rng(2)
-    pose, far = (
-        PoseGoal.at(None, robot.forward(robot.sample(rng))),
-        PositionGoal(None, (9.0, 0, 0), weight=1e-9),
-    )
+    """Goals that the search left out count again in the result and in the next solve."""
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(2)
+    pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
+    far = PositionGoal(None, (9.0, 0, 0), weight=1e-9)
     solver = make_solver("lm")
     for budget in (Budget(iterations=k) for k in (1, 7, 20, 35, 60, 20_000)):
         problem = Problem(robot, [pose, far], budget=budget, solver=solver)
@@ -202,10 +229,12 @@ def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothin
 
 
 def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
-    robot, rng = load_robot("puma560"), np.random.default_rng(3)
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(3)
     pose = PoseGoal.at(None, robot.forward(robot.sample(rng)))
     problem = Problem(robot, [pose, PositionGoal(None, (3.0, 0, 0.5))], solver="lm")
-    q, steps = robot.home, []
+    q = robot.home
+    steps = []
     for _ in range(60):
         solution = problem.solve(q)
         steps.append(float(np.abs(solution.q - q).max()))
@@ -214,14 +243,18 @@ def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
 
 
 def test_length_says_how_many_metres_are_worth_a_radian():
-    """A00's scale c: a longer length asks less of the metres, and the result is best by that very measure."""
-    robot, errors = load_robot("puma560"), []
-    q, far = robot.home, PoseGoal(None, (-1.1, -0.4, 0.7), (0.5, 0.5, 0.5, -0.5))
+    """A00's scale c: with a longer length metres count less, and the result minimises that cost."""
+    robot = load_robot("puma560")
+    errors = []
+    q = robot.home
+    far = PoseGoal(None, (-1.1, -0.4, 0.7), (0.5, 0.5, 0.5, -0.5))
     for degrees in (600.0, 60.0, 6.0):  # that count as much as one metre
         goal = dataclasses.replace(far, length=360 / (2 * np.pi * degrees))
         problem = Problem(robot, goal, tolerance=TOLERANCE, budget=Budget(restarts=0), solver="lm")
         solution = problem.solve(q)
-        assert length_scale(problem.robot, goal) == goal.length and slope(problem, solution.q) < 1e-3
+        assert (
+            length_scale(problem.robot, goal) == goal.length and slope(problem, solution.q) < 1e-3
+        )
         q = solution.q
         errors.append(solution.error)
     assert errors[0].position < errors[1].position - 1e-3 < errors[2].position - 2e-3

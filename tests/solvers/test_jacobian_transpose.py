@@ -37,7 +37,9 @@ def test_a_step_is_busss(robot_name, kind, near_problems, linear_model, one_step
 def test_every_step_leads_down_near_a_goal(robot_name, kind, near_problems):
     for problem, q in near_problems(robot_name, kind):
         budget = Budget(iterations=30, restarts=0)
-        traced = Problem(problem.robot, problem.goals, solver="transpose", trace=True, budget=budget)
+        traced = Problem(
+            problem.robot, problem.goals, solver="transpose", trace=True, budget=budget
+        )
         costs = [row.cost for row in traced.solve(q).trace]
         assert len(costs) > 1 and all(b <= a for a, b in pairwise(costs))
 
@@ -52,7 +54,9 @@ def test_the_fixed_alpha(near_problems, linear_model, one_step):
 def test_the_shared_options(near_problems, linear_model, one_step):
     for problem, q in near_problems("tree", "two goals", distance=0.3):
         jacobian, e = linear_model(problem, q)
-        clamped = np.concatenate([part * min(1.0, 0.1 / np.linalg.norm(part)) for part in (e[:3], e[3:])])
+        clamped = np.concatenate(
+            [part * min(1.0, 0.1 / np.linalg.norm(part)) for part in (e[:3], e[3:])]
+        )
         assert not np.allclose(clamped, e)
         step = one_step(JacobianTranspose(clamp=0.1, max_step=1e6, gain=0.5), problem, q)
         np.testing.assert_allclose(step, 0.5 * buss(jacobian, clamped), atol=1e-9)
@@ -74,11 +78,15 @@ def test_the_alternative_jacobian(robot_name, kind, near_problems, linear_model,
 
 def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, one_step):
     robot = robots("puma560")
-    rng, seen = np.random.default_rng(3), 0
+    rng = np.random.default_rng(3)
+    steps_at_limits = 0
     for _ in range(20):
         q = robot.home + rng.uniform(-0.3, 0.3, 6)
-        q[1], q[2] = robot.lower[1], robot.upper[2]
-        problem = Problem(robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3)))
+        q[1] = robot.lower[1]
+        q[2] = robot.upper[2]
+        problem = Problem(
+            robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3))
+        )
         jacobian, e = linear_model(problem, q)
         slope = jacobian.T @ e
         gone = ((q <= robot.lower) & (slope < 0)) | ((q >= robot.upper) & (slope > 0))
@@ -86,8 +94,8 @@ def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, o
         step = one_step(JacobianTranspose(**FREE_STEP), problem, q)
         np.testing.assert_allclose(step, buss(jacobian, e), atol=1e-9)
         assert not step[gone].any() and step[~gone].any()
-        seen += int(gone.any())
-    assert seen > 5
+        steps_at_limits += int(gone.any())
+    assert steps_at_limits > 5
 
 
 def test_stretched_out_with_the_goal_on_the_line_no_slope_is_no_step(robots, one_step):

@@ -1,4 +1,4 @@
-"""Corners that every general method treats alike: starts outside, dead frames, several goals, traces."""
+"""Corner cases of every general method: starts outside, frames without joints, traces."""
 
 import itertools
 
@@ -17,11 +17,13 @@ def test_a_start_outside_the_limits_is_brought_inside(name, robots):
     robot = robots("planar")
     outside = np.array([3.1, -2.9, 2.5])
     kept = outside.copy()
-    solution = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position"), solver=name).solve(outside)
-    assert solution.converged and inside(robot, solution.q) and np.array_equal(outside, kept)
-    none = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0), solver=name).solve(
+    solution = Problem(robot, goal_of(robot, [0.4, 0.5, 0.6], "position"), solver=name).solve(
         outside
     )
+    assert solution.converged and inside(robot, solution.q) and np.array_equal(outside, kept)
+    none = Problem(
+        robot, goal_of(robot, [0.4, 0.5, 0.6]), budget=Budget(iterations=0), solver=name
+    ).solve(outside)
     assert none.q.tolist() == [2.8, -2.6, 2.0]
 
 
@@ -42,7 +44,9 @@ def test_several_goals_at_once(name, robots, reachable):
         goals = [goal_of(robot, q, "position"), goal_of(robot, q, "position", "lamp")]
         solution = Problem(robot, goals, tolerance=Tolerance(1e-4, 1e-3), solver=name).solve()
         worst = max(measured(robot, solution.q, goal)[0] for goal in goals)
-        assert solution.error.position == pytest.approx(worst, abs=1e-12) and len(solution.errors) == 2
+        assert (
+            solution.error.position == pytest.approx(worst, abs=1e-12) and len(solution.errors) == 2
+        )
         assert solution.converged == (worst <= 1e-4)
         assert solution.converged or name == "ccd"
 
@@ -65,9 +69,10 @@ def test_the_trace_tells_the_same_story(name, robots, reachable):
 
 
 def test_a_trace_grows_as_it_is_used(name="ccd"):
-    """However large the budget; and a solve that hands its rows over in between is the same to the bit."""
+    """For any budget. A solve that returns rows in between gives the same bits."""
     robot = load_robot("puma560")
-    goal, never = PositionGoal(None, (-0.45, -0.10, 0.80)), Tolerance(1e-300, 1e-300)
+    goal = PositionGoal(None, (-0.45, -0.10, 0.80))
+    never = Tolerance(1e-300, 1e-300)
     endless = Problem(robot, goal, solver=name, budget=Budget(10**12), trace=True)
     assert endless.search.arrays["trace"].nbytes < 1_000_000
     assert len(endless.solve().trace) > 0

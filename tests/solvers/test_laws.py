@@ -72,12 +72,20 @@ def test_laws_4_9_the_same_seed_gives_the_same_bits_whatever_was_solved_before(
 
 
 @cases("pose", "position")
-def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_name, kind, robots, reachable):
+def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(
+    name, robot_name, kind, robots, reachable
+):
     robot = robots(robot_name)
     solver = make_solver(name)
     start, there, other = reachable(robot, 3)
     goal = goal_of(robot, there, kind)
-    kept = [start.copy(), robot.lower.copy(), robot.upper.copy(), robot.home.copy(), goal.target.matrix]
+    kept = [
+        start.copy(),
+        robot.lower.copy(),
+        robot.upper.copy(),
+        robot.home.copy(),
+        goal.target.matrix,
+    ]
     start.flags.writeable = False
     problem = Problem(robot, goal, solver=solver)
     first = problem.solve(start)
@@ -95,13 +103,16 @@ def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_na
 def out_of_reach(robot_name, kind, where):
     """Goals that cannot be met: far (provably), just out of reach, or behind the joint limits."""
     position = {
-        ("puma560", "far"): (3.0, 1.0, 1.0), ("puma560", "near"): (0.85, 0.6, 0.9),
+        ("puma560", "far"): (3.0, 1.0, 1.0),
+        ("puma560", "near"): (0.85, 0.6, 0.9),
         ("puma560", "limits"): (0.02, 0.03, -0.5),
-        ("planar", "far"): (4.0, 1.0, 0.0), ("planar", "near"): (0.6, 0.4, 0.05),
+        ("planar", "far"): (4.0, 1.0, 0.0),
+        ("planar", "near"): (0.6, 0.4, 0.05),
         ("planar", "limits"): (-0.02, 0.0, 0.0),
-        ("tree", "far"): (5.0, 0.0, 5.0), ("tree", "near"): (1.2, 0.9, 1.2),
+        ("tree", "far"): (5.0, 0.0, 5.0),
+        ("tree", "near"): (1.2, 0.9, 1.2),
         ("tree", "limits"): (-0.6, -0.6, -0.4),
-    }[robot_name, where]  # fmt: skip
+    }[robot_name, where]
     if kind == "position":
         return PositionGoal(None, position)
     return PoseGoal(None, position, (0.5, 0.5, -0.5, 0.5))
@@ -120,18 +131,22 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(
         assert not solution.converged and inside(robot, solution.q)
         if where == "far":
             assert solution.status is Status.UNREACHABLE
-        assert worth(problem, robot, solution.q, goal) <= worth(problem, robot, start, goal) * (1 + 1e-9)
+        assert worth(problem, robot, solution.q, goal) <= worth(problem, robot, start, goal) * (
+            1 + 1e-9
+        )
 
 
 def worth(problem, robot, q, goal):
-    """What solvers minimise, from MuJoCo's measurement: metres over the length scale and radians, squared."""
+    """Return the cost by MuJoCo: squares of metres over the length scale, and of radians."""
     metres, radians = measured(robot, q, goal)
     return (metres / length_scale(robot, goal)) ** 2 + radians**2
 
 
 # Methods that come to rest on a target they cannot reach; the others are reported, not promised.
 RESTING = ("auto", "lm", "dls", "sdls", "bfgs")
-TICKS, SETTLING, STILL = 140, 100, 1e-3
+TICKS = 140
+SETTLING = 100
+STILL = 1e-3
 
 
 @cases("position", "pose", names=RESTING)
@@ -140,10 +155,15 @@ def test_law_6_tracking_comes_to_rest(name, robot_name, where, kind, robots):
     robot = robots(robot_name)
     budget = Budget(restarts=FLOORS["tracking_restarts"][name])
     problem = Problem(
-        robot, out_of_reach(robot_name, kind, where), tolerance=TOLERANCE, budget=budget, solver=name
+        robot,
+        out_of_reach(robot_name, kind, where),
+        tolerance=TOLERANCE,
+        budget=budget,
+        solver=name,
     )
     make_solver(name)
-    q, largest = robot.home, 0.0
+    q = robot.home
+    largest = 0.0
     for tick in range(TICKS):
         solution = problem.solve(q)
         assert not solution.converged
@@ -170,16 +190,29 @@ def test_law_7_budgets_hold(name, robot_name, robots):
     assert Problem(robot, goal, budget=Budget(restarts=0), solver=solver).solve().restarts == 0
     assert Problem(robot, goal, budget=Budget(restarts=3), solver=solver).solve().restarts <= 3
     none = Problem(robot, goal, budget=Budget(seconds=0.0), solver=solver).solve()
-    assert none.status is Status.TIME_LIMIT and none.iterations == 0 and np.array_equal(none.q, robot.home)
+    assert (
+        none.status is Status.TIME_LIMIT
+        and none.iterations == 0
+        and np.array_equal(none.q, robot.home)
+    )
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in STEPPING])
 def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
     robot = robots("puma560")
-    never = out_of_reach("puma560", "pose" if serves(name, "puma560", "pose") else "position", "near")
-    for budget, status in ((Budget(iterations=0), "ITERATION_LIMIT"), (Budget(seconds=0.0), "TIME_LIMIT")):
+    never = out_of_reach(
+        "puma560", "pose" if serves(name, "puma560", "pose") else "position", "near"
+    )
+    for budget, status in (
+        (Budget(iterations=0), "ITERATION_LIMIT"),
+        (Budget(seconds=0.0), "TIME_LIMIT"),
+    ):
         none = Problem(robot, never, budget=budget, solver=name).solve()
-        assert none.status.name == status and none.iterations == 0 and np.array_equal(none.q, robot.home)
+        assert (
+            none.status.name == status
+            and none.iterations == 0
+            and np.array_equal(none.q, robot.home)
+        )
     for iterations in (1, 7):
         solution = Problem(robot, never, budget=Budget(iterations=iterations), solver=name).solve()
         assert not solution.converged and solution.iterations <= iterations
@@ -188,9 +221,13 @@ def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
 @stepping
 def test_law_7_time_is_kept(name, robots):
     robot = robots("puma560")
-    Problem(robot, PositionGoal(None, (3.0, 1.0, 1.0)), budget=Budget(iterations=1), solver=name).solve()
+    Problem(
+        robot, PositionGoal(None, (3.0, 1.0, 1.0)), budget=Budget(iterations=1), solver=name
+    ).solve()
     endless = Budget(iterations=1 << 40, seconds=0.1, restarts=1 << 40)
-    solution = Problem(robot, out_of_reach("puma560", "pose", "near"), budget=endless, solver=name).solve()
+    solution = Problem(
+        robot, out_of_reach("puma560", "pose", "near"), budget=endless, solver=name
+    ).solve()
     assert solution.status is Status.TIME_LIMIT and solution.iterations > 100
     assert 0.1 <= solution.seconds < 2.0  # generous: the machine may be busy
 
@@ -200,7 +237,9 @@ def test_law_7_time_is_kept(name, robots):
     ("robot_name", "active"),
     [("puma560", ["joint2", "joint3", "joint5"]), ("tree", ["rail", "shoulder", "swing"])],
 )
-def test_law_8_joints_that_are_frozen_or_do_not_matter_stay(name, robot_name, active, robots, reachable):
+def test_law_8_joints_that_are_frozen_or_do_not_matter_stay(
+    name, robot_name, active, robots, reachable
+):
     whole = robots(robot_name)
     robot = load_robot(whole.path, joints=active, tool=whole.tool)
     goal = goal_of(whole, reachable(whole, 1)[0])
@@ -240,7 +279,9 @@ def test_law_11_converged_means_free_of_collisions(name, robot_name, kind, robot
     budget = Budget(iterations=2000, restarts=20)
     for q in reachable(robot, 12):
         goal = goal_of(robot, q, kind)
-        problem = Problem(robot, goal, solver=name, collisions=avoid, tolerance=TOLERANCE, budget=budget)
+        problem = Problem(
+            robot, goal, solver=name, collisions=avoid, tolerance=TOLERANCE, budget=budget
+        )
         solution = problem.solve()
         clearance = avoid.scene.clearance(solution.q).distance
         assert solution.clearance.distance == clearance

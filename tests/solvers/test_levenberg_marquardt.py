@@ -1,4 +1,4 @@
-"""What is Levenberg-Marquardt's own: stride, going round, the best of several draws; and the hot loop."""
+"""Levenberg-Marquardt: stride, wrapping around, the best of several draws, and the hot loop."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -31,20 +31,22 @@ def arm(tmp_path, low, high):
     return load_robot(path)
 
 
-@pytest.mark.parametrize(("low", "there", "goes_round"), [(-3.4, -2.9, True), (-2.0, -1.9, False)])
-def test_a_joint_goes_round_in_later_tries_where_it_has_a_turn(tmp_path, low, there, goes_round):
+@pytest.mark.parametrize(("low", "goal_angle", "wraps"), [(-3.4, -2.9, True), (-2.0, -1.9, False)])
+def test_a_joint_goes_round_in_later_tries_where_it_has_a_turn(tmp_path, low, goal_angle, wraps):
     robot = arm(tmp_path, low, 3.2)
-    goal = PoseGoal.at("tool", robot.forward([0.4, there], "tool"))
+    goal = PoseGoal.at("tool", robot.forward([0.4, goal_angle], "tool"))
     # From home the short way to the goal is past the limit.
     stuck = Problem(robot, goal, budget=Budget(restarts=0), solver="lm").solve()
     assert not stuck.converged and stuck.q[1] == pytest.approx(3.2)
     # One random start: where it stands must not matter to a joint that may go round.
     once = [
-        Problem(robot, goal, budget=Budget(restarts=1), seed=seed, solver=make_solver("lm", draws=1)).solve()
+        Problem(
+            robot, goal, budget=Budget(restarts=1), seed=seed, solver=make_solver("lm", draws=1)
+        ).solve()
         for seed in range(20)
     ]
     assert all(low <= solution.q[1] <= 3.2 for solution in once)
-    assert all(solution.converged for solution in once) == goes_round
+    assert all(solution.converged for solution in once) == wraps
 
 
 @pytest.mark.parametrize("stride", [0.05, 0.3])
@@ -57,7 +59,9 @@ def test_no_joint_moves_more_than_the_stride(near_problems, one_step, stride):
 
 @pytest.mark.parametrize("kind", ["position", "pose"])
 @pytest.mark.parametrize("alternative", [False, True])
-def test_the_options_of_every_jacobian_method(near_problems, linear_model, one_step, kind, alternative):
+def test_the_options_of_every_jacobian_method(
+    near_problems, linear_model, one_step, kind, alternative
+):
     clamped_one = False
     for problem, q in near_problems("puma560", kind, distance=0.3):
         jacobian, e = linear_model(problem, q, alternative=alternative)
@@ -69,13 +73,18 @@ def test_the_options_of_every_jacobian_method(near_problems, linear_model, one_s
             "lm", clamp=0.2, gain=0.5, alternative=alternative, damping=0.5, floor=0.0, stride=100
         )
         step = one_step(solver, problem, q)
-        np.testing.assert_allclose(step, 0.5 * np.linalg.solve(damped, jacobian.T @ wanted), atol=1e-9)
+        np.testing.assert_allclose(
+            step, 0.5 * np.linalg.solve(damped, jacobian.T @ wanted), atol=1e-9
+        )
     assert clamped_one
 
 
 def test_these_options_and_priorities_exclude_each_other_by_name(robots):
     robot = robots("puma560")
-    goals = [PositionGoal(None, (0.4, 0.1, 0.3)), PositionGoal("flange", (0.4, 0.1, 0.3), priority=1)]
+    goals = [
+        PositionGoal(None, (0.4, 0.1, 0.3)),
+        PositionGoal("flange", (0.4, 0.1, 0.3), priority=1),
+    ]
     assert served(robot, goals, solver="lm") is not None
     with pytest.raises(UnsupportedGoalError, match="with clamp"):
         Problem(robot, goals, solver=make_solver("lm", gain=0.5)).solve()
@@ -147,18 +156,21 @@ def test_each_goal_is_moved_by_its_own_index(robots, reachable):
 
 def test_what_is_out_of_reach_stays_so_from_solve_to_solve(robots):
     robot = robots("puma560")
-    there, far = robot.forward(robot.home).matrix, robot.forward(robot.home).matrix
+    goal_angle = robot.forward(robot.home).matrix
+    far = robot.forward(robot.home).matrix
     far[:3, 3] = 3.0, 1.0, 1.0
     for name in ("lm", "auto", "dls"):
         problem = Problem(robot, robot.forward(robot.home), solver=name)
-        for matrix, status in ((far, Status.UNREACHABLE), (there, Status.CONVERGED)) * 2:
+        for matrix, status in ((far, Status.UNREACHABLE), (goal_angle, Status.CONVERGED)) * 2:
             problem.retarget(matrix)
             assert problem.solve().status is status
 
 
 def test_steps_among_rows_and_among_columns_are_the_same():
-    """A pose asked for twice, each at half weight, has more rows than joints: another way to the same."""
-    robot, rng, half = load_robot("panda"), np.random.default_rng(1), 0.5**0.5
+    """A pose as two goals of half weight has more rows than joints, and the same solution."""
+    robot = load_robot("panda")
+    rng = np.random.default_rng(1)
+    half = 0.5**0.5
     taken_back = 0
     for _ in range(20):
         pose = robot.forward(robot.sample(rng))
@@ -183,7 +195,12 @@ def test_positions_of_all_sorts_move_a_target_alike():
     for goal in (PositionGoal(None, (0.0, 0.0, 0.0)), PoseGoal(None, (0.0, 0.0, 0.0))):
         problem = Problem(robot, [goal, goal])
         rotations = targets(problem)[:, :3, :3]
-        for same in (position, position.tolist(), np.repeat(position, 2)[::2], position.astype(np.float32)):
+        for same in (
+            position,
+            position.tolist(),
+            np.repeat(position, 2)[::2],
+            position.astype(np.float32),
+        ):
             problem.retarget((0.0, 0.0, 0.0), 1)
             problem.retarget(same, 1)
             np.testing.assert_allclose(targets(problem)[1, :3, 3], position, rtol=1e-6)

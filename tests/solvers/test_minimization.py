@@ -1,4 +1,4 @@
-"""The variable metric against SciPy's minimisers, finite differences and MuJoCo; limits are held exactly."""
+"""The variable metric against SciPy's minimisers, finite differences and MuJoCo; exact limits."""
 
 import itertools
 
@@ -46,17 +46,21 @@ def half_square(problem, q):
 
 
 def slope_by_differences(problem, q, step=1e-5):
-    robot, slope = problem.robot, []
+    robot = problem.robot
+    slope = []
     for v in columns_of(problem):
         way = np.zeros(robot.nv)
         way[v] = step
-        forward, backward = robot.integrate(q, way), robot.integrate(q, -way)
+        forward = robot.integrate(q, way)
+        backward = robot.integrate(q, -way)
         slope.append((half_square(problem, forward) - half_square(problem, backward)) / (2 * step))
     return np.array(slope)
 
 
 @pytest.mark.parametrize(("robot_name", "kind"), [("puma560", "pose"), ("planar", "position")])
-def test_the_first_step_goes_down_the_slope_that_differences_find(robot_name, kind, near_problems, one_step):
+def test_the_first_step_goes_down_the_slope_that_differences_find(
+    robot_name, kind, near_problems, one_step
+):
     for problem, q in near_problems(robot_name, kind):
         slope = slope_by_differences(problem, q)
         step = one_step(Minimization(curvature=0.999), problem, q)
@@ -83,7 +87,7 @@ def test_the_cost_never_rises_within_a_try(robot_name, position, robots, reachab
         assert first[0] < half_square(problem, start)
 
 
-# ----------------------------------------------------------------------- against SciPy
+# Against SciPy
 
 
 def scipys_least(problem, linear_model, start):
@@ -106,7 +110,9 @@ def scipys_least(problem, linear_model, start):
 @pytest.mark.parametrize("robot_name", ["puma560", "planar"])
 @pytest.mark.parametrize("what", ["out of reach", "goals that disagree"])
 def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_model):
-    robot, same, count = robots(robot_name), 0, 5
+    robot = robots(robot_name)
+    same = 0
+    count = 5
     for start, there in zip(reachable(robot, count, 31), reachable(robot, count, 32), strict=True):
         pose = robot.forward(there)
         if what == "out of reach":
@@ -114,26 +120,31 @@ def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_mo
         else:
             frames = ("link3", "link5") if robot_name == "puma560" else ("lower", "hand")
             goals = [
-                PositionGoal(f, robot.forward(there, f).position + 0.2 * i) for i, f in enumerate(frames)
+                PositionGoal(f, robot.forward(there, f).position + 0.2 * i)
+                for i, f in enumerate(frames)
             ]
             goals.append(OrientationGoal(None, pose.wxyz, weight=0.5))
         near = robot.clip(there + 0.3 * (start - there))
         problem = Problem(robot, goals, budget=ONE_TRY, tolerance=FINE, solver=Minimization())
         q = problem.solve(near).q
         cost = half_square(problem, q)
-        assert scipys_least(problem, linear_model, q) >= cost - 1e-8 * (1 + cost)  # nothing is left to win
+        assert scipys_least(problem, linear_model, q) >= cost - 1e-8 * (
+            1 + cost
+        )  # nothing is left to win
         same += abs(scipys_least(problem, linear_model, near) - cost) <= 1e-6 * cost
     assert same >= 0.8 * count  # of several minima two methods need not find the same
 
 
-# ----------------------------------------------------------- limits and laws of joints
+# Limits and laws of joints
 
 COUPLED = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="j1" axis="0 0 1" range="-2 2"/><geom size="0.05"/>
- <body name="b" pos="0.4 0 0"><joint name="j2" axis="0 1 0" ref="0.2" range="-1.5 1.5"/><geom size="0.05"/>
+ <body name="b" pos="0.4 0 0"><joint name="j2" axis="0 1 0" ref="0.2" range="-1.5 1.5"/>
+ <geom size="0.05"/>
   <body name="c" pos="0.4 0 0"><joint name="j3" axis="0 1 0" range="-0.9 1.2"/><geom size="0.05"/>
    <site name="tip" pos="0.3 0 0.1"/></body></body></body>
-</worldbody><equality><joint joint1="j3" joint2="j2" polycoef="0.1 -0.6 0 0 0"/></equality></mujoco>"""
+</worldbody><equality><joint joint1="j3" joint2="j2" polycoef="0.1 -0.6 0 0 0"/></equality>
+</mujoco>"""
 
 
 def test_linear_equalities_hold_at_every_step(tmp_path):
@@ -142,7 +153,8 @@ def test_linear_equalities_hold_at_every_step(tmp_path):
     data = mujoco.MjData(robot.model)
     rng = np.random.default_rng(1)
     for _ in range(3):
-        start, there = robot.sample(rng), robot.sample(rng)
+        start = robot.sample(rng)
+        there = robot.sample(rng)
         problem = Problem(
             robot,
             PositionGoal(None, 1.3 * robot.forward(there).position),
@@ -174,48 +186,62 @@ def test_a_limited_ball_joint_is_refused(robots):
     assert "lm" in caught.value.able
 
 
-# -------------------------------------------------------------------------- every goal
+# Every goal
 
 
 def every_kind(robot, q, frame, other):
     """A goal of every kind, met at q."""
-    pose, there = robot.forward(q, frame), robot.forward(q, other).position
+    pose = robot.forward(q, frame)
+    there = robot.forward(q, other).position
     position = pose.position
     aimed_at = position + 0.7 * pose.rotation[:, 2]
     return [
-        PositionGoal(frame, position), PositionGoal(frame, position, axes="xz"),
-        OrientationGoal(frame, pose.wxyz), OrientationGoal(frame, pose.wxyz, free_axis="y"),
-        PoseGoal.at(frame, pose), PoseGoal(frame, position, pose.wxyz, free_axis="x"),
-        AimGoal(frame, aimed_at, axis="z"), LineGoal(frame, position, (1, 2, 3)),
-        PlaneGoal(frame, position, (3, 2, 1)), HalfSpaceGoal(frame, position, (0, 0, -1)),
-        CenterOfMassGoal(None, robot.center_of_mass(q)), PostureGoal(q=q),
+        PositionGoal(frame, position),
+        PositionGoal(frame, position, axes="xz"),
+        OrientationGoal(frame, pose.wxyz),
+        OrientationGoal(frame, pose.wxyz, free_axis="y"),
+        PoseGoal.at(frame, pose),
+        PoseGoal(frame, position, pose.wxyz, free_axis="x"),
+        AimGoal(frame, aimed_at, axis="z"),
+        LineGoal(frame, position, (1, 2, 3)),
+        PlaneGoal(frame, position, (3, 2, 1)),
+        HalfSpaceGoal(frame, position, (0, 0, -1)),
+        CenterOfMassGoal(None, robot.center_of_mass(q)),
+        PostureGoal(q=q),
         [PositionGoal(frame, position), PlaneGoal(other, there, (1, 1, 0))],
-    ]  # fmt: skip
+    ]
 
 
 @pytest.mark.parametrize(
-    ("name", "frame", "other"), [("srs_arm", None, "elbow"), ("humanoid", "left_hand", "right_hand")]
+    ("name", "frame", "other"),
+    [("srs_arm", None, "elbow"), ("humanoid", "left_hand", "right_hand")],
 )
 def test_goals_of_every_kind_are_met(name, frame, other):
-    robot, rng = load_robot(name), np.random.default_rng(6)
+    robot = load_robot(name)
+    rng = np.random.default_rng(6)
     for _ in range(2):
         q = robot.sample(rng)
         goals = every_kind(robot, q, frame, other)
-        assert {type(goal) for goal in goals if not isinstance(goal, list)} == set(GOALS) - {PosePriorGoal}
+        assert {type(goal) for goal in goals if not isinstance(goal, list)} == set(GOALS) - {
+            PosePriorGoal
+        }
         for goal in goals:
-            found = solve(robot, goal, solver="bfgs", tolerance=FINE)
-            assert found.converged and not robot.outside(found.q), goal
+            result = solve(robot, goal, solver="bfgs", tolerance=FINE)
+            assert result.converged and not robot.outside(result.q), goal
 
 
 def test_the_figure_stands_reaches_and_looks_at_once():
-    robot, rng = load_robot("humanoid"), np.random.default_rng(8)
+    robot = load_robot("humanoid")
+    rng = np.random.default_rng(8)
     for _ in range(3):
         q = robot.clip(robot.integrate(robot.home, rng.uniform(-0.4, 0.4, robot.nv)))
-        goals = [PoseGoal.at(f, robot.forward(q, f)) for f in ("left_foot", "right_foot", "left_hand")]
+        goals = [
+            PoseGoal.at(f, robot.forward(q, f)) for f in ("left_foot", "right_foot", "left_hand")
+        ]
         goals += [PositionGoal("right_hand", robot.forward(q, "right_hand").position)]
         goals += [CenterOfMassGoal(None, robot.center_of_mass(q), axes="xy")]
-        found = solve(robot, goals, solver="bfgs", tolerance=FINE)
-        assert found.converged and not robot.outside(found.q)
+        result = solve(robot, goals, solver="bfgs", tolerance=FINE)
+        assert result.converged and not robot.outside(result.q)
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])

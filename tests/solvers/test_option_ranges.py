@@ -16,14 +16,16 @@ USUAL = [
 ]
 
 
-@pytest.mark.parametrize(("name", "field"), USUAL, ids=[f"{name}-{field.name}" for name, field in USUAL])
+@pytest.mark.parametrize(
+    ("name", "field"), USUAL, ids=[f"{name}-{field.name}" for name, field in USUAL]
+)
 def test_a_usual_range_holds_the_default_and_its_upper_end_is_allowed(
     name: str, field: dataclasses.Field[float]
 ) -> None:
     first, last = field.metadata["usual"]
     assert first < last and first <= field.default <= last
     make_solver(name, **{field.name: type(field.default)(last)})
-    make_solver(name, **{field.name: type(field.default)(max(first, field.metadata["low"]))})
+    make_solver(name, **{field.name: type(field.default)(max(first, field.metadata["lower"]))})
 
 
 def test_every_method_with_steps_has_something_to_slide_or_choose() -> None:
@@ -31,5 +33,6 @@ def test_every_method_with_steps_has_something_to_slide_or_choose() -> None:
         fields = dataclasses.fields(solver)
         if len(fields) > 1:
             assert any(
-                f.metadata["usual"] or f.metadata["choices"] or isinstance(f.default, bool) for f in fields
+                f.metadata["usual"] or f.metadata["choices"] or isinstance(f.default, bool)
+                for f in fields
             ), name

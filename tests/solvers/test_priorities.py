@@ -31,15 +31,19 @@ def arm():
 
 
 def slope_left(robot, q, frame, wanted):
-    """Way to ``wanted`` that the pose of ``frame`` and the limits still leave open: zero at the optimum."""
-    jacobian, way, held = robot.jacobian(q, frame), wanted - q, np.zeros(robot.nv, dtype=bool)
+    """Return the part of the way to ``wanted`` that pose and limits allow: zero at the optimum."""
+    jacobian = robot.jacobian(q, frame)
+    way = wanted - q
+    held = np.zeros(robot.nv, dtype=bool)
     for _ in range(robot.nv):
         free = ~held
         part = np.zeros(robot.nv)
         part[free] = way[free] - np.linalg.pinv(jacobian[:, free], rcond=1e-6) @ (
             jacobian[:, free] @ way[free]
         )
-        outward = ((q <= robot.lower + 1e-9) & (part < 0)) | ((q >= robot.upper - 1e-9) & (part > 0))
+        outward = ((q <= robot.lower + 1e-9) & (part < 0)) | (
+            (q >= robot.upper - 1e-9) & (part > 0)
+        )
         if not (outward & ~held).any():
             break
         held |= outward
@@ -50,10 +54,10 @@ def test_the_pose_is_met_and_the_posture_gets_all_the_freedom_that_is_left(arm):
     rng = np.random.default_rng(0)
     for _ in range(12):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
-        found = solve(arm, [pose, PostureGoal(q=arm.home, priority=1)], solver="lm")
-        assert found.errors[0].position < 1e-4 and found.errors[0].angle < 1e-3
-        assert not arm.outside(found.q)
-        assert slope_left(arm, found.q, None, arm.home) < 2e-3
+        result = solve(arm, [pose, PostureGoal(q=arm.home, priority=1)], solver="lm")
+        assert result.errors[0].position < 1e-4 and result.errors[0].angle < 1e-3
+        assert not arm.outside(result.q)
+        assert slope_left(arm, result.q, None, arm.home) < 2e-3
 
 
 def test_what_cannot_be_met_first_is_as_near_as_if_it_were_alone(arm):
@@ -67,14 +71,18 @@ def test_what_cannot_be_met_first_is_as_near_as_if_it_were_alone(arm):
 
 @pytest.mark.parametrize("far", [0.35, 5.0])
 def test_a_later_goal_that_pulls_away_costs_the_earlier_one_nothing(arm, far):
-    elbow, tool = "elbow", arm.tool
+    elbow = "elbow"
+    tool = arm.tool
     there = arm.forward(arm.home + 0.2, tool).position
-    first, gains = PositionGoal(tool, there, tolerance=FINE), []
+    first = PositionGoal(tool, there, tolerance=FINE)
+    gains = []
     for away in itertools.product((-far, far), repeat=2):
         second = PositionGoal(elbow, (*away, 0.4), priority=1)
         strict = solve(arm, [first, second], solver="lm")
         assert strict.errors[0].position <= 1e-6
-        mixed = solve(arm, [first, PositionGoal(elbow, (*away, 0.4))], solver="lm", budget=Budget(restarts=0))
+        mixed = solve(
+            arm, [first, PositionGoal(elbow, (*away, 0.4))], solver="lm", budget=Budget(restarts=0)
+        )
         if far > 1.0:  # without priorities the far one has its way, whatever it costs the other
             gains.append(strict.errors[1].position - mixed.errors[1].position)
             assert gains[-1] > -1e-4
@@ -91,8 +99,8 @@ def test_the_order_of_the_list_does_not_matter_but_that_of_the_numbers_does(arm)
         PositionGoal("elbow", (0.1, 0.9, 0.9), priority=40),
     ]
     results = [solve(arm, list(order), solver="lm") for order in itertools.permutations(goals)]
-    for found in results:
-        by_goal = dict(zip(found.goals, found.errors, strict=True))
+    for result in results:
+        by_goal = dict(zip(result.goals, result.errors, strict=True))
         assert [by_goal[g].position for g in goals] == pytest.approx(
             [results[0].errors[k].position for k in range(3)], abs=1e-6
         )
@@ -115,19 +123,22 @@ def test_a_figure_stands_balances_reaches_and_looks_in_that_order():
             AimGoal("gaze", ball, axis="x", priority=3),
             PostureGoal(q=figure.home, priority=4),
         ]
-        found = solve(figure, goals)
-        errors = found.errors
-        assert max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
+        result = solve(figure, goals)
+        errors = result.errors
+        assert (
+            max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
+        )
         assert (errors[3].position < 1e-4) is reached
         assert errors[4].angle < 1e-3 or not reached
-        assert not figure.outside(found.q)
+        assert not figure.outside(result.q)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_figure_at_full_stretch_keeps_its_feet(seed):
-    """Restoring a level may fail where nearly all joints are at their stops; then the step back is taken."""
+    """Where nearly all joints are at limits a level may not be restored. The step is undone."""
     figure = load_robot("humanoid")
-    home, ball = figure.home, (0.2, 0.2, 2.5)  # 0.3 m too high
+    home = figure.home
+    ball = (0.2, 0.2, 2.5)  # 0.3 m too high
     rng = np.random.default_rng(seed)
     goals = [
         PoseGoal.at("left_foot", figure.forward(home, "left_foot")),
@@ -137,7 +148,9 @@ def test_a_figure_at_full_stretch_keeps_its_feet(seed):
         AimGoal("gaze", ball, axis="x", priority=3),
         PostureGoal(q=home, joints={"root": 0.0}, priority=4),
     ]
-    start = figure.integrate(home, np.concatenate([np.zeros(6), rng.uniform(-0.3, 0.3, figure.model.nv - 6)]))
+    start = figure.integrate(
+        home, np.concatenate([np.zeros(6), rng.uniform(-0.3, 0.3, figure.model.nv - 6)])
+    )
     errors = solve(figure, goals, start=start, solver="lm").errors
     assert max(m.position for m in errors[:3]) < 1e-4 and max(m.angle for m in errors[:2]) < 1e-3
     assert errors[3].position == pytest.approx(0.283, abs=0.002)
@@ -193,10 +206,10 @@ def test_goals_in_reach_are_met_beside_one_that_is_not(arm):
     rng = np.random.default_rng(3)
     elbow = PositionGoal("elbow", arm.forward(arm.sample(rng), "elbow").position, weight=5.0)
     goals = [PositionGoal(None, (3.0, 0.0, 0.5)), elbow, PostureGoal(q=arm.home, priority=1)]
-    found = solve(arm, goals, solver="lm")
-    assert found.status is Status.UNREACHABLE
+    result = solve(arm, goals, solver="lm")
+    assert result.status is Status.UNREACHABLE
     alone = solve(arm, goals[:2], solver="lm")
-    assert found.errors[0].position == pytest.approx(alone.errors[0].position, abs=0.01)
+    assert result.errors[0].position == pytest.approx(alone.errors[0].position, abs=0.01)
 
 
 @pytest.mark.parametrize("option", [{"clamp": 0.5}, {"gain": 0.5}, {"alternative": True}])

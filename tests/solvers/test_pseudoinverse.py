@@ -76,7 +76,10 @@ def test_the_null_space_step(robot_name, aim, near_problems, linear_model, one_s
         np.testing.assert_allclose(jacobian @ (step - plain), 0.0, atol=1e-9)
         assert null @ phi > 0.0
         moved = robot.measure(q + 0.01 * (step - plain)).position - robot.measure(q).position
-        assert np.linalg.norm(moved) < 1e-3 * 0.01 * np.linalg.norm(null) + 1e-4 * np.linalg.norm(null) ** 2
+        assert (
+            np.linalg.norm(moved)
+            < 1e-3 * 0.01 * np.linalg.norm(null) + 1e-4 * np.linalg.norm(null) ** 2
+        )
 
 
 @pytest.mark.parametrize("aim", ["rest", "limits"])
@@ -88,7 +91,10 @@ def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
     far = {}
     for name in ("none", aim):
         problem = Problem(
-            robot, PositionGoal(None, here), solver=Pseudoinverse(aim=name), budget=Budget(restarts=0)
+            robot,
+            PositionGoal(None, here),
+            solver=Pseudoinverse(aim=name),
+            budget=Budget(restarts=0),
         )
         q = start
         for tick in range(201):
@@ -106,7 +112,11 @@ def test_tracking_with_an_aim_ends_nearer_to_it(aim, robots):
 def test_an_aim_works_on_balls_slides_and_turns_without_limits(near_problems):
     for aim in ("rest", "limits"):
         for problem, q in near_problems("tree", "position", distance=0.3):
-            assert Problem(problem.robot, problem.goals, solver=Pseudoinverse(aim=aim)).solve(q).converged
+            assert (
+                Problem(problem.robot, problem.goals, solver=Pseudoinverse(aim=aim))
+                .solve(q)
+                .converged
+            )
 
 
 def test_the_way_home_of_a_ball_is_a_rotation(robots, linear_model, one_step):
@@ -117,7 +127,9 @@ def test_the_way_home_of_a_ball_is_a_rotation(robots, linear_model, one_step):
     null = np.eye(7) - np.linalg.pinv(jacobian) @ jacobian
     plain = one_step(Pseudoinverse(cutoff=1e-9, **FREE_STEP), problem, q)
     step = one_step(Pseudoinverse(cutoff=1e-9, aim="rest", aim_gain=0.1, **FREE_STEP), problem, q)
-    home = np.array([0, -0.2, -0.4, 0.3, -0.5, 0, 0])  # from the identity out and back along one axis
+    home = np.array(
+        [0, -0.2, -0.4, 0.3, -0.5, 0, 0]
+    )  # from the identity out and back along one axis
     np.testing.assert_allclose(step - plain, null @ (0.1 * home), atol=1e-8)
 
 
@@ -140,7 +152,7 @@ def test_the_way_home_of_a_floating_base_is_mujocos(linear_model, one_step):
     np.testing.assert_allclose(step - plain, null @ phi, atol=1e-9)
 
 
-# ------------------------------------------------------------------------------ goal halving
+# Goal halving
 
 
 def landing_of(problem, q, wanted, before, share, step):
@@ -154,7 +166,8 @@ def landing_of(problem, q, wanted, before, share, step):
 
 def test_a_step_that_does_not_land_is_halved_until_it_does(robots, linear_model, one_step):
     robot = robots("puma560")
-    rng, halved = np.random.default_rng(8), 0
+    rng = np.random.default_rng(8)
+    halved = 0
     for _ in range(20):
         q = robot.home + rng.uniform(-0.2, 0.2, 6)
         target = robot.forward(robot.home + rng.uniform(-0.8, 0.8, 6)).position
@@ -187,41 +200,51 @@ def test_halving_ends_and_never_leads_up(robots):
     first = [row.cost for row in solution.trace if row.restart == 0]
     assert len(first) > 5
     norms = np.sqrt(2 * np.array(first))
-    assert all(b <= a + NEAR for a, b in pairwise(norms))  # no farther up than a step may miss its subgoal
+    assert all(
+        b <= a + NEAR for a, b in pairwise(norms)
+    )  # no farther up than a step may miss its subgoal
 
 
 @pytest.mark.parametrize("kind", ["position", "pose"])
 @pytest.mark.parametrize("robot_name", ["puma560", "planar", "tree"])
 def test_halving_solves(robot_name, kind, near_problems):
     for problem, q in near_problems(robot_name, kind, distance=0.4):
-        assert Problem(problem.robot, problem.goals, solver=Pseudoinverse(halvings=8)).solve(q).converged
+        assert (
+            Problem(problem.robot, problem.goals, solver=Pseudoinverse(halvings=8))
+            .solve(q)
+            .converged
+        )
 
 
-# ------------------------------------------------------------------------------ limits
+# Limits
 
 
 def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, one_step):
     robot = robots("puma560")
-    rng, seen = np.random.default_rng(3), 0
+    rng = np.random.default_rng(3)
+    steps_at_limits = 0
     for _ in range(30):
         q = robot.home + rng.uniform(-0.3, 0.3, 6)
         q[1] = robot.lower[1]
-        problem = Problem(robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3)))
+        problem = Problem(
+            robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3))
+        )
         jacobian, e = linear_model(problem, q)
         whole = np.linalg.pinv(jacobian, rcond=1e-6) @ e
         step = one_step(Pseudoinverse(cutoff=1e-6, **FREE_STEP), problem, q)
         if jacobian[:, 1] @ e < 0 or whole[1] < 0:
             jacobian[:, 1] = 0.0
             whole = np.linalg.pinv(jacobian, rcond=1e-6) @ e
-            seen += 1
+            steps_at_limits += 1
             assert step[1] == 0.0 and step.any()
         np.testing.assert_allclose(step, whole, atol=1e-8)
-    assert seen > 5
+    assert steps_at_limits > 5
 
 
 def test_a_cut_step_never_leads_up_on_the_linear_model(robots, linear_model, one_step):
     robot = robots("puma560")
-    rng, cut = np.random.default_rng(11), 0
+    rng = np.random.default_rng(11)
+    cut = 0
     for _ in range(100):
         q = robot.clip(robot.sample(rng) * rng.choice([0.99, 1.0, 3.0], 6))
         problem = Problem(robot, PositionGoal(None, robot.forward(robot.sample(rng)).position))
@@ -230,7 +253,8 @@ def test_a_cut_step_never_leads_up_on_the_linear_model(robots, linear_model, one
         assert (q + step <= robot.upper + 1e-12).all() and (q + step >= robot.lower - 1e-12).all()
         assert np.linalg.norm(e - jacobian @ step) <= np.linalg.norm(e) * (1 + 1e-12)
         cut += bool(
-            (np.abs(q + step - robot.upper) < 1e-12).any() or (np.abs(q + step - robot.lower) < 1e-12).any()
+            (np.abs(q + step - robot.upper) < 1e-12).any()
+            or (np.abs(q + step - robot.lower) < 1e-12).any()
         )
     assert cut > 20
 

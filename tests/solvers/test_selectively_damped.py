@@ -72,33 +72,40 @@ def test_every_step_leads_down_on_the_linear_model(kind, near_problems, linear_m
 
 def test_a_joint_at_its_limit_does_not_freeze_the_others(robots, linear_model, one_step):
     robot = robots("puma560")
-    rng, seen = np.random.default_rng(3), 0
+    rng = np.random.default_rng(3)
+    steps_at_limits = 0
     for _ in range(30):
         q = robot.home + rng.uniform(-0.3, 0.3, 6)
         q[1] = robot.lower[1]
-        problem = Problem(robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3)))
+        problem = Problem(
+            robot, PositionGoal(None, robot.forward(q).position + rng.uniform(-0.02, 0.02, 3))
+        )
         jacobian, e = linear_model(problem, q)
         whole = buss_kim(jacobian, e, [slice(0, 3)], math.pi / 4)
         step = one_step(SelectivelyDamped(), problem, q)
         if jacobian[:, 1] @ e < 0 or whole[1] < 0:
             jacobian[:, 1] = 0.0
             whole = buss_kim(jacobian, e, [slice(0, 3)], math.pi / 4)
-            seen += 1
+            steps_at_limits += 1
             assert step[1] == 0.0 and step.any()
         np.testing.assert_allclose(step, whole, atol=1e-8)
-    assert seen > 5
+    assert steps_at_limits > 5
 
 
 @pytest.mark.parametrize("where", [(1.3, 0.9, 0.0), (3.0, 0.0, 0.0)])
 def test_it_does_not_shake_on_a_target_out_of_reach(where, robots):
-    """The reason why it was made: the last of many steps are small, where the pseudoinverse's are not."""
+    """The purpose of the method: small last steps, which the pseudoinverse does not have."""
     robot = robots("planar")
     goal = PositionGoal(None, where)
     last = {}
     for name in ("sdls", "pseudoinverse"):
         solver = make_solver(name, patience=1000, first_steps=1000)
-        problem = Problem(robot, goal, trace=True, budget=Budget(iterations=200, restarts=1), solver=solver)
-        last[name] = max(row.step for row in problem.solve(np.array([0.4, 0.6, 0.5])).trace[100:200])
+        problem = Problem(
+            robot, goal, trace=True, budget=Budget(iterations=200, restarts=1), solver=solver
+        )
+        last[name] = max(
+            row.step for row in problem.solve(np.array([0.4, 0.6, 0.5])).trace[100:200]
+        )
     assert last["sdls"] < 0.02 < last["pseudoinverse"]
 
 

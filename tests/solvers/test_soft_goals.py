@@ -36,7 +36,9 @@ def figure():
 def whole_body(figure, ball, priorities, posture):
     """Feet stay, balance over them, the hand at the ball, eyes on it, and the joints as at ease."""
     home = figure.home
-    left, right = (PoseGoal.at(foot, figure.forward(home, foot)) for foot in ("left_foot", "right_foot"))
+    left, right = (
+        PoseGoal.at(foot, figure.forward(home, foot)) for foot in ("left_foot", "right_foot")
+    )
     feet, balance, hand, gaze = priorities
     return [
         dataclasses.replace(left, priority=feet),
@@ -52,7 +54,8 @@ def ball_path(figure):
     hand = figure.forward(figure.home, "right_hand").position
     phase = np.linspace(0, 2 * np.pi, FRAMES)
     return hand + np.stack(
-        [0.2 + 0.15 * np.sin(phase), 0.05 + 0.1 * np.cos(2 * phase), -0.1 + 0.15 * np.cos(phase)], axis=1
+        [0.2 + 0.15 * np.sin(phase), 0.05 + 0.1 * np.cos(2 * phase), -0.1 + 0.15 * np.cos(phase)],
+        axis=1,
     )
 
 
@@ -62,7 +65,7 @@ def unease(figure, q):
 
 
 def long_minimisation(figure, path):
-    """Joint angles of least unease with all else met to some micrometres: a weighted sum, tightly solved."""
+    """Return the optimal joint angles of a weighted sum; other goals are met to micrometres."""
     goals = whole_body(figure, path[0], (0, 0, 0, 0), {"weight": 1e-3})
     budget = Budget(iterations=400, restarts=0)
     tolerance = Tolerance(1e-12, 1e-12)
@@ -81,17 +84,17 @@ def least_unease(figure):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_unease, form):
-    """Hand, feet, balance and gaze within tolerance in each frame, the posture nearly as near as can be."""
+    """In each frame hand, feet, balance and gaze are met, and the posture is near its optimum."""
     priorities, posture = FORMS[form]
     path = ball_path(figure)
     problem = Problem(figure, whole_body(figure, path[0], priorities, posture | {"soft": True}))
     q = figure.home
     near = []
     for ball, best in zip(path, least_unease, strict=True):
-        found = problem.solve(q, target={3: ball, 4: ball})
-        q = found.q
-        assert found.status is Status.CONVERGED
-        error = found.error
+        result = problem.solve(q, target={3: ball, 4: ball})
+        q = result.q
+        assert result.status is Status.CONVERGED
+        error = result.error
         assert error.position <= 1e-4 and error.angle <= 1e-3
         assert not figure.outside(q)
         near.append(unease(figure, q) <= 1.05 * unease(figure, best) + 1e-6)
@@ -99,7 +102,7 @@ def test_a_figure_tracks_with_a_soft_posture_and_all_else_is_met(figure, least_u
 
 
 def test_a_needed_posture_in_the_same_place_is_never_met(figure):
-    """What softness is for: the same goal, needed, spoils the verdict though hands and balance are met."""
+    """The purpose of soft goals: as a hard goal it would prevent convergence."""
     ball = ball_path(figure)[0]
     needed = solve(figure, whole_body(figure, ball, (0, 0, 1, 2), {"priority": 3}))
     soft = solve(figure, whole_body(figure, ball, (0, 0, 1, 2), {"priority": 3, "soft": True}))
@@ -113,16 +116,17 @@ def test_a_soft_goal_decides_nothing_and_its_error_is_shown(arm):
     for _ in range(20):
         pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
         away = PostureGoal(q=arm.home + 0.4, soft=True)
-        found = solve(arm, [away, pose])
-        assert found.converged and found.restarts <= solve(arm, pose, solver="lm").restarts + 5
-        assert found.error == found.errors[1] and found.errors[0].angle > 0.0
+        result = solve(arm, [away, pose])
+        assert result.converged and result.restarts <= solve(arm, pose, solver="lm").restarts + 5
+        assert result.error == result.errors[1] and result.errors[0].angle > 0.0
 
 
 def test_a_soft_goal_gets_what_freedom_is_left(arm):
     """As near as the strict priority, which has been there longer, brings it."""
     rng = np.random.default_rng(1)
     for _ in range(12):
-        pose, away = PoseGoal.at(None, arm.forward(arm.sample(rng))), arm.home + 0.2
+        pose = PoseGoal.at(None, arm.forward(arm.sample(rng)))
+        away = arm.home + 0.2
         start = solve(arm, pose, solver="lm").q
         soft = solve(arm, [pose, PostureGoal(q=away, soft=True)], start=start)
         strict = solve(arm, [pose, PostureGoal(q=away, priority=1)], start=start)
@@ -131,9 +135,9 @@ def test_a_soft_goal_gets_what_freedom_is_left(arm):
 
 def test_soft_goals_alone_are_served_and_converge(arm):
     wanted = arm.clip(arm.home + 0.3)
-    found = solve(arm, PostureGoal(q=wanted, soft=True))
-    assert found.converged and np.abs(found.q - wanted).max() < 1e-3
-    assert (found.error.position, found.error.angle) == (0.0, 0.0)
+    result = solve(arm, PostureGoal(q=wanted, soft=True))
+    assert result.converged and np.abs(result.q - wanted).max() < 1e-3
+    assert (result.error.position, result.error.angle) == (0.0, 0.0)
     far = solve(arm, PositionGoal(None, (9.0, 0, 0), soft=True))
     assert far.converged and far.restarts == 0
     assert np.linalg.norm(arm.forward(far.q).position - (9.0, 0, 0)) < np.linalg.norm(
@@ -145,10 +149,10 @@ def test_several_soft_goals_have_priorities_among_themselves(arm):
     position = arm.forward(arm.home + 0.2).position
     elbow = PositionGoal("elbow", arm.forward(arm.home + 0.25, "elbow").position, soft=True)
     rest = PostureGoal(q=arm.home, soft=True, priority=1)
-    found = solve(arm, [rest, elbow, PositionGoal(None, position)])
+    result = solve(arm, [rest, elbow, PositionGoal(None, position)])
     without = solve(arm, [elbow, PositionGoal(None, position)])
-    assert found.converged and found.errors[2].position < 1e-4
-    assert found.errors[1].position <= without.errors[0].position + 2e-3
+    assert result.converged and result.errors[2].position < 1e-4
+    assert result.errors[1].position <= without.errors[0].position + 2e-3
 
 
 def test_a_needed_goal_out_of_reach_is_still_said_beside_a_soft_one(arm):
@@ -164,18 +168,18 @@ def test_tracking_a_soft_posture_comes_to_rest(figure):
         q = figure.home
         steps = []
         for _ in range(20):
-            found = problem.solve(q)
-            steps.append(float(np.abs(found.q - q).max()))
-            q = found.q
-        assert max(steps[-5:]) <= 1e-3 and found.iterations == 0
+            result = problem.solve(q)
+            steps.append(float(np.abs(result.q - q).max()))
+            q = result.q
+        assert max(steps[-5:]) <= 1e-3 and result.iterations == 0
 
 
 def test_the_trace_counts_needed_goals_only(arm):
     pose = PoseGoal.at(None, arm.forward(arm.home + 0.3))
-    found = solve(arm, [pose, PostureGoal(q=arm.home + 1.0, soft=True)], trace=True)
-    assert len(found.trace) == found.iterations > 0
-    assert found.trace[-1].position <= 1e-4 and found.trace[-1].angle <= 1e-3
-    assert found.trace[-1].cost > 0.01  # the weighted sum is of all
+    result = solve(arm, [pose, PostureGoal(q=arm.home + 1.0, soft=True)], trace=True)
+    assert len(result.trace) == result.iterations > 0
+    assert result.trace[-1].position <= 1e-4 and result.trace[-1].angle <= 1e-3
+    assert result.trace[-1].cost > 0.01  # the weighted sum is of all
 
 
 def test_the_laws_hold_with_soft_goals_too(arm):
@@ -184,7 +188,9 @@ def test_the_laws_hold_with_soft_goals_too(arm):
     once, twice = (solve(arm, goals, seed=3) for _ in range(2))
     assert once.q.tobytes() == twice.q.tobytes()
     assert solve(arm, goals, start=once.q).iterations <= 1
-    at_rest = solve(arm, [PoseGoal.at(None, arm.forward(arm.home)), PostureGoal(q=arm.home, soft=True)])
+    at_rest = solve(
+        arm, [PoseGoal.at(None, arm.forward(arm.home)), PostureGoal(q=arm.home, soft=True)]
+    )
     assert at_rest.iterations == 0 and np.array_equal(at_rest.q, arm.home)
     short = solve(arm, goals, start=arm.home - 0.5, budget=Budget(iterations=1))
     assert short.iterations <= 1
@@ -207,7 +213,9 @@ def test_soft_is_true_or_false():
 
 
 def test_retargeting_keeps_softness(arm):
-    problem = Problem(arm, [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, soft=True)])
+    problem = Problem(
+        arm, [PositionGoal(None, (0.3, 0.3, 0.5)), PostureGoal(q=arm.home, soft=True)]
+    )
     problem.retarget(arm.home + 0.1, 1)
     assert problem.goals[1].soft
     problem.retarget(PostureGoal(q=arm.home + 0.2, soft=True), 1)

@@ -217,6 +217,17 @@ def test_the_page_gets_how_the_last_solve_ended_and_the_error(session: Session) 
     assert aimed.off == "28.65°"
 
 
+def test_options_of_a_method_come_with_their_ranges() -> None:
+    methods = program_row(has_camera=False, has_film=False, has_arm=False)["methods"]
+    rows = {row["name"]: row for row in methods["dls"]}
+    damping = rows["damping"]
+    assert (damping["lower"], damping["upper"]) == (1e-6, 10.0) and damping["help"]
+    assert damping["usual"] == [1e-4, 10.0], "the sliders hold the values of the theses"
+    for options in methods.values():
+        for row in options:
+            assert row["switch"] or row["choices"] or row["lower"] < row["upper"]
+
+
 def test_joint_values_are_those_of_the_joints_that_can_be_turned() -> None:
     with Session(Start("humanoid"), beside=False) as session:
         robot = session.robot

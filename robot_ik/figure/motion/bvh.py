@@ -544,7 +544,7 @@ def _euler(rotations: Array) -> Array:
     return np.degrees(out)
 
 
-def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
+def exported_motion(bvh: Bvh, robot: Robot) -> Keyframes:
     """Return the motion in a file of ``export_bvh``, which has the skeleton of the robot.
 
     Args:

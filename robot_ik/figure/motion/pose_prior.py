@@ -26,7 +26,7 @@ starts: of 52 poses of motions that were not learned, the likelihood ended below
 itself in 60 % with 0.03, in 17 % with 0.3 and in 6 % with 0.5."""
 
 SMALLEST_SPREAD = 0.03
-"""rad or m. A joint that hardly moves is not a rule."""
+"""rad or m. Smallest spread of a feature. A joint that does not move is no constraint."""
 
 EM_ROUNDS = 200
 """Largest number of rounds of expectation-maximisation."""

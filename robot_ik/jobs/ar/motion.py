@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
-from robot_ik.config import read_text, read_toml
+from robot_ik.config import read_text, read_toml, shown
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal
@@ -186,7 +186,7 @@ def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.E
         trajectory = Trajectory.load_csv(path)
         if tuple(trajectory.joints) != tuple(robot.joints):
             raise ConfigError(
-                f"has the joints {', '.join(trajectory.joints)}",
+                f"has the joints {shown(', '.join(trajectory.joints))}",
                 file=path, key="line 1", allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
             )  # fmt: skip
         return replay(trajectory)

@@ -39,7 +39,7 @@ from robot_ik.solvers.analytic.five_joint_nearest import (
     solve_nearest_locally,
     tool_point,
 )
-from robot_ik.solvers.analytic.five_joint_pitch import ARM, ONE_AXIS, TARGET, WHOLE
+from robot_ik.solvers.analytic.five_joint_pitch import ALL_AXES, ARM, ONE_AXIS, TARGET
 from robot_ik.solvers.analytic.five_joint_search import (
     ANGLE,
     BOUND,
@@ -67,7 +67,7 @@ _CLOSED = 5e-7
 _CLOSING_DAMPING = 1e-12
 _LONGEST_CLOSING = 1e-3
 # Elbow branches that ``five_joint_search`` has memory for.
-_MOST_SHEETS = 4
+_MAX_SHEETS = 4
 
 RUN = Layout(
     "FiveJointRun",
@@ -153,7 +153,7 @@ def close_position(run):
     """Remove a position error of some micrometres from search.q; return whether within tolerance.
 
     It remains where several joints are at their limits, see ``ON_BOUNDARY``. There a micrometre may
-    cost some hundredths of a degree, so that smaller errors are left.
+    cost some hundredths of a degree, so smaller errors are not corrected.
     """
     state = run.search
     within = measure(run.tree, run.goals, state)
@@ -228,7 +228,7 @@ def step_to_target(run):
 
 @inlined
 def with_stopped(stopped, joint):
-    """Return five flags with one more set."""
+    """Return the five flags with the flag of ``joint`` set."""
     return (
         stopped[0] or joint == 0,
         stopped[1] or joint == 1,
@@ -278,8 +278,8 @@ def move_to_nearest(run, mode):
         distance = solve_nearest(arm, target, run.nearest)
     reached = tool_point(arm, run.nearest.q)
     if distance > 0.0:
-        away = so3.scale(_ALLOWANCE / distance, so3.subtract(reached, goal))
-        put_point(arm, target, so3.add(reached, away))
+        allowance = so3.scale(_ALLOWANCE / distance, so3.subtract(reached, goal))
+        put_point(arm, target, so3.add(reached, allowance))
 
 
 @outlined
@@ -405,11 +405,11 @@ def five_joints_many(address, mode, targets, starts, q, status, error, iteration
 
 @dataclass(frozen=True, eq=False)
 class FiveJointForm:
-    """A five-joint arm and what a problem asks of its frame.
+    """A five-joint arm and the goal of a problem for its frame.
 
     Attributes:
         arm: Block of ``ARM``.
-        kind: WHOLE or ONE_AXIS.
+        kind: ALL_AXES or ONE_AXIS.
         position_goal, angle_goal: Which parts of the problem's goals.
         needs_angle: The orientation decides whether a solve has converged.
     """
@@ -452,7 +452,7 @@ def five_joint_form(problem: Problem) -> FiveJointForm | None:
     all_axes = rows[angle].orientation_part == frame_goals.ALL_AXES
     return FiveJointForm(
         arm=arm_block(tree, chain, axes, tool),
-        kind=WHOLE if all_axes else ONE_AXIS,
+        kind=ALL_AXES if all_axes else ONE_AXIS,
         position_goal=position,
         angle_goal=angle,
         needs_angle=not goal.soft,
@@ -569,23 +569,23 @@ def _limits(tree: Tree, chain: list[int], signs: Array) -> tuple[Array, Array]:
     )
 
 
-def _sheets(upper_length: float, fore_length: float, low: float, high: float) -> Array:
+def _sheets(upper_length: float, fore_length: float, lower: float, upper: float) -> Array:
     """Return the elbow branches (s, 3): sign, shortest and longest shoulder-wrist distance.
 
     Args:
         upper_length: Link from lift to elbow, metres.
         fore_length: Link from elbow to wrist, metres.
-        low: Lower limit of the elbow's bend, 0 for a stretched arm.
-        high: Upper limit.
+        lower: Lower limit of the elbow's bend, 0 for a stretched arm.
+        upper: Upper limit.
     """
     rows = []
     for sign, first, last in ((1.0, 0.0, math.pi), (-1.0, -math.pi, 0.0)):
         for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
-            ends = (max(first, low + turn), min(last, high + turn))
+            ends = (max(first, lower + turn), min(last, upper + turn))
             if ends[1] > ends[0]:
                 distances = [abs(upper_length + fore_length * np.exp(1j * bend)) for bend in ends]
                 rows.append((sign, min(distances), max(distances)))
-    return np.array(rows[:_MOST_SHEETS]).reshape(-1, 3)
+    return np.array(rows[:_MAX_SHEETS]).reshape(-1, 3)
 
 
 # The method
@@ -616,7 +616,7 @@ class PreparedFiveJoint:
         for name in ("position_goal", "angle_goal", "needs_angle"):
             self._run[name] = getattr(form, name)
         self._mode = TRACK if problem.keep_branch else SOLVE
-        self._trace_wanted = problem.trace
+        self._trace_requested = problem.trace
         address = self._run.address
         jit.announce(five_joints, "the closed form of five joints")
         self._solve = partial(jit.entry(five_joints, address, SOLVE), address)
@@ -652,7 +652,7 @@ class PreparedFiveJoint:
             problem.robot,
             problem.given,
             self._target.copy(),
-            self._trace() if self._trace_wanted and iterations else None,
+            self._trace() if self._trace_requested and iterations else None,
             angle_bound=None if math.isnan(bound) else bound,
         )
 

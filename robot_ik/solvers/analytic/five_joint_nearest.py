@@ -30,7 +30,8 @@ _PANS = 4
 _ALTERNATIONS = 40
 _LAST_ALTERNATIONS = 1000
 _NO_IMPROVEMENT = 1e-13
-# rad: step of the turn at which the refinement ends; most steps; factor after a step in vain.
+# rad: step of the turn at which the refinement ends; largest number of steps; factor after a step
+# without improvement.
 _LAST_TURN_STEP = 1e-9
 _MAX_TURN_STEPS = 120
 # rad: first and last step of the turn in a loop.
@@ -111,9 +112,9 @@ def directions(nearest, count, goal, variant):
             return direction, direction, direction, False
         squares = first * first + distance * distance - second * second
         inner = math.acos(min(1.0, max(-1.0, squares / (2.0 * first * distance))))
-        one = direction + inner if variant == 4 else direction - inner
-        rest = goal - first * unit(one)
-        return one, math.atan2(rest.imag, rest.real), 0.0, True
+        turned = direction + inner if variant == 4 else direction - inner
+        rest = goal - first * unit(turned)
+        return turned, math.atan2(rest.imag, rest.real), 0.0, True
     return (
         direction + math.pi * (variant & 1),
         direction + math.pi * ((variant >> 1) & 1),
@@ -174,12 +175,12 @@ def solve_plane(arm, nearest, point, tool):
         pieces, base = write_rigid_pieces(arm, nearest, choices)
         goal = point - base
         for variant in range(variants_of(pieces)):
-            one, two, three, exists = directions(nearest, pieces, goal, variant)
+            first, second, third, exists = directions(nearest, pieces, goal, variant)
             if not exists:
                 continue
-            nearest.plane[0] = one
-            nearest.plane[1] = two
-            nearest.plane[2] = three
+            nearest.plane[0] = first
+            nearest.plane[1] = second
+            nearest.plane[2] = third
             distance = plane_distance(arm, nearest, choices, point)
             if distance < best:
                 best = distance
@@ -249,9 +250,9 @@ def keep_trial(nearest):
 def solve_nearest(arm, target, nearest):
     """Return the smallest distance found from the tool point to the target; write nearest.q."""
     best = math.inf
-    low = arm.lower[4] + arm.turn_zero
+    lower = arm.lower[4] + arm.turn_zero
     width = (arm.upper[4] - arm.lower[4]) / (_TURNS - 1)
-    best_turn = low
+    best_turn = lower
     for k in range(_PANS):
         if k == 0:
             pan = clipped_pan(arm, target.azimuth)
@@ -260,10 +261,10 @@ def solve_nearest(arm, target, nearest):
         else:
             pan = arm.lower[0] if k == 2 else arm.upper[0]
         for j in range(_TURNS):
-            distance = solve_turn(arm, target, nearest, low + j * width, pan, _ALTERNATIONS)
+            distance = solve_turn(arm, target, nearest, lower + j * width, pan, _ALTERNATIONS)
             if distance < best:
                 best = distance
-                best_turn = low + j * width
+                best_turn = lower + j * width
                 keep_trial(nearest)
     best, best_turn = refine_turn(arm, target, nearest, best, best_turn, width, _LAST_TURN_STEP)
     distance = solve_turn(arm, target, nearest, best_turn, nearest.q[0], _LAST_ALTERNATIONS)
@@ -289,15 +290,15 @@ def solve_nearest_locally(arm, target, nearest, start):
 @outlined
 def refine_turn(arm, target, nearest, best, best_turn, step, last_step):
     """Improve nearest.q by ever smaller steps of the turn; return the distance and the turn."""
-    low = arm.lower[4] + arm.turn_zero
-    high = arm.upper[4] + arm.turn_zero
+    lower = arm.lower[4] + arm.turn_zero
+    upper = arm.upper[4] + arm.turn_zero
     step *= _STEP_FACTOR
     for _ in range(_MAX_TURN_STEPS):
         if step < last_step:
             break
         before = best
         for sign in (-1.0, 1.0):
-            turn = min(high, max(low, best_turn + sign * step))
+            turn = min(upper, max(lower, best_turn + sign * step))
             distance = solve_turn(arm, target, nearest, turn, nearest.q[0], _ALTERNATIONS)
             if distance < best:
                 best = distance

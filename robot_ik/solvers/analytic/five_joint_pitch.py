@@ -28,7 +28,7 @@ LIMIT_SLACK = 1e-9
 SINE_SLACK = 1e-12
 
 # What the angle measures: the whole orientation, or the direction of one axis.
-WHOLE, ONE_AXIS = range(2)
+ALL_AXES, ONE_AXIS = range(2)
 
 # Rows of ``ARM.ends``: the elbow seen from the shoulder with the lift joint at its lower and upper
 # limit; the forearm with the wrist joint at its limits and the tool at pitch 0.
@@ -67,7 +67,7 @@ TARGET = Layout(
     range="float",  # cylinder coordinates of the position about the pan axis
     azimuth="float",
     height="float",
-    kind="int",  # WHOLE or ONE_AXIS
+    kind="int",  # ALL_AXES or ONE_AXIS
     by_turn="bool",  # the free parameter is the turn, not the bearing
     back="bool",  # the second solution of the coupling: the arm reaches backwards
     sign="float",  # of the elbow
@@ -314,9 +314,9 @@ def nearest_edge(arm, target, point, tool, wanted, slack, count):
         nearest = 0
         distance = math.inf
         for k in range(count):
-            away = abs(wrap(edges[k] - wanted))
-            if away < distance:
-                distance = away
+            angle = abs(wrap(edges[k] - wanted))
+            if angle < distance:
+                distance = angle
                 nearest = k
         edge = edges[nearest]
         if tested[nearest] == 1 or allows_pitch(arm, target, point, tool, edge, slack):

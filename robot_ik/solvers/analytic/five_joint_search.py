@@ -72,11 +72,11 @@ _LONGEST_STEP = 1.0
 _PIECES = 64
 _BRANCHES = 8
 
-_WHOLE_TURN = 2.0 * math.pi
+_FULL_TURN = 2.0 * math.pi
 _QUARTER_TURN = 0.5 * math.pi
 
 # How the search of a branch ended.
-FOUND, NO_CONFIGURATION, BOX_LIMIT = range(3)
+SEARCHED, NO_CONFIGURATION, BOX_LIMIT = range(3)
 # Columns of ``SEARCH.results``.
 OUTCOME, ANGLE, BOUND = range(3)
 # Columns of ``SEARCH.best``: the smallest angle so far, its parameter and pitch, and the width of
@@ -103,7 +103,7 @@ SEARCH = Layout(
 
 @inlined
 def take_branch(arm, target, search, branch):
-    """Make one branch that which ``target`` searches."""
+    """Write one branch to ``target``, which is then searched."""
     sheet = search.order[branch, 1]
     target.back = search.order[branch, 0] == 1
     target.sign = arm.sheets[sheet, 0]
@@ -182,14 +182,14 @@ def coupled_range(arm, target, first, last, slack):
     """
     if target.by_turn:
         scale = 1.0 / target.range
-        one = (arm.side + arm.radius * math.sin(first)) * scale
-        two = (arm.side + arm.radius * math.sin(last)) * scale
+        first_sine = (arm.side + arm.radius * math.sin(first)) * scale
+        last_sine = (arm.side + arm.radius * math.sin(last)) * scale
     else:
         scale = 1.0 / arm.radius
-        one = (target.range * math.sin(first) - arm.side) * scale
-        two = (target.range * math.sin(last) - arm.side) * scale
-    lower = min(one, two) - slack * scale
-    upper = max(one, two) + slack * scale
+        first_sine = (target.range * math.sin(first) - arm.side) * scale
+        last_sine = (target.range * math.sin(last) - arm.side) * scale
+    lower = min(first_sine, last_sine) - slack * scale
+    upper = max(first_sine, last_sine) + slack * scale
     if lower > 1.0 + SINE_SLACK or upper < -1.0 - SINE_SLACK:
         return 1.0, -1.0
     start = math.asin(max(-1.0, min(1.0, lower)))
@@ -318,7 +318,7 @@ def search_branch(arm, target, search, branch):
         last = boxes[k, 1]
         lower = boxes[k, 2]
         if lower >= min(best[branch, _ANGLE], search.known) - GAP:
-            return FOUND, min(bound, lower)
+            return SEARCHED, min(bound, lower)
         size -= 1
         for i in range(3):
             boxes[k, i] = boxes[size, i]
@@ -340,7 +340,7 @@ def search_branch(arm, target, search, branch):
                 bound = min(bound, part)
             else:
                 size = push_box(boxes, size, start, end, part)
-    return FOUND, bound
+    return SEARCHED, bound
 
 
 @outlined
@@ -372,14 +372,14 @@ def interval_around_best(search, branch):
         upper = pieces[branch, 2 * k + 1]
         if not lower <= parameter <= upper:
             continue
-        low = lower
-        high = upper
+        begin = lower
+        end = upper
         for j in range(count):
             if abs(pieces[branch, 2 * j + 1] - lower) < 1e-14:
-                low = pieces[branch, 2 * j]
+                begin = pieces[branch, 2 * j]
             if abs(pieces[branch, 2 * j] - upper) < 1e-14:
-                high = pieces[branch, 2 * j + 1]
-        return max(first, low), min(last, high)
+                end = pieces[branch, 2 * j + 1]
+        return max(first, begin), min(last, end)
     return first, last
 
 
@@ -433,15 +433,15 @@ def sort(values, count):
 
 @inlined
 def add_sine_roots(cuts, count, sine, low, high):
-    """Append the parameters in [low, high] with this sine to ``cuts``; return their number."""
+    """Append the parameters in [lower, upper] with this sine to ``cuts``; return their number."""
     if abs(sine) < 1.0:
         angle = math.asin(sine)
         for root in (angle, math.pi - angle):
-            root += _WHOLE_TURN * math.ceil((low - root) / _WHOLE_TURN)
+            root += _FULL_TURN * math.ceil((low - root) / _FULL_TURN)
             while root < high and count < _PIECES:
                 cuts[count] = root
                 count += 1
-                root += _WHOLE_TURN
+                root += _FULL_TURN
     return count
 
 
@@ -452,17 +452,17 @@ def write_pieces(arm, target, search, branch):
     They are cut at multiples of π/2, so that sine and cosine are monotone on each.
     """
     cuts = search.cuts
-    pan_low = arm.lower[0] - _END_SLACK
-    pan_high = arm.upper[0] + _END_SLACK
-    turn_low = arm.lower[4] + arm.turn_zero - _END_SLACK
-    turn_high = arm.upper[4] + arm.turn_zero + _END_SLACK
+    pan_lower = arm.lower[0] - _END_SLACK
+    pan_upper = arm.upper[0] + _END_SLACK
+    turn_lower = arm.lower[4] + arm.turn_zero - _END_SLACK
+    turn_upper = arm.upper[4] + arm.turn_zero + _END_SLACK
     if target.by_turn:
-        low = turn_low
-        high = turn_high
+        low = turn_lower
+        high = turn_upper
     else:
-        low = target.azimuth - pan_high
-        high = target.azimuth - pan_low
-    if high - low > _WHOLE_TURN:
+        low = target.azimuth - pan_upper
+        high = target.azimuth - pan_lower
+    if high - low > _FULL_TURN:
         low = -math.pi
         high = math.pi
     cuts[0] = low
@@ -478,14 +478,14 @@ def write_pieces(arm, target, search, branch):
         for sine in (
             -1.0,
             1.0,
-            math.sin(target.azimuth - pan_low),
-            math.sin(target.azimuth - pan_high),
+            math.sin(target.azimuth - pan_lower),
+            math.sin(target.azimuth - pan_upper),
         ):
             height = (target.range * sine - arm.side) * scale
             count = add_sine_roots(cuts, count, height, low, high)
     if not target.by_turn and target.range > 0.0:
         scale = 1.0 / target.range
-        for sine in (-1.0, 1.0, math.sin(turn_low), math.sin(turn_high)):
+        for sine in (-1.0, 1.0, math.sin(turn_lower), math.sin(turn_upper)):
             height = (arm.side + arm.radius * sine) * scale
             count = add_sine_roots(cuts, count, height, low, high)
     sort(cuts, count)
@@ -494,9 +494,9 @@ def write_pieces(arm, target, search, branch):
         if cuts[k + 1] - cuts[k] < 1e-15:
             continue
         bearing, turn, excess = coupled(arm, target, 0.5 * (cuts[k] + cuts[k + 1]))
-        if excess > 0.0 or not is_inside(target.azimuth - bearing, pan_low, pan_high):
+        if excess > 0.0 or not is_inside(target.azimuth - bearing, pan_lower, pan_upper):
             continue
-        if is_inside(turn, turn_low, turn_high):
+        if is_inside(turn, turn_lower, turn_upper):
             search.pieces[branch, 2 * written] = cuts[k]
             search.pieces[branch, 2 * written + 1] = cuts[k + 1]
             written += 1
@@ -553,15 +553,15 @@ def brought_inside(angle, start, lower, upper):
     An angle a little beyond a limit is clipped to that limit, not moved to the other one.
     """
     nearest = start + wrap(angle - start)
-    chosen = nearest
+    inside = nearest
     smallest = math.inf
     for turns in (0.0, -1.0, 1.0, -2.0, 2.0):
-        image = nearest + _WHOLE_TURN * turns
+        image = nearest + _FULL_TURN * turns
         excess = max(0.0, max(lower - image, image - upper))
         if excess < smallest - _SAME_EXCESS:
             smallest = excess
-            chosen = image
-    return min(upper, max(lower, chosen))
+            inside = image
+    return min(upper, max(lower, inside))
 
 
 # All branches
@@ -663,7 +663,7 @@ def is_out_of_reach(arm, target, search, distance, angle):
     angle = min(angle, math.pi)
     for branch in range(search.branches):
         take_branch(arm, target, search, branch)
-        size = push_whole_range(arm, target, search)
+        size = push_full_range(arm, target, search)
         evaluated = 0
         while size > 0:
             size -= 1
@@ -681,15 +681,15 @@ def is_out_of_reach(arm, target, search, distance, angle):
 
 
 @inlined
-def push_whole_range(arm, target, search):
-    """Push the whole range of the parameter, cut at multiples of π/2; return the box count."""
+def push_full_range(arm, target, search):
+    """Push the full range of the parameter, cut at multiples of π/2; return the box count."""
     if target.by_turn:
         low = arm.lower[4] + arm.turn_zero
         high = arm.upper[4] + arm.turn_zero
     else:
         low = target.azimuth - arm.upper[0]
         high = target.azimuth - arm.lower[0]
-    if high - low > _WHOLE_TURN:
+    if high - low > _FULL_TURN:
         low = -math.pi
         high = math.pi
     low -= _END_SLACK
@@ -723,26 +723,26 @@ def track(arm, target, search):
         upper = target.azimuth - arm.lower[0]
     lower = max(lower, centre - _TRACK_WINDOW)
     upper = min(upper, centre + _TRACK_WINDOW)
-    kept = 0
+    count = 0
     for k in range(search.counts[branch]):
         first = search.pieces[branch, 2 * k]
         last = search.pieces[branch, 2 * k + 1]
         shift = centre - 0.5 * (first + last)
-        shift = _WHOLE_TURN * math.floor(shift / _WHOLE_TURN + 0.5)
+        shift = _FULL_TURN * math.floor(shift / _FULL_TURN + 0.5)
         first = max(first + shift, lower)
         last = min(last + shift, upper)
         if last > first:
-            search.pieces[branch, 2 * kept] = first
-            search.pieces[branch, 2 * kept + 1] = last
-            kept += 1
-    search.counts[branch] = kept
+            search.pieces[branch, 2 * count] = first
+            search.pieces[branch, 2 * count + 1] = last
+            count += 1
+    search.counts[branch] = count
     search.best[branch, _ANGLE] = math.inf
     sample_branch(arm, target, search, branch)
     if not search.best[branch, _ANGLE] < math.inf:
         return False
     polish(arm, target, search, branch, _POLISH_STEPS)
-    away = abs(search.best[branch, _PARAMETER] - centre)
-    if away > _TRACK_WINDOW - _AT_WINDOW_END:
+    distance = abs(search.best[branch, _PARAMETER] - centre)
+    if distance > _TRACK_WINDOW - _AT_WINDOW_END:
         return False  # the optimum is outside
     write_joint_angles(arm, target, search, branch)
     largest = 0.0

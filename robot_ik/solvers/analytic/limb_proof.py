@@ -1,7 +1,7 @@
 """``PreparedProof``: proves that a goal of a seven-axis limb is out of reach, without solving it.
 
 The distance from shoulder to wrist depends on the elbow alone (Tolani, Goswami & Badler, Graphical
-Models 62, 2000). If no elbow angle inside its limits gives the distance that the goal asks for,
+Models 62, 2000). If no elbow angle inside its limits gives the distance that the goal requires,
 nothing within tolerance can be reached.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -44,7 +44,7 @@ open_run = RUN.open
 
 
 def limb_of(problem: Problem) -> Limb | None:
-    """Return the limb of a problem with one goal that asks for all of its wrist; else None."""
+    """Return the limb of a problem with one goal that determines its wrist; else None."""
     goal = problem.parts[0]
     if problem.features or len(problem.parts) != 1:
         return None

@@ -66,15 +66,15 @@ def arc(lower, upper, amplitude):
 
 
 @inlined
-def third_side(squares, far, error, amplitude):
-    """Return ``arc`` of the angle between two sides, if the third side is far ± error.
+def third_side(squares, distance, error, amplitude):
+    """Return ``arc`` of the angle between two sides, if the third side is ``distance`` ± ``error``.
 
     ``squares`` is the sum of the squares of the two sides.
     """
-    near_side = max(0.0, far - error)
-    far_side = far + error
-    lower = 0.5 * (squares - far_side * far_side)
-    upper = 0.5 * (squares - near_side * near_side)
+    shortest = max(0.0, distance - error)
+    longest = distance + error
+    lower = 0.5 * (squares - longest * longest)
+    upper = 0.5 * (squares - shortest * shortest)
     return arc(lower - PAD, upper + PAD, amplitude)
 
 
@@ -105,7 +105,7 @@ def polar_angle(h, v):
 
 
 @inlined
-def off_axis(k, v):
+def distance_to_axis(k, v):
     """Return the distance of v from the line along the unit vector k through the origin."""
     return so3.norm(so3.cross(k, v))
 
@@ -120,8 +120,8 @@ def centre_error(tolerance, lever):
 def heights(h, k, p, lower, upper):
     """Return centre, half, radius and existence of θ with h · R(k, θ) p in [lower, upper]."""
     constant, amplitude, middle = height_terms(h, k, p)
-    half, radius, some = arc(lower - constant, upper - constant, amplitude)
-    return middle, half, radius, some
+    half, radius, possible = arc(lower - constant, upper - constant, amplitude)
+    return middle, half, radius, possible
 
 
 @inlined
@@ -139,11 +139,11 @@ def elbows(u, f, e, distance, error):
     Returns what ``heights`` returns. f and e lead from the elbow to the first axis and to the end,
     at q = 0.
     """
-    lf = off_axis(u, f)
-    le = off_axis(u, e)
+    lf = distance_to_axis(u, f)
+    le = distance_to_axis(u, e)
     _, amplitude, middle = height_terms(f, u, e)
-    half, radius, some = third_side(lf * lf + le * le, distance, error, amplitude)
-    return middle, half, radius, some
+    half, radius, possible = third_side(lf * lf + le * le, distance, error, amplitude)
+    return middle, half, radius, possible
 
 
 @inlined
@@ -151,8 +151,8 @@ def first_link_range(u, f, e, elbow, radius, g, error):
     """Return angle and radius of the first link for an end at g ± error and an elbow ± radius."""
     v = so3.subtract(so3.rotate(u, math.cos(elbow), math.sin(elbow), e), f)
     angle, _ = angle_between(u, v, g)
-    return angle, spread(error, off_axis(u, g)) + spread(
-        chord(radius, off_axis(u, e)), off_axis(u, v)
+    return angle, spread(error, distance_to_axis(u, g)) + spread(
+        chord(radius, distance_to_axis(u, e)), distance_to_axis(u, v)
     )
 
 
@@ -175,8 +175,8 @@ def prove_planar(address):
     error = tolerance[0, 0] + PAD
     if abs(so3.dot(so3.add(so3.subtract(g, e), f), u)) > error:
         return True
-    middle, half, radius, some = elbows(u, f, e, off_axis(u, g), error)
-    if not some:
+    middle, half, radius, possible = elbows(u, f, e, distance_to_axis(u, g), error)
+    if not possible:
         return True
     for a in (middle + half, middle - half):
         if may_fit(along * a, radius, lower[1], upper[1]):
@@ -202,8 +202,8 @@ def wrist_may_fit(form, target, c, s, error):
     wanted = before_arm(axes, c, s, relative_rotation(target, extra, h6))  # Q h6
     base_axis = relative_back(target, extra, after_arm(axes, c, s, h4))  # Q^T h4
     polar = polar_angle(h4, wanted)
-    middle, half, radius, some = tilts(h4, h5, h6, polar, error)
-    if not some:
+    middle, half, radius, possible = tilts(h4, h5, h6, polar, error)
+    if not possible:
         return False
     for q5 in (middle + half, middle - half):
         if not may_fit(q5, radius, lower[4], upper[4]):
@@ -245,8 +245,10 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
     f = so3.subtract(p2, p3)
     height = so3.dot(u, so3.subtract(end, p1))
     d = so3.subtract(centre(target, extra), p1)
-    middle, half, radius, some = heights(u, so3.scale(-1.0, h), d, height - error, height + error)
-    if not some:
+    middle, half, radius, possible = heights(
+        u, so3.scale(-1.0, h), d, height - error, height + error
+    )
+    if not possible:
         return True
     for q1 in (middle + half, middle - half):
         if not may_fit(q1, radius, lower[0], upper[0]):
@@ -254,9 +256,9 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
         c1 = math.cos(q1)
         s1 = math.sin(q1)
         g = so3.subtract(so3.add(so3.rotate(h, c1, -s1, d), p1), p2)
-        g_error = error + chord(radius, off_axis(h, d))
-        middle3, half3, radius3, some = elbows(u, f, e, off_axis(u, g), g_error)
-        if not some:
+        g_error = error + chord(radius, distance_to_axis(h, d))
+        middle3, half3, radius3, possible = elbows(u, f, e, distance_to_axis(u, g), g_error)
+        if not possible:
             continue
         for a3 in (middle3 + half3, middle3 - half3):
             if not may_fit(along * a3, radius3, lower[2], upper[2]):
@@ -317,8 +319,10 @@ def prove_parallel(address):
     p2 = so3.read_vector(axes, 1, 3)
     height = so3.dot(u, so3.subtract(so3.read_vector(extra, 0, 0), p1))
     d = so3.subtract(centre(target, extra), p1)
-    middle, half, radius, some = heights(u, so3.scale(-1.0, h), d, height - error, height + error)
-    if not some:
+    middle, half, radius, possible = heights(
+        u, so3.scale(-1.0, h), d, height - error, height + error
+    )
+    if not possible:
         return True
     relative = relative_rotation(target, extra, h6)
     tilt = min(math.pi, tolerance[0, 1] + radius + PAD)
@@ -330,9 +334,9 @@ def prove_parallel(address):
         wanted = back(axes, 0, c1, s1, relative)  # Q1 h6
         g = so3.subtract(so3.add(so3.rotate(h, c1, -s1, d), p1), p2)
         base_axis = relative_back(target, extra, so3.rotate(h, c1, s1, u))  # Q1^T u
-        g_error = error + chord(radius, off_axis(h, d))
-        middle5, half5, radius5, some = tilts(u, h5, h6, polar_angle(u, wanted), tilt)
-        if not some:
+        g_error = error + chord(radius, distance_to_axis(h, d))
+        middle5, half5, radius5, possible = tilts(u, h5, h6, polar_angle(u, wanted), tilt)
+        if not possible:
             continue
         for q5 in (middle5 + half5, middle5 - half5):
             if may_fit(q5, radius5, lower[4], upper[4]) and three_may_fit(
@@ -369,12 +373,12 @@ def three_may_fit(form, q5, radius5, wanted, base_axis, g, g_error, tilt):
     theta, _ = angle_between(u, a, wanted)
     around = azimuth_spread(tilt, polar) + azimuth_spread(radius5, polar_angle(u, a))
     hand = so3.subtract(so3.read_vector(form.extra, 0, 0), p4)
-    g_error += chord(around, off_axis(u, hand))
+    g_error += chord(around, distance_to_axis(u, hand))
     v = so3.subtract(g, so3.rotate(u, math.cos(theta), math.sin(theta), hand))
     e = so3.subtract(p4, p3)
     f = so3.subtract(p2, p3)
-    middle3, half, radius, some = elbows(u, f, e, off_axis(u, v), g_error)
-    if not some:
+    middle3, half, radius, possible = elbows(u, f, e, distance_to_axis(u, v), g_error)
+    if not possible:
         return False
     for a3 in (middle3 + half, middle3 - half):
         if not may_fit(along3 * a3, radius, lower[2], upper[2]):

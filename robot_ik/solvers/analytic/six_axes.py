@@ -96,23 +96,23 @@ def elbow_angles(u, f, e, g):
     eu = so3.dot(e, u)
     gu = so3.dot(g, u)
     reach = (so3.dot(e, e) - eu * eu) + (so3.dot(f, f) - fu * fu)
-    far = so3.dot(g, g) - gu * gu
-    # (R(u, a) e)·f across u = (|e|² + |f|² − far) / 2
-    return angles_to_height(f, u, e, 0.5 * (reach - far) + fu * eu)
+    wanted = so3.dot(g, g) - gu * gu
+    # (R(u, a) e)·f across u = (|e|² + |f|² − wanted) / 2
+    return angles_to_height(f, u, e, 0.5 * (reach - wanted) + fu * eu)
 
 
 @inlined
-def first_link(u, f, e, c, s, g, kept):
-    """Return the angle of the first link for the elbow (c, s); ``kept`` if every angle is right."""
+def first_link(u, f, e, c, s, g, fallback):
+    """Return the angle of the first link for the elbow (c, s); ``fallback`` if every angle fits."""
     angle, weight = angle_between(u, so3.subtract(so3.rotate(u, c, s, e), f), g)
-    return kept if weight < 1e-14 else angle
+    return fallback if weight < 1e-14 else angle
 
 
 @inlined
-def one_of(first, middle, half, amplitude, kept):
-    """middle ± half; ``kept`` where the angle is free."""
+def pick_angle(first, middle, half, amplitude, fallback):
+    """Return middle + half or middle − half; ``fallback`` if the angle is free."""
     if amplitude < 1e-12:
-        return kept
+        return fallback
     return middle + half if first else middle - half
 
 
@@ -223,7 +223,7 @@ def spherical_wrist(form, target):
         if not possible:
             continue
         for elbow in range(2):
-            a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
+            a3 = pick_angle(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
             c3 = math.cos(a3)
             s3 = math.sin(a3)
             q2 = first_link(u, f, e, c3, s3, g, start[1])
@@ -273,7 +273,7 @@ def three_parallel(form):
     f = so3.subtract(p2, p3)
     wanted = relative_rotation(target, extra, h6)
     for shoulder in range(2):
-        q1 = one_of(shoulder == 0, middle1, half1, amplitude1, start[0])
+        q1 = pick_angle(shoulder == 0, middle1, half1, amplitude1, start[0])
         c1 = math.cos(q1)
         s1 = math.sin(q1)
         a = back(axes, 0, c1, s1, wanted)  # Q1 h6
@@ -311,7 +311,7 @@ def three_parallel(form):
                     if settled >> elbow & 1:
                         continue
                     row = 4 * shoulder + 2 * flip + elbow
-                    a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
+                    a3 = pick_angle(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
                     q2 = first_link(u, f, e, math.cos(a3), math.sin(a3), v, start[1])
                     angles = q1, q2, along3 * a3, along4 * (theta - q2 - a3), q5, q6
                     if keep_branch(form, row, angles, free):
@@ -345,7 +345,7 @@ def planar_two_link(form, slack):
     if not possible:
         return
     for elbow in range(2):
-        a2 = one_of(elbow == 0, middle, half, amplitude, along * start[1])
+        a2 = pick_angle(elbow == 0, middle, half, amplitude, along * start[1])
         q1 = first_link(u, f, e, math.cos(a2), math.sin(a2), g, start[0])
         form.branches[elbow, 0] = q1
         form.branches[elbow, 1] = along * a2

@@ -25,7 +25,8 @@ from robot_ik.robot import Robot, load_robot
 ARMS = ("puma560", "ur5e", "panda")
 BALLS = """<mujoco model="balls"><compiler angle="radian"/><worldbody><body pos="0 0 1">
 <joint name="shoulder" type="ball" range="0 1.2" limited="true"/><geom size="0.05"/>
-<body pos="0.4 0 0"><joint name="elbow" axis="0 1 0" range="-2 2" limited="true"/><geom size="0.05"/>
+<body pos="0.4 0 0"><joint name="elbow" axis="0 1 0" range="-2 2" limited="true"/>
+<geom size="0.05"/>
 <body pos="0.3 0 0"><joint name="slide" type="slide" axis="1 0 0" range="0 0.3" limited="true"/>
 <geom size="0.05"/><site name="tool" pos="0.1 0 0"/></body></body></body></worldbody></mujoco>"""
 
@@ -48,13 +49,16 @@ def mujoco_pose(robot: Robot, q: np.ndarray) -> np.ndarray:
     mujoco.mj_kinematics(robot.model, data)
     pose = np.eye(4)
     site = data.site(robot.tool)
-    pose[:3, 3], pose[:3, :3] = site.xpos, site.xmat.reshape(3, 3)
+    pose[:3, 3] = site.xpos
+    pose[:3, :3] = site.xmat.reshape(3, 3)
     return pose
 
 
 @pytest.mark.parametrize("kind", SETS)
 def test_the_same_seed_gives_the_same_problems(kind: str) -> None:
-    first, again, other = some(kind, "puma560"), some(kind, "puma560"), some(kind, "puma560", seed=4)
+    first = some(kind, "puma560")
+    again = some(kind, "puma560")
+    other = some(kind, "puma560", seed=4)
     assert len(first) == 12
     np.testing.assert_array_equal(first.targets, again.targets)
     np.testing.assert_array_equal(first.witnesses, again.witnesses)
@@ -64,7 +68,8 @@ def test_the_same_seed_gives_the_same_problems(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["cold", "warm", "singular", "limits"])
 @pytest.mark.parametrize("name", [*ARMS, "balls"])
 def test_a_witness_inside_the_limits_meets_every_target(kind: str, name: str) -> None:
-    problems, arm = some(kind, name, count=6), robot(name)
+    problems = some(kind, name, count=6)
+    arm = robot(name)
     if kind == "singular" and name == "balls":
         return  # has no such set of its own
     assert len(problems.witnesses) == len(problems) == 6
@@ -75,7 +80,8 @@ def test_a_witness_inside_the_limits_meets_every_target(kind: str, name: str) ->
 
 @pytest.mark.parametrize("name", ARMS)
 def test_singular_ones_are_singular(name: str) -> None:
-    arm, problems = robot(name), some("singular", name, count=4)
+    arm = robot(name)
+    problems = some("singular", name, count=4)
     data = mujoco.MjData(arm.model)
 
     def singular_values(q: np.ndarray) -> np.ndarray:
@@ -101,16 +107,20 @@ def test_near_limit_ones_are_near_limits() -> None:
     assert 0.3 < near.mean() < 0.7
     cone = robot("balls")
     rotation = 2 * np.arccos(np.abs(some("limits", "balls", count=40).witnesses[:, 0]))
-    assert (rotation <= cone.upper[0] + 1e-12).all() and (rotation >= (1 - NEAR_LIMIT) * cone.upper[0]).any()
+    assert (rotation <= cone.upper[0] + 1e-12).all() and (
+        rotation >= (1 - NEAR_LIMIT) * cone.upper[0]
+    ).any()
 
 
 def test_unreachable_ones_are_beyond() -> None:
     for name in (*ARMS, "balls"):
-        model, problems = robot(name), some("unreachable", name)
+        model = robot(name)
+        problems = some("unreachable", name)
         rng = np.random.default_rng(0)
         centre, _ = model.reach() or (np.zeros(3), 0.0)
         farthest = max(
-            np.linalg.norm(mujoco_pose(model, model.sample(rng))[:3, 3] - centre) for _ in range(200)
+            np.linalg.norm(mujoco_pose(model, model.sample(rng))[:3, 3] - centre)
+            for _ in range(200)
         )
         assert len(problems) and not len(problems.witnesses)
         assert np.linalg.norm(problems.targets[:, :3, 3] - centre, axis=1).min() > farthest
@@ -138,7 +148,8 @@ def test_a_warm_path_takes_small_steps(name: str) -> None:
 
 
 def test_a_robot_without_such_problems_says_why() -> None:
-    chain, figure = make_chain(3), load_robot("humanoid")
+    chain = make_chain(3)
+    figure = load_robot("humanoid")
     for arm, kind in ((chain, "limits"), (figure, "unreachable"), (figure, "singular")):
         problems = make_set(kind, arm, 5)
         assert len(problems) == 0 and problems.reason
@@ -164,12 +175,15 @@ def test_a_plain_model_moves_as_the_robot_does() -> None:
     model = mujoco.MjModel.from_xml_string(text)
     assert model.nq == figure.nq and (model.body_jntnum[1:] == 1).all() and not model.jnt_pos.any()
     np.testing.assert_allclose(model.jnt_range, figure.model.jnt_range, atol=1e-15)
-    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(1)
     for _ in range(5):
         q = figure.sample(rng)
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
         for name, frame in sites.items():
-            np.testing.assert_allclose(data.site(name).xpos, figure.measure(q, frame).position, atol=1e-12)
+            np.testing.assert_allclose(
+                data.site(name).xpos, figure.measure(q, frame).position, atol=1e-12
+            )
     with pytest.raises(UnsupportedJointError):
         plain_mjcf(robot("balls"), {})

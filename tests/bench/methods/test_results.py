@@ -1,4 +1,4 @@
-"""What a run leaves behind: figures that belong together, a file that reads back, pictures that show."""
+"""Results of a run: consistent numbers, a file that is read back, and pictures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,14 @@ def test_the_file_reads_back_as_it_was(results: Results) -> None:
 
 def test_figures_belong_together(results: Results) -> None:
     for one in results.cells:
-        lists = (one.success, one.position_error, one.angle_error, one.iterations, one.restarts, one.status)
+        lists = (
+            one.success,
+            one.position_error,
+            one.angle_error,
+            one.iterations,
+            one.restarts,
+            one.status,
+        )
         assert {len(x) for x in lists} == {one.count}
         assert bool(one.skipped) != bool(one.count)
         assert all(t > 0 for t in one.microseconds)
@@ -54,7 +61,9 @@ def test_curves_close_in(results: Results) -> None:
 def test_plots_show_something(folder: Path) -> None:
     names = {file.name for file in folder.glob("*.png")}
     assert names == {
-        f"{kind}-{robot}.png" for kind in ("success", "convergence") for robot in ("puma560", "panda")
+        f"{kind}-{robot}.png"
+        for kind in ("success", "convergence")
+        for robot in ("puma560", "panda")
     }
     for name in names:
         picture = cv2.imread(str(folder / name))

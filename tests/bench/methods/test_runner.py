@@ -19,7 +19,7 @@ from robot_ik.solvers.base import Solver
 
 SETTINGS = Settings(
     command="", count=12, seed=0, position_tolerance=1e-4, angle_tolerance=1e-3, seconds=60.0
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,9 @@ class Scripted(Solver):
         calls.append(problem.search.arrays["start"].copy())
         q = np.array(self.solutions[(len(calls) - 1) % len(self.solutions)])
         targets = problem.search.arrays["target"].reshape(-1, 4, 4).copy()
-        return Solution(q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets)
+        return Solution(
+            q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, problem.goals, targets
+        )
 
 
 calls: list[np.ndarray] = []
@@ -47,7 +49,9 @@ calls: list[np.ndarray] = []
 
 def bench(kind: str, solutions: np.ndarray, count: int = 12) -> Bench:
     arm = load_robot("puma560")
-    made = prepare(Scripted(tuple(map(tuple, solutions))), arm, make_set(kind, arm, count), SETTINGS)
+    made = prepare(
+        Scripted(tuple(map(tuple, solutions))), arm, make_set(kind, arm, count), SETTINGS
+    )
     calls.clear()  # what warmed up does not count
     return made
 
@@ -117,7 +121,8 @@ def test_a_method_without_poses_is_asked_for_positions() -> None:
     arm = load_robot("puma560")
     from robot_ik.solvers import make_solver
 
-    bones, steps = make_solver("triangulation"), make_solver("dls")
+    bones = make_solver("triangulation")
+    steps = make_solver("dls")
     problems = make_set("cold", arm, 3)
     assert prepare(bones, arm, problems, SETTINGS).cell.goal == "position"
     assert prepare(steps, arm, problems, SETTINGS).cell.goal == "pose"

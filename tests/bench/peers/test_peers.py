@@ -1,4 +1,4 @@
-"""The comparison with other libraries: all get the same robot, MuJoCo judges, and a poor peer fails."""
+"""The comparison with other libraries: one robot for all, MuJoCo judges, a poor peer fails."""
 
 from __future__ import annotations
 
@@ -85,14 +85,16 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> None:
     folder = write_task(name, tmp_path, COUNT, seed=1)
     task = worker.Task.load(folder)
-    robot, plain = (
-        rik.load_robot(folder / "model.xml"),
-        mujoco.MjModel.from_xml_path(str(folder / "model.xml")),
-    )
+    robot = rik.load_robot(folder / "model.xml")
+    plain = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     text = (folder / "model.urdf").read_text(encoding="utf-8")
-    text = text.replace('name="plain">', 'name="plain"><mujoco><compiler fusestatic="false"/></mujoco>')
+    text = text.replace(
+        'name="plain">', 'name="plain"><mujoco><compiler fusestatic="false"/></mujoco>'
+    )
     read = mujoco.MjModel.from_xml_string(text)
-    data, rng, base = mujoco.MjData(read), np.random.default_rng(3), 7 if task.free_base else 0
+    data = mujoco.MjData(read)
+    rng = np.random.default_rng(3)
+    base = 7 if task.free_base else 0
     for _ in range(5):
         q = np.array(task.home)
         q[base:] = rng.uniform(task.lower, task.upper)
@@ -104,7 +106,8 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
             root = mujoco.MjData(plain)
             root.qpos[:] = q
             mujoco.mj_kinematics(plain, root)
-            rotation, position = root.xmat[1].reshape(3, 3), root.xpos[1]
+            rotation = root.xmat[1].reshape(3, 3)
+            position = root.xpos[1]
             there = [
                 np.block([[rotation.T @ t[:3, :3], rotation.T @ (t[:3, 3:] - position[:, None])]])
                 for t in there
@@ -158,7 +161,10 @@ def test_ours_solves_all_and_the_results_say_with_what(robots: list[str], tmp_pa
         assert len(one["calibration_us"]) >= 2
         for kind in ("cold", "warm", "wrist", "elbow"):
             cell = one["robots"]["puma560"][kind]
-            assert cell["exact"] == 1.0 and cell["n"] == 2 * COUNT and cell["median_us"] > 0.0, (name, kind)
+            assert cell["exact"] == 1.0 and cell["n"] == 2 * COUNT and cell["median_us"] > 0.0, (
+                name,
+                kind,
+            )
         assert one["robots"]["puma560"]["unreachable"]["success"] == 0.0
     assert set(said["libraries"]["robot_ik_analytic"]["robots"]) == {"puma560"}, (
         "no closed form for four goals"
@@ -187,10 +193,15 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     assert said["libraries"][f"{file}:Picky"]["robots"] == {}
     assert "reads another robot" in said["failed"][f"{file}:OtherRobot"]
     assert (
-        f"{file}:Dead" in said["failed"] and "there is no file" in said["failed"][f"{tmp_path}/none.py:Gone"]
+        f"{file}:Dead" in said["failed"]
+        and "there is no file" in said["failed"][f"{tmp_path}/none.py:Gone"]
     )
     assert "pip install 'nobody-has-this' 'numpy<2'" in said["missing"][f"{file}:NotHere"]
-    assert "missing: " in reported and "pip install 'nobody-has-this'" in reported and "failed: " in reported
+    assert (
+        "missing: " in reported
+        and "pip install 'nobody-has-this'" in reported
+        and "failed: " in reported
+    )
 
 
 def test_an_unknown_library_is_reported_with_those_that_there_are(
@@ -207,17 +218,37 @@ def test_libraries_say_what_pip_installs_for_them() -> None:
 
 
 def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> None:
-    one = {"n": 10, "success": 1.0, "exact": 0.5, "median_us": 5.0, "cpu_mean_us": 9.0, "cpu_p99_us": 20.0}
-    two = one | {"n": 30, "success": 0.0, "exact": 0.5, "median_us": 7.0, "cpu_mean_us": 8.0, "jumps": 2}
+    one = {
+        "n": 10,
+        "success": 1.0,
+        "exact": 0.5,
+        "median_us": 5.0,
+        "cpu_mean_us": 9.0,
+        "cpu_p99_us": 20.0,
+    }
+    two = one | {
+        "n": 30,
+        "success": 0.0,
+        "exact": 0.5,
+        "median_us": 7.0,
+        "cpu_mean_us": 8.0,
+        "jumps": 2,
+    }
     found = merged([one, two])
-    assert found["success"] == 0.25 and found["exact"] == 0.5 and found["n"] == 40 and found["jumps"] == 2
+    assert (
+        found["success"] == 0.25
+        and found["exact"] == 0.5
+        and found["n"] == 40
+        and found["jumps"] == 2
+    )
     assert (found["median_us"], found["mean_us"], found["p99_us"]) == (5.0, 8.0, 20.0)
 
 
 @pytest.mark.parametrize(("name", "module"), [("ikpy", "ikpy"), ("rtb_lm", "roboticstoolbox")])
 def test_another_library_takes_part(name: str, module: str, tmp_path: Path) -> None:
     if importlib.util.find_spec(module) is None:
-        pytest.skip(f"needs {module}: python -m robot_ik.bench.peers install ENVIRONMENTS --libraries {name}")
+        command = "python -m robot_ik.bench.peers install ENVIRONMENTS --libraries"
+        pytest.skip(f"needs {module}: {command} {name}")
     said = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
     cell = said["libraries"][name]["robots"]["puma560"]["warm"]
     assert cell["success"] > 0.9 and not said["failed"]

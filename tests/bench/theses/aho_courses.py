@@ -1,7 +1,8 @@
 """A00's tests for ``aho_update.py``: starts and goals.
 
-Each chain begins bent on an arc: in tests 1-5 in the goal's own plane, all joints turned about its normal
-alone; in 6-10 in the XY plane, with links that lie along z where all joints stand at zero.
+Each chain begins bent on an arc. In tests 1-5 the arc is in the plane of the goal, and all joints
+rotate about its normal. In tests 6-10 it is in the XY plane, and the links are along z if all
+joints are at zero.
 """
 
 from __future__ import annotations
@@ -44,8 +45,10 @@ class Course:
 
 
 def bent(joints: int, link: Array, tip: Array, normal: Array) -> list[Array]:
-    """Local rotations that lay the links on an arc to ``tip``, bent about ``normal``; the first joint turns
-    the link's axis to the tip the shortest way."""
+    """Return local rotations that put the links on an arc to ``tip``, bent about ``normal``.
+
+    The first joint rotates the link's axis to the tip by the smallest angle.
+    """
     along = tip / np.linalg.norm(tip)
     across = np.cross(link, along)
     sine = float(np.linalg.norm(across))
@@ -57,7 +60,10 @@ def bent(joints: int, link: Array, tip: Array, normal: Array) -> list[Array]:
     bend = math.degrees(arc_joint_angle(joints, float(np.linalg.norm(tip))))
     worlds = [
         np.eye(3),
-        *(rotation_matrix(normal, 0.5 * bend * (joints - 1 - 2 * k)) @ first for k in range(joints)),
+        *(
+            rotation_matrix(normal, 0.5 * bend * (joints - 1 - 2 * k)) @ first
+            for k in range(joints)
+        ),
     ]
     return [before.T @ after for before, after in pairwise(worlds)]
 
@@ -70,19 +76,32 @@ def arc_joint_angle(links: int, chord: float) -> float:
         return 0.0
     if chord > links + 1e-9:
         raise ValueError(f"{links} links of 1 m cannot span {chord:.6g} m")
-    low, high = 0.0, 2.0 * math.pi / links  # straight … closed to a polygon
+    low = 0.0
+    high = 2.0 * math.pi / links  # straight … closed to a polygon
     for _ in range(54):  # as many halvings as a double has bits, and one
         middle = 0.5 * (low + high)
-        spanned = math.sin(0.5 * links * middle) / math.sin(0.5 * middle) if middle > 0.0 else float(links)
+        spanned = (
+            math.sin(0.5 * links * middle) / math.sin(0.5 * middle)
+            if middle > 0.0
+            else float(links)
+        )
         low, high = (middle, high) if spanned > chord else (low, middle)
     return 0.5 * (low + high)
 
 
 def circle(
-    number: int, joints: int, link: Array, start: Array, axis: Array, *,
-    normal: Array | None = None, step: float = 1.0, spin: float | None = None, still: bool = False,
+    number: int,
+    joints: int,
+    link: Array,
+    start: Array,
+    axis: Array,
+    *,
+    normal: Array | None = None,
+    step: float = 1.0,
+    spin: float | None = None,
+    still: bool = False,
     middle: Array | None = None,
-) -> Course:  # fmt: skip
+) -> Course:
     """A goal that goes round ``axis`` once; its orientation turns ``spin`` times as fast."""
     rotations = bent(joints, link, start, axis if normal is None else normal)
     tip = np.linalg.multi_dot([np.eye(3), *rotations])
@@ -115,8 +134,10 @@ def lines(number: int, joints: int) -> Course:
 
 
 def square() -> Course:
-    """Test 13: poses of two balls that turn about (1,1,0) while the elbow bends from 30° to 90° and back."""
-    at, goals, start = np.arange(0.0, 361.0), [], []
+    """Return test 13: two balls rotate about (1,1,0), the elbow bends from 30° to 90° and back."""
+    at = np.arange(0.0, 361.0)
+    goals = []
+    start = []
     for a in at:
         elbow = rotation_matrix(X, 60.0 - 30.0 * math.cos(math.radians(a)))
         rotations = [rotation_matrix(DIAGONAL, a), elbow]
@@ -126,8 +147,9 @@ def square() -> Course:
 
 
 def course(number: int) -> Course:
-    """His test ``number``; the chain begins bent, in the goal's plane or, in 6-10, in the XY plane."""
-    far, near = 2.5, 1.5
+    """Return a test of the thesis by its number."""
+    far = 2.5
+    near = 1.5
     diagonal = {"joints": 5, "link": Z, "start": far * X, "axis": DIAGONAL, "normal": Z}
     rows = {
         1: lambda: circle(1, 3, X, near * X, Z),
@@ -143,7 +165,7 @@ def course(number: int) -> Course:
         11: lambda: lines(11, 3),
         12: lambda: lines(12, 5),
         13: square,
-    }  # fmt: skip
+    }
     return rows[number]()
 
 
@@ -156,7 +178,7 @@ STARTS = {
     "links x, from z, bent in XZ": (X, Z, Y),
     "links x, from z, bent in YZ": (X, Z, X),
 }
-"""Starts of test 6: axis of the links at zero, direction of the goal, normal of the chain's plane."""
+"""Starts of test 6: axis of the links at zero, direction of the goal, normal of the plane."""
 
 
 def start_of_six(name: str, step: float = 0.1) -> Course:

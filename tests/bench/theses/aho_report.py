@@ -19,7 +19,8 @@ def _cell(lost: float | None) -> str:
 def main() -> None:
     """Prints the tables; draws the picture if a file is named."""
     courses = [course(number) for number in range(1, 14)]
-    print("Where the goal is lost, by axes of J's columns and axes of the increments: degrees; 11, 12: units")
+    print("Where the goal is lost, by axes of J's columns and axes of the increments.")
+    print("Degrees; tests 11 and 12: units of length.")
     print(f"{'columns':9s}{'applied':9s}", *(f"{c.number:4d}" for c in courses))
     for update in UPDATES:
         print(
@@ -57,10 +58,17 @@ def draw(six: Course, file: str) -> None:
         if lost is not None:
             at = float(six.at[lost])
             axes.plot([at], [distances[-1]], "x", color=colour, ms=9, mew=2)
-            axes.annotate(f"lost at {at:.0f}°", (at, distances[-1]), (8, 4), textcoords="offset points")
+            axes.annotate(
+                f"lost at {at:.0f}°", (at, distances[-1]), (8, 4), textcoords="offset points"
+            )
     axes.axhline(CLOSE, color="#9a9a9a", lw=0.8, ls="--")
     axes.text(60.0, CLOSE, "his tolerance", color="#6a6a6a", va="bottom", ha="right")
-    axes.set(xlim=(0.0, 60.0), ylim=(0.0, 0.75), xlabel="the goal has turned by, degrees", ylabel="distance")
+    axes.set(
+        xlim=(0.0, 60.0),
+        ylim=(0.0, 0.75),
+        xlabel="the goal has turned by, degrees",
+        ylabel="distance",
+    )
     axes.set_title("A00, test 6: tip to goal, length units")
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(frameon=False, fontsize=9, loc="outside lower center")

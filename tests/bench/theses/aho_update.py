@@ -1,10 +1,13 @@
-"""A00's Jacobian update, made anew from what his thesis says, to find out why it lost the goal.
+"""A00's Jacobian update, written again from the thesis, to find out why it lost the goal.
 
-Known: ball joints with Euler increments; Δq = Jᵀ(JJᵀ)⁻¹e; a step that does not land within 0.5 length
-units of its subgoal is undone and the way halved, 16 iterations at most.  Not known, chosen here: links
-of 1 unit, circles of half the reach, 0.5 rad for orientations, the starts (``aho_courses.py``), and that
-nothing is done while the goal is within tolerance.  The question is in ``Update``: about which axes the
-columns of J are taken, and about which axes the increments that come out are applied.
+The thesis defines: ball joints with Euler increments; Δq = Jᵀ(JJᵀ)⁻¹e; a step that does not end
+within 0.5 length units of its subgoal is undone and the way halved, with at most 16 iterations.
+
+It does not define, so this file chooses: links of 1 unit, circles of half the reach, 0.5 rad for
+orientations, the starts (``aho_courses.py``), and no step while the goal is within tolerance.
+
+``Update`` has the open question: the axes of the columns of J, and the axes about which the
+increments are applied.
 """
 
 from __future__ import annotations
@@ -54,11 +57,11 @@ class Update:
     """One version of his update.
 
     Attributes:
-        columns: Axes of J's columns: ``world``, ``parent``, ``body`` (the joint's own), or ``euler``: those
-            of the Euler angles where they stand.
+        columns: Axes of J's columns: ``world``, ``parent``, ``body`` (those of the joint), or
+            ``euler`` (those of the current Euler angles).
         applied: Axes about which the increments turn the joint: ``world``, ``parent``, ``body``; or
             ``angles``: they are added to its Euler angles.
-        iterations: At most so many a frame.
+        iterations: Largest number of iterations of a frame.
         exact: Increments as one rotation vector, not one Euler angle after the other.
         svd: Singular values below 1e-4 of the largest are left out, in place of (JJᵀ)⁻¹.
     """
@@ -80,7 +83,9 @@ class Chain:
 
     def frames(self) -> tuple[list[Array], list[Array], Array]:
         """World rotation of the base and of each link; each joint's position; the tip."""
-        worlds, positions, at = [np.eye(3)], [], np.zeros(3)
+        worlds = [np.eye(3)]
+        positions = []
+        at = np.zeros(3)
         for local in self.rotations:
             positions.append(at)
             worlds.append(worlds[-1] @ local)
@@ -96,7 +101,11 @@ class Chain:
             if axes is None:
                 a, b, _ = np.degrees(euler_angles(self.rotations[k]))
                 axes = worlds[k] @ np.column_stack(
-                    [X, rotation_matrix(X, a) @ Y, rotation_matrix(X, a) @ rotation_matrix(Y, b) @ Z]
+                    [
+                        X,
+                        rotation_matrix(X, a) @ Y,
+                        rotation_matrix(X, a) @ rotation_matrix(Y, b) @ Z,
+                    ]
                 )
             linear = np.cross(axes.T, tip - position).T
             blocks.append(np.vstack([linear, axes]) if oriented else linear)
@@ -105,7 +114,8 @@ class Chain:
     def moved(self, update: Update, step: Array) -> Chain:
         """The chain after a step (3 joints,), applied as ``update`` says."""
         worlds, _, _ = self.frames()
-        rotations, angles = [], [*self.angles] or [euler_angles(local) for local in self.rotations]
+        rotations = []
+        angles = [*self.angles] or [euler_angles(local) for local in self.rotations]
         for k, local in enumerate(self.rotations):
             increment = step[3 * k : 3 * k + 3]
             delta = quat_to_matrix(rotation_exp(increment)) if update.exact else euler(increment)
@@ -169,7 +179,7 @@ def reach(chain: Chain, update: Update, goal: Frame, oriented: bool) -> tuple[Ch
 def follow(
     chain: Chain, goals: Iterable[Frame], update: Update, *, oriented: bool
 ) -> tuple[int | None, list[float]]:
-    """The frame in which the goal is lost (None: never), and the distance from it in each until then."""
+    """Return the frame in which the goal is lost (None: never), and the distances until then."""
     distances: list[float] = []
     for k, goal in enumerate(goals):
         chain, met = reach(chain, update, goal, oriented)
@@ -180,13 +190,22 @@ def follow(
 
 
 MIXED = Update("world", "body")
-"""What loses the goals as his did: columns about the world's axes, increments about the joint's own."""
+"""Loses the goals as in the thesis: columns about world axes, increments about joint axes."""
 ALIKE = Update("world", "world")
 """One thing changed: the same axes for both."""
 
 UPDATES = (
-    ALIKE, Update("parent", "parent"), Update("body", "body"),
-    MIXED, Update("body", "world"), Update("world", "parent"), Update("parent", "world"),
-    Update("world", "angles"), Update("body", "parent"), Update("parent", "body"),
-    Update("parent", "angles"), Update("body", "angles"), Update("euler", "angles"),
-)  # fmt: skip
+    ALIKE,
+    Update("parent", "parent"),
+    Update("body", "body"),
+    MIXED,
+    Update("body", "world"),
+    Update("world", "parent"),
+    Update("parent", "world"),
+    Update("world", "angles"),
+    Update("body", "parent"),
+    Update("parent", "body"),
+    Update("parent", "angles"),
+    Update("body", "angles"),
+    Update("euler", "angles"),
+)

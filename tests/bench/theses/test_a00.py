@@ -1,4 +1,4 @@
-"""A00's courses: goals that can be met, moving as his did; the judge is no solver; losses are reported."""
+"""A00's courses: reachable goals that move as in the thesis, judged by MuJoCo."""
 
 from __future__ import annotations
 
@@ -36,9 +36,19 @@ def positions(course: Course) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("number", "joints", "oriented"),
-    [(1, 3, False), (2, 5, False), (3, 5, True), (6, 5, False), (7, 5, True), (8, 5, True), (10, 5, True),
-     (11, 3, False), (12, 5, False), (13, 2, True)],
-)  # fmt: skip
+    [
+        (1, 3, False),
+        (2, 5, False),
+        (3, 5, True),
+        (6, 5, False),
+        (7, 5, True),
+        (8, 5, True),
+        (10, 5, True),
+        (11, 3, False),
+        (12, 5, False),
+        (13, 2, True),
+    ],
+)
 def test_chains_and_kinds_are_his(
     number: int, joints: int, oriented: bool, courses: dict[int, Course]
 ) -> None:
@@ -48,9 +58,17 @@ def test_chains_and_kinds_are_his(
 
 @pytest.mark.parametrize(
     ("number", "normal", "step"),
-    [(1, (0, 0, 1), 1.0), (2, (0, 0, 1), 1.0), (3, (0, 0, 1), 1.0), (4, (0, 1, 0), 1.0), (5, (1, 0, 0), 1.0),
-     (6, DIAGONAL, 0.1), (7, DIAGONAL, 0.1), (9, DIAGONAL, 5.0)],
-)  # fmt: skip
+    [
+        (1, (0, 0, 1), 1.0),
+        (2, (0, 0, 1), 1.0),
+        (3, (0, 0, 1), 1.0),
+        (4, (0, 1, 0), 1.0),
+        (5, (1, 0, 0), 1.0),
+        (6, DIAGONAL, 0.1),
+        (7, DIAGONAL, 0.1),
+        (9, DIAGONAL, 5.0),
+    ],
+)
 def test_circles_go_round_the_origin(
     number: int, normal: Any, step: float, courses: dict[int, Course]
 ) -> None:
@@ -69,7 +87,9 @@ def test_orientations_turn_as_stated(courses: dict[int, Course]) -> None:
         orientations = rotations(courses[number])
         step = np.radians(courses[number].at[1]) * share
         between = (orientations[1:] * orientations[:-1].inv()).as_rotvec()
-        np.testing.assert_allclose(between, np.tile(step * np.asarray(axis), (len(between), 1)), atol=1e-10)
+        np.testing.assert_allclose(
+            between, np.tile(step * np.asarray(axis), (len(between), 1)), atol=1e-10
+        )
     assert np.ptp(positions(courses[8]), axis=0).max() == 0.0
     one_side = courses[10]
     assert positions(one_side)[:, 0].min() > 1.0
@@ -88,13 +108,14 @@ def test_lines_are_straight_and_random_by_seed(courses: dict[int, Course]) -> No
 
 def test_two_balls_never_have_six_freedoms() -> None:
     """Why test 13 could not be solved with an inverse: J is square and of rank 5 everywhere."""
-    chain, rng = rik.make_chain(2), np.random.default_rng(3)
+    chain = rik.make_chain(2)
+    rng = np.random.default_rng(3)
     for _ in range(50):
         sigma = np.linalg.svd(chain.jacobian(chain.sample(rng)), compute_uv=False)
         assert sigma.shape == (6,) and sigma[5] < 1e-12 < 0.3 < sigma[4]
 
 
-# -------------------------------------------------------------------------------------- the job
+# The job
 
 
 def test_what_must_pass_passes_on_the_first_frames_of_every_course() -> None:
@@ -147,7 +168,8 @@ def test_the_solver_is_not_believed() -> None:
 
 
 def test_an_interruption_keeps_what_is_done() -> None:
-    report, seen = a00.ask_a00([4, 5], ["lm"], frames=5), []
+    report = a00.ask_a00([4, 5], ["lm"], frames=5)
+    seen = []
 
     def progress(phase: str, share: float) -> None:
         seen.append(share)
@@ -162,8 +184,15 @@ def test_an_interruption_keeps_what_is_done() -> None:
 
 def test_progress_begins_at_none_and_ends_at_all() -> None:
     reported: list[tuple[str, float]] = []
-    a00.run_a00(a00.ask_a00([4, 5], ["lm"], frames=5), lambda phase, share: reported.append((phase, share)))
-    assert reported == [("test 4: lm", 0.0), ("test 4: lm", 0.5), ("test 5: lm", 0.5), ("test 5: lm", 1.0)]
+    a00.run_a00(
+        a00.ask_a00([4, 5], ["lm"], frames=5), lambda phase, share: reported.append((phase, share))
+    )
+    assert reported == [
+        ("test 4: lm", 0.0),
+        ("test 4: lm", 0.5),
+        ("test 5: lm", 0.5),
+        ("test 5: lm", 1.0),
+    ]
 
 
 def test_what_is_not_there_is_said() -> None:

@@ -1,4 +1,4 @@
-"""Why A00 lost his goals: a copy of his update loses them as his did; with one thing changed it does not."""
+"""Why A00 lost the goals: a copy of its update loses them, and with one change it does not."""
 
 from __future__ import annotations
 
@@ -79,12 +79,14 @@ def test_the_copy_is_right_where_axes_are_alike(axes: str, update: Any, courses:
     rotations = [Rotation.random(rng=rng).as_matrix() for _ in range(3)]
     chain = update.Chain(update.Z, rotations)
     same = update.Update(axes, "angles" if axes == "euler" else axes)
-    jacobian, h = chain.jacobian(axes, True), 1e-6
+    jacobian = chain.jacobian(axes, True)
+    h = 1e-6
     still = (np.zeros(3), np.eye(3))
     for k in range(9):
         step = np.zeros(9)
         step[k] = h
-        forward, backward = chain.moved(same, step), chain.moved(same, -step)
+        forward = chain.moved(same, step)
+        backward = chain.moved(same, -step)
         linear = (backward.off(still, False) - forward.off(still, False)) / (2.0 * h)
         np.testing.assert_allclose(jacobian[:3, k], linear, atol=1e-8)
         rotated = forward.frames()[0][-1] @ backward.frames()[0][-1].T
@@ -94,7 +96,7 @@ def test_the_copy_is_right_where_axes_are_alike(axes: str, update: Any, courses:
 
 
 def test_other_starts_lose_it_elsewhere_or_later(update: Any, courses: Any) -> None:
-    """Where the goal is lost hangs on the start, which he does not state; with like axes it never is."""
+    """The start, which the thesis lacks, decides where the goal is lost; with equal axes never."""
     starts = [courses.start_of_six(name, step=1.0) for name in courses.STARTS]
     lost = [start.lost_at(update.MIXED) for start in starts]
     assert all(at is not None for at in lost) and min(lost) < 15.0 and max(lost) > 100.0

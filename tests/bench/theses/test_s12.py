@@ -1,4 +1,4 @@
-"""S12's table: targets that can be reached, his parameters as he states them, ours that reach all."""
+"""S12's table: reachable targets, the parameters of the thesis, and parameters that reach all."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.ArmCase) -> 
     if case.curve:
         np.testing.assert_allclose(points[-1], points[0], atol=1e-12)  # closed
         assert steps.min() > 0.1 and steps.max() < 1.0  # ten frames apart
-        np.testing.assert_allclose(arm.measure(witnesses[100], "segment2").position, [0, 0, 1], atol=1e-12)
+        np.testing.assert_allclose(
+            arm.measure(witnesses[100], "segment2").position, [0, 0, 1], atol=1e-12
+        )
         # Segments 2 … 7, bent by 20° each: the closed form at the crossing of the wave.
         bends = np.radians(20.0) * np.arange(1, 7)
         assert points[0, 2] == pytest.approx(1.0 + np.cos(bends).sum())
@@ -52,11 +54,15 @@ def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.ArmCase) -> 
         assert np.median(steps) > 1.0
 
 
-@pytest.mark.parametrize(("name", "case"), [(n, c) for n in s12.METHODS[1:] for c in (s12.CASES[1],)])
+@pytest.mark.parametrize(
+    ("name", "case"), [(n, c) for n in s12.METHODS[1:] for c in (s12.CASES[1],)]
+)
 def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
-    """One step of each Jacobian method against his formulas, written with NumPy on MuJoCo's Jacobian."""
-    arm, rng = s12.make_arm(case.limited), np.random.default_rng(8)
-    q, target = arm.sample(rng), arm.measure(arm.sample(rng)).position
+    """One step of each Jacobian method against the formulas of the thesis, by NumPy and MuJoCo."""
+    arm = s12.make_arm(case.limited)
+    rng = np.random.default_rng(8)
+    q = arm.sample(rng)
+    target = arm.measure(arm.sample(rng)).position
     goal = PositionGoal("tip", target)
     problem = Problem(
         arm,
@@ -89,8 +95,12 @@ def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
 def test_his_parameters_are_a_budget_without_restarts(report: s12.S12Report) -> None:
     for (variant, name, number), track in report.tracks.items():
         if variant != "best":
-            assert track.iterations <= s12.ITERATIONS and track.restarts == 0, (variant, name, number)
-    # α as the share of a step leaves 37 % of the way after 100 steps: random targets are out of its reach.
+            assert track.iterations <= s12.ITERATIONS and track.restarts == 0, (
+                variant,
+                name,
+                number,
+            )
+    # α as the share of a step leaves 37 % of the way after 100 steps, so random targets are missed.
     assert report.tracks["same", "pseudoinverse", 2].share < 0.2
     assert report.tracks["degrees", "pseudoinverse", 2].share > 0.8
     sweeps = report.tracks["same", "ccd", 2]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError, UnsupportedJointError
-from robot_ik.figure.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, own_motion
+from robot_ik.figure.motion.bvh import BVH_AXES, Bvh, BvhJoint, export_bvh, exported_motion
 from robot_ik.figure.motion.retarget import SkeletonMap, retarget
 from robot_ik.motion import Keyframes, KeyPoses
 
@@ -46,7 +46,7 @@ def test_a_motion_is_read_back_equal_and_stands_where_mujoco_says(
     made.save(tmp_path / "motion.bvh")
     read = Bvh.load(tmp_path / "motion.bvh")
     assert read.joints == made.joints and (read.values == made.values).all() and read.rate == 30.0
-    again = own_motion(read, robot)
+    again = exported_motion(read, robot)
     frames = motion.sampled(30.0)
     off = [np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, again.q, strict=True)]
     assert max(off) < 1e-10  # degrees to 17 digits, and one tilted hinge through a matrix
@@ -232,7 +232,7 @@ def test_a_figure_that_the_map_does_not_know_is_named(humanoid: rik.Robot, tmp_p
     with pytest.raises(ConfigError, match=r"roles\.pelvis: this key is missing"):
         SkeletonMap.load(tmp_path / "map.toml")
     with pytest.raises(TrajectoryError, match="is not that of"):
-        own_motion(take, humanoid)
+        exported_motion(take, humanoid)
 
 
 SMALL = (

@@ -16,9 +16,12 @@ from robot_ik.solvers.analytic.proofs import PROOFS
 from robot_ik.solvers.analytic.subproblems import RUN
 
 ARMS = {
-    "puma560": (None, None), "ur5e": (None, None), "srs_arm": (None, None),
-    "right_arm": ("right_arm", "right_hand"), "left_leg": ("left_leg", "left_foot"),
-}  # fmt: skip
+    "puma560": (None, None),
+    "ur5e": (None, None),
+    "srs_arm": (None, None),
+    "right_arm": ("right_arm", "right_hand"),
+    "left_leg": ("left_leg", "left_foot"),
+}
 # Of these only the elbow is followed by the proof.
 LIMBS = ("srs_arm", "right_arm", "left_leg")
 TOLERANCES = [Tolerance(1e-4, 1e-3), Tolerance(1e-2, 5e-2), Tolerance(1e-6, 1e-6)]
@@ -94,8 +97,11 @@ def edge_cases(robot, rng):
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("name", [*ARMS, "two links"])
-def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(name, tolerance, tmp_path):
-    robot, rng = arm(name, tmp_path), np.random.default_rng(1)
+def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachable(
+    name, tolerance, tmp_path
+):
+    robot = arm(name, tmp_path)
+    rng = np.random.default_rng(1)
     poses = []
     for k in range(700):
         pose = robot.forward(edge_cases(robot, rng))
@@ -113,17 +119,21 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
 
 @pytest.mark.parametrize("name", [*ARMS, "two links"])
 def test_most_of_what_has_no_solution_is_proven(name, tmp_path):
-    robot, rng = arm(name, tmp_path), np.random.default_rng(2)
+    robot = arm(name, tmp_path)
+    rng = np.random.default_rng(2)
     centre, radius = robot.reach()
     if name == "two links":
         goals = [PositionGoal(None, centre + radius * unit(rng) * rng.random()) for _ in range(120)]
     else:
         goals = [
-            PoseGoal(None, centre + radius * unit(rng) * rng.random() ** (1 / 3), rng.normal(size=4))
+            PoseGoal(
+                None, centre + radius * unit(rng) * rng.random() ** (1 / 3), rng.normal(size=4)
+            )
             for _ in range(120)
         ]
     proven = called_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
-    solver, missed = "auto" if name in LIMBS else "analytic", 0
+    solver = "auto" if name in LIMBS else "analytic"
+    missed = 0
     for goal, never in zip(goals, proven, strict=True):
         solution = Problem(robot, goal, solver=solver).solve()
         missed += not solution.converged
@@ -140,9 +150,13 @@ def test_a_hole_within_reach_is_proven_without_limits():
 
 
 def test_status_and_batch_tell_the_proof():
-    robot, rng = load_robot("puma560"), np.random.default_rng(3)
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(3)
     poses = np.array([robot.forward(robot.sample(rng)).matrix for _ in range(20)])
     poses[::2, :3, 3] *= 1.6
     batch = solve_batch(robot, poses, solver="analytic")
-    one = [solve(robot, PoseGoal.at(None, Pose.from_matrix(p)), solver="analytic").status for p in poses]
+    one = [
+        solve(robot, PoseGoal.at(None, Pose.from_matrix(p)), solver="analytic").status
+        for p in poses
+    ]
     assert one == [Status(int(s)) for s in batch.status] and one.count(Status.UNREACHABLE) >= 5

@@ -1,4 +1,4 @@
-"""Closed forms: random arms of lines in space, so that nothing but the geometry can be recognised."""
+"""Closed forms of random arms, given by lines in space: only the geometry can be recognised."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def across(rng, axis):
 
 
 def spherical_axes(rng):
-    """Six lines: 2 and 3 parallel (3 perhaps the other way round), the last three through one point."""
+    """Return six lines: 2 and 3 parallel or opposite, the last three through one point."""
     u = unit(rng)
     wrist = rng.normal(size=3)
     h = [unit(rng), u, u * rng.choice([-1, 1]), unit(rng), unit(rng), unit(rng)]
@@ -54,14 +54,16 @@ def axes_of(rng, family):
 
 
 def arm_from_axes(rng, path, h, p, limit=None):
-    """Writes an MJCF whose bodies have arbitrary names and frames but whose joint axes are these lines."""
+    """Write an MJCF with these joint axes. Names and frames of its bodies are arbitrary."""
     base = Pose(rng.normal(size=3), rng.normal(size=4))
     limits = "" if limit is None else f' limited="true" range="{-limit} {limit}"'
-    text, world = "", Pose()
+    text = ""
+    world = Pose()
     for axis, point in zip(h, p, strict=True):
         body = Pose(rng.normal(size=3) * 0.2, rng.normal(size=4))
         local = world.inverse().compose(body)
-        a, x = body.inverse().rotation @ axis, body.inverse().apply(point)
+        a = body.inverse().rotation @ axis
+        x = body.inverse().apply(point)
         name = "".join(rng.choice(list("abcdefgh"), 12))
         text += (
             f'<body name="b_{name}" pos="{row(local.position)}" quat="{row(local.wxyz)}">'
@@ -69,7 +71,10 @@ def arm_from_axes(rng, path, h, p, limit=None):
         )
         world = body
     tool = Pose(rng.normal(size=3) * 0.2, rng.normal(size=4))
-    text += f'<site name="tool" pos="{row(tool.position)}" quat="{row(tool.wxyz)}"/>' + "</body>" * len(h)
+    text += (
+        f'<site name="tool" pos="{row(tool.position)}" quat="{row(tool.wxyz)}"/>'
+        + "</body>" * len(h)
+    )
     path.write_text(
         f'<mujoco><compiler angle="radian"/><worldbody><body pos="{row(base.position)}" '
         f'quat="{row(base.wxyz)}"><geom size="0.01"/>{text}</body></worldbody></mujoco>'
@@ -97,7 +102,9 @@ def test_every_branch_meets_the_goal_and_the_sampled_one_is_among_them(family, s
         assert 1 <= len(found) <= 8
         for branch in found:
             assert max(robot.measure(branch.q, "tool").distance(goal.target)) < 1e-7
-        assert np.abs(found[0].q - q).max() < 1e-6  # nearest to the start, and the start is one of them
+        assert (
+            np.abs(found[0].q - q).max() < 1e-6
+        )  # nearest to the start, and the start is one of them
         distances = [np.sum((b.q - q) ** 2) for b in found]
         assert distances == sorted(distances)
         assert len({b.name for b in found}) == len(found)
@@ -122,9 +129,13 @@ def test_goals_without_a_closed_form_are_refused_by_name():
         with pytest.raises(UnsupportedGoalError, match="lm"):
             solve(robot, goal, solver="analytic")
         assert solve(robot, goal).converged
-    with pytest.raises(UnsupportedGoalError, match=r"its closed form is for one pose: give .*\n.*lm"):
+    with pytest.raises(
+        UnsupportedGoalError, match=r"its closed form is for one pose: give .*\n.*lm"
+    ):
         solve(robot, goal, solver="analytic")
-    with pytest.raises(UnsupportedGoalError, match="\nsolve_all serves two parallel hinges") as caught:
+    with pytest.raises(
+        UnsupportedGoalError, match="\nsolve_all serves two parallel hinges"
+    ) as caught:
         solve_all(robot, goal)
     assert caught.value.able == ()
 
@@ -134,7 +145,9 @@ def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_na
     robot = load_robot(robot_name)
     rng = np.random.default_rng(3)
     solver = make_solver("analytic")
-    problem = Problem(robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=TIGHT, solver=solver)
+    problem = Problem(
+        robot, PoseGoal.at(None, robot.forward(robot.home)), tolerance=TIGHT, solver=solver
+    )
     for _ in range(60):
         q = robot.sample(rng)
         q[4] = 0.0  # axes 4 and 6 in line (PUMA), axis 6 parallel to 2, 3 and 4 (UR)
@@ -201,7 +214,9 @@ def test_a_stretched_elbow_is_solved():
     for _ in range(40):
         q = robot.sample(rng)
         q[2] = stretched
-        solution = solve(robot, PoseGoal.at("gripper", robot.forward(q)), solver="analytic", tolerance=TIGHT)
+        solution = solve(
+            robot, PoseGoal.at("gripper", robot.forward(q)), solver="analytic", tolerance=TIGHT
+        )
         assert solution.converged, (q, solution)
 
 
@@ -237,14 +252,15 @@ def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_appr
     assert nearest.errors[0].position < alone.errors[0].position and not robot.outside(nearest.q)
 
 
-# lm, which auto asks first near the goal, ends inside the tolerance; the closed form ends at its middle.
+# Near the goal auto tries lm first, which ends within tolerance. The closed form is exact.
 @pytest.mark.parametrize(("name", "off"), [("auto", 1e-4), ("analytic", 1e-6)])
 def test_a_path_through_half_a_turn_does_not_jump(tmp_path, name, off):
     rng = np.random.default_rng(8)
     robot = random_arm(rng, tmp_path, "spherical", limit=6.2)
     q0 = rng.uniform(-0.5, 0.5, 6)
     problem = Problem(robot, PoseGoal.at("tool", robot.forward(q0)), tolerance=TIGHT, solver=name)
-    _solver, q = make_solver(name), q0
+    _solver = make_solver(name)
+    q = q0
     for t in np.linspace(0.0, 1.0, 400):
         wanted = q0 + t * np.array([5.0, 0.3, -0.3, 0.2, 0.2, 5.0])
         problem.retarget(robot.forward(wanted))
@@ -278,7 +294,10 @@ def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tm
         (0.9e-4, Status.CONVERGED),
     ):
         off = PositionGoal("tool", normal.position + height * axis)
-        assert solve(robot, off, solver="analytic", tolerance=Tolerance(position=1e-4)).status is status
+        assert (
+            solve(robot, off, solver="analytic", tolerance=Tolerance(position=1e-4)).status
+            is status
+        )
 
 
 def test_a_goal_a_little_beyond_a_limit_is_reached_within_its_tolerance():
@@ -308,7 +327,8 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
 ):
     rng = np.random.default_rng(seed)
     robot = random_arm(rng, tmp_path_factory.mktemp("arm"), family, limit=rng.uniform(0.5, 3.1))
-    solver, tolerance = make_solver("analytic"), Tolerance(*10 ** rng.uniform(-5, -1, 2))
+    solver = make_solver("analytic")
+    tolerance = Tolerance(*10 ** rng.uniform(-5, -1, 2))
     problem = Problem(
         robot, PoseGoal.at("tool", robot.forward(robot.home)), tolerance=tolerance, solver=solver
     )
