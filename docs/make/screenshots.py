@@ -213,7 +213,7 @@ def take(browser: Any, shot: Shot) -> None:
             window.get_by_text(shot.text).first.wait_for()
         for client in page.server.get_clients().values():
             client.scene.configure_default_lights(cast_shadow=True)  # as a browser with a GPU
-        window.wait_for_timeout(2500)  # figures are renewed once a second
+        window.wait_for_timeout(6000)  # figures are renewed once a second, and lights load late
         stop.set()
         window.wait_for_timeout(2000)  # a browser without a GPU draws late
         raw = window.screenshot(timeout=PATIENCE)

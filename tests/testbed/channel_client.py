@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import socket
 import threading
 import time
@@ -14,6 +15,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tests.waiting import LONG
+
+SILENT = logging.Logger("channel client", logging.CRITICAL)
+"""The client would log an error when the server drops its connection."""
 
 CONNECT_TIMEOUT = 20.0
 """Seconds. The server is in this process."""
@@ -43,6 +47,7 @@ class ChannelClient:
             origin=f"http://{place.netloc}",  # type: ignore[arg-type]
             compression=None,
             max_size=None,
+            logger=SILENT,
         )
         self.latest: dict[str, Any] = {}
         self.notices: list[str] = []

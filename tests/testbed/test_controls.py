@@ -72,7 +72,7 @@ def opened() -> Iterator[tuple[Page, ChannelClient, queue.SimpleQueue[Command]]]
             wait_for(lambda: page.page_server.client_of(key))
             client.send({"page": key})
             page.draw(session.view())
-            client.until(lambda one: "view" in one.latest)
+            client.until(lambda one: {"settings", "view", "role"} <= set(one.latest))
             yield page, client, sent
 
 

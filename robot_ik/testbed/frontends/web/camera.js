@@ -10,7 +10,7 @@ const COLUMNS = [
 
 export class CameraPane {
   constructor(channel) {
-    this.canvas = make("canvas", { width: 320, height: 240, "aria-label": "picture of the camera" });
+    this.canvas = make("canvas", { width: 320, height: 180, "aria-label": "picture of the camera" });
     this.table = make("table", { class: "rk-table num" });
     this.note = make("p");
     this.element = make(
