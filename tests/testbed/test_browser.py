@@ -45,7 +45,7 @@ HARMLESS = (
     "THREE.Clock: This module has been deprecated",
     "GL Driver Message",  # software rendering is slow, says the driver
     "Unable to preventDefault inside passive event listener invocation.",  # viser's own
-    "GL_INVALID_OPERATION: glDrawElementsInstanced",  # viser's outline of what the mouse is over, in software
+    "GL_INVALID_OPERATION: glDrawElementsInstanced",  # viser's outline, in software
 )
 BALL = (-0.45, -0.3, 0.9)
 # As the hand is turned at home: what was before must not decide whether `dls` arrives.
@@ -91,7 +91,11 @@ class Window:
         self.page.locator("canvas[data-engine]").hover()
 
     def drag(
-        self, position: Callable[[], Any], way: tuple[float, float], came: Callable[[], bool], what: str
+        self,
+        position: Callable[[], Any],
+        way: tuple[float, float],
+        came: Callable[[], bool],
+        what: str,
     ) -> None:
         """Drags what the browser draws at ``position``, a point of the world, by ``way`` pixels.
 
@@ -111,7 +115,7 @@ class Window:
         self.again(once, came, what)
 
     def again(self, act: Callable[[], None], came: Callable[[], bool], what: str) -> None:
-        """Acts until it ``came`` to the session: a busy browser may just have lost its connection."""
+        """Acts until it ``came`` to the session: a busy browser may have lost its connection."""
         end = time.monotonic() + LONG
         while not came():
             assert time.monotonic() < end, what
@@ -200,12 +204,17 @@ def afresh(bed: Bed) -> None:
         bed.session.send(command)
     bed.until(
         lambda view: (
-            (view.robot, view.count, view.busy, view.instances[0].method) == ("puma560", 1, "", "dls")
+            (view.robot, view.count, view.busy, view.instances[0].method)
+            == ("puma560", 1, "", "dls")
         )
     )
     bed.session.send(Reset())
     bed.session.send(MoveGoal(BALL, TURNED))
-    bed.until(lambda view: view.motion == "hand" and view.running and view.instances[0].status == "converged")
+    bed.until(
+        lambda view: (
+            view.motion == "hand" and view.running and view.instances[0].status == "converged"
+        )
+    )
     bed.sent.clear()
 
 
@@ -232,7 +241,9 @@ def test_a_slider_changes_the_solvers_option(window: Window, bed: Bed) -> None:
     window.page.get_by_role("button", name="parameters of robot 1").click()
     slider = window.page.get_by_role("slider", name="damping", exact=True).first
     before = dict(bed.view.instances[0].options)
-    window.press("ArrowRight", lambda: bed.count(SetOption) > 0, "the slider sends nothing", on=slider)
+    window.press(
+        "ArrowRight", lambda: bed.count(SetOption) > 0, "the slider sends nothing", on=slider
+    )
     name = next(command for command in bed.sent if isinstance(command, SetOption)).name
     assert name == "damping"
     bed.until(lambda view: dict(view.instances[0].options)[name] != before[name])
@@ -268,9 +279,13 @@ CAMERA_PLACE = "() => window.__viserMutable.camera.position.toArray()"
 def test_keys_move_the_ball_and_not_the_camera_until_c_is_pressed(window: Window, bed: Bed) -> None:
     window.leave_fields()
     before = window.page.evaluate(CAMERA_PLACE)
-    window.press("w", lambda: bed.view.ball.position[2] > BALL[2] + 0.005, "W does not lift the ball")
+    window.press(
+        "w", lambda: bed.view.ball.position[2] > BALL[2] + 0.005, "W does not lift the ball"
+    )
     ball = bed.view.ball.position
-    window.press("ArrowUp", lambda: np.linalg.norm(bed.view.ball.position - ball) > 0.005, "no step away")
+    window.press(
+        "ArrowUp", lambda: np.linalg.norm(bed.view.ball.position - ball) > 0.005, "no step away"
+    )
     step = bed.view.ball.position - ball
     assert abs(step[2]) < 1e-9 and min(abs(step[0]), abs(step[1])) < 1e-9, "not along an axis"
     assert window.page.evaluate(CAMERA_PLACE) == before
@@ -300,9 +315,11 @@ def test_dragging_the_ball_moves_ball_and_arm(window: Window, bed: Bed) -> None:
     window.page.wait_for_function(AT, arg=list(BALL))
     before = bed.view
     window.drag(
-        lambda: bed.view.ball.position + np.array((0.0, -0.03, -0.02)), (50.0, -40.0),
-        lambda: bed.count(MoveGoal) > 0, "no drag of the ball came",
-    )  # fmt: skip
+        lambda: bed.view.ball.position + np.array((0.0, -0.03, -0.02)),
+        (50.0, -40.0),
+        lambda: bed.count(MoveGoal) > 0,
+        "no drag of the ball came",
+    )
     moved = bed.until(lambda view: np.linalg.norm(view.ball.position - before.ball.position) > 0.03)
     assert moved.motion == "hand"
     bed.until(lambda view: np.abs(view.instances[0].q - before.instances[0].q).max() > 0.02)
@@ -310,11 +327,14 @@ def test_dragging_the_ball_moves_ball_and_arm(window: Window, bed: Bed) -> None:
 
 def test_dragging_a_link_takes_the_arm_along(window: Window, bed: Bed) -> None:
     window.page.wait_for_function(AT, arg=list(BALL))
-    before, body = bed.view, bed.session.robot.model.body("link4").id
+    before = bed.view
+    body = bed.session.robot.model.body("link4").id
     window.drag(
-        lambda: bed.view.instances[0].xpos[body], (-60.0, 30.0),
-        lambda: bed.count(DragLink) > 0 and bed.count(Release) > 0, "no drag of a part came",
-    )  # fmt: skip
+        lambda: bed.view.instances[0].xpos[body],
+        (-60.0, 30.0),
+        lambda: bed.count(DragLink) > 0 and bed.count(Release) > 0,
+        "no drag of a part came",
+    )
     bed.until(lambda view: np.abs(view.instances[0].q - before.instances[0].q).max() > 0.02)
 
 
@@ -357,13 +377,17 @@ def test_key_poses_are_recorded_scrubbed_and_played(window: Window, bed: Bed) ->
     line = page.get_by_role("slider", name="time", exact=True)
     box = line.bounding_box()
     page.mouse.click(box["x"] + box["width"] / 8.0, box["y"] + 6)  # of four seconds: 0.5 s
-    view = bed.until(lambda view: view.motion == "timeline", "the robot does not follow the timeline")
+    view = bed.until(
+        lambda view: view.motion == "timeline", "the robot does not follow the timeline"
+    )
     assert 0.4 < view.timeline.now < 0.6
     middle = bed.until(lambda view: view.instances[0].status == "timeline").instances[0].q[0]
     assert first[0] < middle < np.radians(40.0) or first[0] > middle > np.radians(40.0)
     play = page.get_by_role("button", name="Play without inverse kinematics")
     play.click()
-    bed.until(lambda view: view.timeline.now == 1.0 and not view.timeline.playing, "it does not play")
+    bed.until(
+        lambda view: view.timeline.now == 1.0 and not view.timeline.playing, "it does not play"
+    )
     assert bed.view.instances[0].q[0] == pytest.approx(np.radians(40.0), abs=1e-9)
     open_tab(window, "Record")
     for _ in range(2):
@@ -419,7 +443,12 @@ def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> No
     bed.session.send(SetRunning(True))
     page.get_by_role("button", name="Act", exact=True).click()
     seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it does not act")
-    assert seen.figure is not None and seen.figure.decision.action in ("reach", "bend", "walk", "nothing")
+    assert seen.figure is not None and seen.figure.decision.action in (
+        "reach",
+        "bend",
+        "walk",
+        "nothing",
+    )
     page.get_by_text(seen.figure.decision.reason).first.wait_for()
     ball = bed.view.ball.position
     page.keyboard.press("w")
@@ -428,7 +457,9 @@ def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> No
     page.keyboard.press("r")
     bed.until(lambda view: view.figure and view.figure.waiting, "R does not reset the figure")
     page.keyboard.press("i")
-    bed.until(lambda view: view.figure and view.figure.mode == "active", "I does not change the mode")
+    bed.until(
+        lambda view: view.figure and view.figure.mode == "active", "I does not change the mode"
+    )
     bed.session.send(SetRunning(False))
     page.get_by_role("button", name="Methods", exact=True).click()
     bed.until(lambda view: view.figure is None and not view.busy)
@@ -466,17 +497,20 @@ CONTROLS = """async () => {
         for (const tab of document.querySelectorAll("[role=tab]")) {
             tab.click();
             await frame();
-            for (const more of document.querySelectorAll(".rk-more, .rk-rare summary")) more.click();
+            const folds = document.querySelectorAll(".rk-more, .rk-rare summary");
+            for (const fold of folds) fold.click();
             await frame();
             const found = document.querySelectorAll(
                 ".rk-body button:not(.rk-more), .rk-body input, .rk-body select");
             for (const control of found) {
-                if (!control.isConnected || !control.checkVisibility() || control.disabled) continue;
+                const isThere = control.isConnected && control.checkVisibility();
+                if (!isThere || control.disabled) continue;
                 count += 1;
                 await use(control);
             }
         }
-        for (const control of document.querySelectorAll(".rk-top button, .rk-time button, .rk-fold")) {
+        const bars = document.querySelectorAll(".rk-top button, .rk-time button, .rk-fold");
+        for (const control of bars) {
             const opens = control.title.startsWith("Load");
             if (!control.checkVisibility() || control.disabled || opens) continue;
             count += 1;
@@ -498,7 +532,9 @@ def test_every_control_asks_for_something(chromium: Any, bed: Bed) -> None:
     window.page.close()
 
 
-def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Window, bed: Bed) -> None:
+def test_a_second_browser_watches_and_its_stop_works(
+    chromium: Any, window: Window, bed: Bed
+) -> None:
     window.leave_fields()
     window.press("i", lambda: bed.page.gate.driver.page is not None, "the first does not drive")
     bed.session.send(MoveGoal(BALL, TURNED))
@@ -577,8 +613,12 @@ def looped(session: Session, page: Page) -> Iterator[None]:
 WIDTHS = (390, 1000, 1280, 1920)
 
 
-def test_stop_has_one_place_at_every_width_and_above_every_dialog(chromium: Any, plain_bed: Bed) -> None:
-    window = open_window(chromium, plain_bed.page.url, scene=False, width=1280, height=800, first_visit=True)
+def test_stop_has_one_place_at_every_width_and_above_every_dialog(
+    chromium: Any, plain_bed: Bed
+) -> None:
+    window = open_window(
+        chromium, plain_bed.page.url, scene=False, width=1280, height=800, first_visit=True
+    )
     page = window.page
     stop = page.get_by_role("button", name="STOP")
     for width in WIDTHS:
@@ -613,7 +653,8 @@ def test_robots_get_most_of_the_width_and_panels_give_way(chromium: Any, plain_b
     for width in WIDTHS[1:]:
         page.set_viewport_size({"width": width, "height": 800})
         page.wait_for_function(
-            "least => document.querySelector('canvas[data-engine]').getBoundingClientRect().width >= least",
+            "least => document.querySelector('canvas[data-engine]')"
+            ".getBoundingClientRect().width >= least",
             arg=0.65 * width,
         )
     page.set_viewport_size({"width": 1280, "height": 800})
@@ -642,7 +683,10 @@ def test_a_robot_is_chosen_in_the_gallery(chromium: Any, plain_bed: Bed) -> None
     gallery.wait_for()
     cards = gallery.locator("[data-robot]")
     assert [card.get_attribute("data-robot") for card in cards.all()] == list(rik.catalogue())
-    assert cards.and_(page.locator("[aria-current=true]")).get_attribute("data-robot") == "tabletop_puma"
+    assert (
+        cards.and_(page.locator("[aria-current=true]")).get_attribute("data-robot")
+        == "tabletop_puma"
+    )
     for card in cards.all():
         card.scroll_into_view_if_needed()
         drawn = "card => card.querySelector('img').naturalWidth > 100"
@@ -673,7 +717,9 @@ def test_hold_after_torque_off_says_that_the_arm_is_limp(chromium: Any, arm_bed:
     window.page.close()
 
 
-def test_a_page_without_its_program_says_that_stop_does_not_work(chromium: Any, real_time: None) -> None:
+def test_a_page_without_its_program_says_that_stop_does_not_work(
+    chromium: Any, real_time: None
+) -> None:
     with (
         Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
         Page(session, PageServer(port=8612, shadows=False)) as page,
@@ -693,7 +739,8 @@ def test_a_page_without_its_program_says_that_stop_does_not_work(chromium: Any, 
 def test_a_loop_that_hangs_is_a_lost_connection(chromium: Any, arm_bed: Bed) -> None:
     window = open_window(chromium, arm_bed.page.url, scene=False)
     veil = window.page.locator("#connection-lost")
-    hangs, go_on = threading.Event(), threading.Event()
+    hangs = threading.Event()
+    go_on = threading.Event()
 
     def hang(*_: object) -> None:
         hangs.set()

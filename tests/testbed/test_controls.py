@@ -44,7 +44,8 @@ ONE_JOINT = """<robot name="mine"><link name="base"/><link name="arm">
 <visual><geometry><mesh filename="package://mine/upper&lt;1&gt;.stl"/></geometry></visual>
 <visual><geometry><mesh filename="fore.dae"/></geometry></visual>
 <collision><geometry><mesh filename="fore.dae"/></geometry></collision>
-<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+</link>
 <joint name="a" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
@@ -183,7 +184,8 @@ def test_a_page_that_is_loaded_anew_sees_a_ball_that_was_taken_away(
 ) -> None:
     page, client, _ = opened
     viser_client = next(iter(page.server.get_clients().values()))
-    before, ball = page._view, np.array((3.0, 2.0, 1.0))
+    before = page._view
+    ball = np.array((3.0, 2.0, 1.0))
     page._view = dataclasses.replace(before, ball=Pose(ball))
     old = np.array(viser_client.camera.position)
     try:

@@ -77,7 +77,11 @@ class Browser:
         data = message if isinstance(message, bytes) else msgspec.msgpack.encode(message)
         mask = os.urandom(4)
         size = len(data)
-        head = struct.pack("!BB", 0x82, 0x80 | size) if size < 126 else struct.pack("!BBH", 0x82, 0xFE, size)
+        head = (
+            struct.pack("!BB", 0x82, 0x80 | size)
+            if size < 126
+            else struct.pack("!BBH", 0x82, 0xFE, size)
+        )
         if size >= 1 << 16:
             head = struct.pack("!BBQ", 0x82, 0xFF, size)
         self.socket.sendall(head + mask + bytes(b ^ mask[k % 4] for k, b in enumerate(data)))
@@ -154,7 +158,9 @@ def browser(bed: Bed, port: int) -> Iterator[Browser]:
         ({"Host": ""}, 403),
     ],
 )
-def test_only_pages_of_this_server_connect(port: int, headers: dict[str, str | None], wanted: int) -> None:
+def test_only_pages_of_this_server_connect(
+    port: int, headers: dict[str, str | None], wanted: int
+) -> None:
     given = {name: value and value.replace("PORT", str(port)) for name, value in headers.items()}
     assert asked(port, **given)[0] == wanted
 
@@ -206,14 +212,22 @@ def test_files_of_the_page_are_given_and_no_others(port: int) -> None:
     for path in ("page.js", "page.css", "channel_worker.js", "thumbnails/puma560.png"):
         assert page_of(port, f"/testbed/{path}")[0] == 200
     for path in (
-        "../gate.py", "..%2fgate.py", "%2e%2e/gate.py", "/etc/passwd", "page.js/", "", "page.py",
-        "thumbnails/../page.js/../../gate.py", "channel",
-    ):  # fmt: skip
+        "../gate.py",
+        "..%2fgate.py",
+        "%2e%2e/gate.py",
+        "/etc/passwd",
+        "page.js/",
+        "",
+        "page.py",
+        "thumbnails/../page.js/../../gate.py",
+        "channel",
+    ):
         assert page_of(port, f"/testbed/{path}")[0] == 404
 
 
 def test_with_a_token_nothing_is_given_without_it(guarded: Any) -> None:
-    port, token = int(guarded.server.get_port()), guarded.gate.token
+    port = int(guarded.server.get_port())
+    token = guarded.gate.token
     assert token in guarded.url
     assert page_of(port)[0] == 403
     assert page_of(port, "/?token=wrong")[0] == 403
@@ -307,7 +321,9 @@ def test_right_messages_make_commands_and_wrong_ones_do_not(
     assert not caplog.records
 
 
-def test_a_value_of_a_wrong_message_is_said_to_the_page_that_sent_it(bed: Bed, page: ChannelClient) -> None:
+def test_a_value_of_a_wrong_message_is_said_to_the_page_that_sent_it(
+    bed: Bed, page: ChannelClient
+) -> None:
     with ChannelClient(bed.page.url) as other:
         page.command("set_count", count=3)
         page.until(lambda one: one.notices, "no notice")
@@ -319,12 +335,16 @@ def test_a_value_of_a_wrong_message_is_said_to_the_page_that_sent_it(bed: Bed, p
     bed.until(lambda view: view.running)
 
 
-def test_one_page_drives_the_others_watch_and_stop_works_from_all(bed: Bed, page: ChannelClient) -> None:
+def test_one_page_drives_the_others_watch_and_stop_works_from_all(
+    bed: Bed, page: ChannelClient
+) -> None:
     with ChannelClient(bed.page.url) as watcher:
         page.command("set_speed", speed=2.0)
         bed.until(lambda view: view.speed == 2.0)
         page.until(lambda one: one.latest.get("role", {}).get("drives"), "the driver is not told")
-        role = watcher.until(lambda one: one.latest.get("role", {}).get("driven") and one.latest["role"])
+        role = watcher.until(
+            lambda one: one.latest.get("role", {}).get("driven") and one.latest["role"]
+        )
         assert not role["drives"]
         before = len(bed.sent)
         watcher.command("set_speed", speed=0.5)
@@ -390,10 +410,18 @@ def drag(bed: Bed, phase: str, **changed: Any) -> dict[str, Any]:
     """A message of a mouse that drags the robot's last part."""
     name = bed.page._scene.bodies[-1][1].name
     return {
-        "type": "SceneNodeDragMessage", "phase": phase, "name": name, "instance_index": 0,
-        "start_position": [0.0, 0.0, 1.0], "start_screen_pos": [0.5, 0.5], "end_position": [0.1, 0.1, 1.0],
-        "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None, **changed,
-    }  # fmt: skip
+        "type": "SceneNodeDragMessage",
+        "phase": phase,
+        "name": name,
+        "instance_index": 0,
+        "start_position": [0.0, 0.0, 1.0],
+        "start_screen_pos": [0.5, 0.5],
+        "end_position": [0.1, 0.1, 1.0],
+        "end_screen_pos": [0.5, 0.5],
+        "button": "left",
+        "modifier": None,
+        **changed,
+    }
 
 
 def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
@@ -403,7 +431,9 @@ def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
     browser.send(drag(bed, "start"))
     bed.until(lambda view: view.dragged, "the part was not dragged")
     bed.session.send(SetCount(2))
-    bed.until(lambda view: view.count == 2 and not view.dragged, "the drag goes on in another scene")
+    bed.until(
+        lambda view: view.count == 2 and not view.dragged, "the drag goes on in another scene"
+    )
     before = len(bed.sent)
     for phase in (*["update"] * 5, "end"):
         browser.send(drag(bed, phase))
@@ -416,7 +446,9 @@ def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
     bed.until(lambda view: view.count == 1)
 
 
-def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(bed: Bed, browser: Browser) -> None:
+def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(
+    bed: Bed, browser: Browser
+) -> None:
     """A robot that changes takes away a part that is being dragged."""
     scene_is_drawn(bed)
     before = bed.page.gate.dropped["malformed"]
@@ -442,10 +474,17 @@ def drag_of(name: str) -> dict[str, Any]:
     """A message of a mouse that drags a node to ``BALL``."""
     position = list(BALL)
     return {
-        "type": "SceneNodeDragMessage", "phase": "update", "name": name, "instance_index": 0,
-        "start_position": position, "start_screen_pos": [0.5, 0.5], "end_position": position,
-        "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None,
-    }  # fmt: skip
+        "type": "SceneNodeDragMessage",
+        "phase": "update",
+        "name": name,
+        "instance_index": 0,
+        "start_position": position,
+        "start_screen_pos": [0.5, 0.5],
+        "end_position": position,
+        "end_screen_pos": [0.5, 0.5],
+        "button": "left",
+        "modifier": None,
+    }
 
 
 def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
@@ -476,7 +515,9 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
     ):
         client.action("show_camera", on=True)
         for note in notes:
-            client.until(lambda one, note=note: note in one.latest.get("camera", {}).get("note", ""), note)
+            client.until(
+                lambda one, note=note: note in one.latest.get("camera", {}).get("note", ""), note
+            )
             if len(results) > 1:
                 results.pop(0)
         client.until(lambda one: one.pictures, "no picture came")
@@ -510,7 +551,8 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: Non
     from robot_ik.testbed.frontends.browser import Page
     from robot_ik.testbed.frontends.page_server import PageServer
 
-    link, stop = arm_link("tabletop_puma", None, "pty"), threading.Event()
+    link = arm_link("tabletop_puma", None, "pty")
+    stop = threading.Event()
     with (
         Session(Start("tabletop_puma"), arm=link) as session,
         Page(session, PageServer(port=8613, shadows=False)) as page,

@@ -68,7 +68,8 @@ def test_the_page_is_visers_with_the_files_of_ours(encoding: str) -> None:
     with PageServer(port=8790) as opened:
         request = urllib.request.Request(opened.url, headers={"Accept-Encoding": encoding})
         with urllib.request.urlopen(request, timeout=LONG) as reply:
-            body, headers = reply.read(), reply.headers
+            body = reply.read()
+            headers = reply.headers
     assert headers.get("Content-Encoding", "identity") == encoding
     assert int(headers["Content-Length"]) == len(body)
     page = gzip.decompress(body) if encoding == "gzip" else body
