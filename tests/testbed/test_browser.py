@@ -15,6 +15,7 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.jobs.testbed import arm_link
+from robot_ik.testbed.camera_picture import CameraPicture
 from robot_ik.testbed.commands import (
     DragLink,
     MoveGoal,
@@ -700,6 +701,28 @@ def test_a_robot_is_chosen_in_the_gallery(chromium: Any, plain_bed: Bed) -> None
     page.get_by_role("button", name="robot", exact=True).get_by_text("srs arm").wait_for()
     assert wrong(window) == []
     window.page.close()
+
+
+def test_pictures_of_the_camera_follow_each_other(chromium: Any, plain_bed: Bed) -> None:
+    grey = CameraPicture(np.full((9, 16, 3), 128, np.uint8), ((7, 0.5, 0.25),), "a picture")
+    server = PageServer(port=8615, shadows=False)
+    with Page(plain_bed.session, server, camera=lambda: lambda: grey) as page:
+        window = open_window(chromium, page.url, scene=False)
+        image = window.page.get_by_role("img", name="picture of the camera")
+        assert image.is_hidden()
+        window.page.get_by_role("button", name="Camera", exact=True).click()
+        window.page.get_by_role("cell", name="0.500").wait_for()
+        window.page.wait_for_function(
+            "image => image.naturalWidth === 16", arg=image.element_handle()
+        )
+        first = image.get_attribute("src")
+        window.page.wait_for_function(
+            "([image, first]) => image.src !== first", arg=[image.element_handle(), first]
+        )
+        window.page.keyboard.press("v")
+        image.wait_for(state="hidden")
+        assert wrong(window) == []
+        window.page.close()
 
 
 def test_hold_after_torque_off_says_that_the_arm_is_limp(chromium: Any, arm_bed: Bed) -> None:

@@ -10,16 +10,26 @@ const COLUMNS = [
 
 export class CameraPane {
   constructor(channel) {
-    this.canvas = make("canvas", { width: 320, height: 180, "aria-label": "picture of the camera" });
+    this.image = make("img", { alt: "picture of the camera", width: 320, height: 180 });
+    this.image.onload = () => {
+      URL.revokeObjectURL(this.image.src);
+      channel.send({ shown: this.number });
+    };
+    this.number = 0;
     this.table = make("table", { class: "rk-table num" });
     this.note = make("p");
     this.element = make(
       "div",
       { class: "rk-pane rk-hidden" },
-      this.canvas,
+      this.image,
       make("div", { class: "rk-pane-text" }, this.table, this.note),
     );
-    channel.give(this.canvas);
+  }
+
+  /** Show a picture. The program sends the next one after that. */
+  showPicture({ number, jpeg }) {
+    this.number = number;
+    this.image.src = URL.createObjectURL(jpeg);
   }
 
   showSettings({ camera }) {

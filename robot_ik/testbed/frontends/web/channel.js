@@ -16,12 +16,6 @@ export class Channel {
     this.worker.postMessage({ connect: url.href });
   }
 
-  /** Let the worker draw pictures on a canvas. */
-  give(canvas) {
-    const offscreen = canvas.transferControlToOffscreen();
-    this.worker.postMessage({ canvas: offscreen }, [offscreen]);
-  }
-
   send(message) {
     this.worker.postMessage({ send: message });
   }

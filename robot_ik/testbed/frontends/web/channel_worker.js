@@ -1,6 +1,5 @@
 // The page's WebSocket, on a worker: a page that draws slowly still reads and stays connected.
-// Changes of the view are merged until the page has shown the ones before. Pictures are decoded and
-// drawn here.
+// Changes of the view are merged until the page has shown the ones before.
 "use strict";
 
 const RETRY_MS = 1000;
@@ -8,8 +7,6 @@ const BEAT_MS = 1000;
 const HEADER_BYTES = 16; // before a JPEG: number, time, width, height
 
 let socket = null;
-let canvas = null;
-let context = null;
 let changes = null; // of the view, not shown yet
 let isFree = true; // the page has shown the changes before
 let hasView = false; // since the last beat
@@ -24,7 +21,9 @@ function connect(url) {
   };
   socket.onmessage = ({ data }) => {
     if (data instanceof ArrayBuffer) {
-      draw(data);
+      const number = new DataView(data).getUint32(0, true);
+      const jpeg = new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" });
+      postMessage({ picture: { number, jpeg } });
       return;
     }
     const message = JSON.parse(data);
@@ -46,22 +45,6 @@ function pass() {
   changes = null;
 }
 
-async function draw(data) {
-  const header = new DataView(data);
-  const number = header.getUint32(0, true);
-  const time = header.getFloat64(4, true);
-  const jpeg = new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" });
-  const bitmap = await createImageBitmap(jpeg);
-  if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
-    canvas.width = bitmap.width;
-    canvas.height = bitmap.height;
-  }
-  context.drawImage(bitmap, 0, 0);
-  bitmap.close();
-  send({ shown: number });
-  postMessage({ picture: { number, age: Date.now() / 1e3 - time } });
-}
-
 function send(message) {
   if (socket !== null && socket.readyState === WebSocket.OPEN) {
     socket.send(JSON.stringify(message));
@@ -77,9 +60,6 @@ setInterval(() => {
 onmessage = ({ data }) => {
   if (data.connect) {
     connect(data.connect);
-  } else if (data.canvas) {
-    canvas = data.canvas;
-    context = canvas.getContext("2d", { alpha: false });
   } else if (data.next) {
     isFree = true;
     pass();

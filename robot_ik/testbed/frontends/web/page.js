@@ -42,6 +42,7 @@ class Page {
       role: (value) => this.showRole(value),
       view: (value) => this.showView(value),
       camera: (value) => this.camera.show(value),
+      picture: (value) => this.camera.showPicture(value),
       notice: (value) => this.overlay.notice(value),
       file: ({ name, base64 }) => {
         download(name, Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
