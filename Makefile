@@ -32,7 +32,7 @@ STALE := FORCE
 endif
 endif
 
-.PHONY: help reach test explore soak fuzz strangers check lint types imports format docs wheel test-opencv4 test-mujoco3 constraints clean FORCE
+.PHONY: help reach test explore soak fuzz strangers lerobot check lint types imports format docs wheel test-opencv4 test-mujoco3 constraints clean FORCE
 
 help:
 	@echo 'make reach         the main job: a camera sees a marker, the arm reaches it (ARGS="--help" for its options)'
@@ -44,6 +44,7 @@ help:
 	@echo 'make soak          the long tests'
 	@echo 'make fuzz          any bytes against codec, parsers, servos and driver, guided by coverage'
 	@echo 'make strangers     other people'"'"'s servo clients, unmodified, on the virtual bus'
+	@echo 'make lerobot       the programs of LeRobot, unmodified, on simulated arms (5 GB, Python 3.12)'
 	@echo 'make test-opencv4  the camera tests with OpenCV 4, in a second environment'
 	@echo 'make test-mujoco3  model, kernel, solver, hardware and figure tests with MuJoCo 3, in another one'
 	@echo 'make bench-camera  the accuracy and speed of the camera (ARGS="--quick --rows marker board")'
@@ -81,6 +82,12 @@ fuzz: $(STAMP)
 strangers: $(STAMP)
 	@PYTHON=$(PY) tests/strangers/install .venv-strangers
 	@$(PY) -m pytest tests/strangers/check_clients.py $(ARGS)
+
+# LeRobot's own programs on simulated arms, in an environment of their own with PyTorch. It needs Python 3.12.
+lerobot:
+	@tests/lerobot/programs/install .venv-lerobot
+	@cd tests/lerobot/programs && ../../../.venv-lerobot/bin/python -m pytest --noconftest -p no:robot_ik.pytest_plugin \
+		-c /dev/null --rootdir . check_programs.py $(ARGS)
 
 check: lint types imports
 
@@ -129,10 +136,10 @@ constraints: $(STAMP)
 	@git --no-pager diff --stat constraints.txt
 
 clean:
-	rm -rf $(VENV) .venv-opencv4 .venv-mujoco3 build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) .venv-opencv4 .venv-mujoco3 .venv-lerobot .venv-strangers build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt $(MAKE_VENV) .ci/link_stubs.py $(STALE)
-	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,record,gamepad,plots,descriptions,dev]'
+	@$(MAKE_VENV) $(VENV) constraints.txt '.[web,video,record,gamepad,plots,maps,cluster,descriptions,dev]'
 	@$(PY) .ci/link_stubs.py $(VENV)/stubs
 	@printf '%s\n' '$(CURDIR)' > $@
 

@@ -1,10 +1,9 @@
-"""Follows a marker that is pushed round in a circle, and prints how far the gripper lags behind.
+"""Follows a marker that moves in a circle, with camera and servos simulated in virtual time.
 
-    python examples/06_follow_a_marker.py           goals for the time they are used at
-    python examples/06_follow_a_marker.py late      goals for the time their picture was taken at
+    python examples/06_follow_a_marker.py           goals for the time at which they are used
+    python examples/06_follow_a_marker.py late      goals for the time of their picture
 
-Camera and servos are simulated, ten pictures a second, in virtual time.  Prints how old the pictures were
-when they were used, and how far goals and gripper were from where the marker really was by then.
+Prints the age of the pictures when they were used, and the errors of the goals and of the gripper.
 """
 
 import sys
@@ -15,7 +14,7 @@ import robot_ik as rik
 from robot_ik.camera.latest_goals import LatestGoals
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.targets import marker as marker_target
+from robot_ik.camera.targets import marker
 from robot_ik.jobs.scene import scene_for
 
 
@@ -23,32 +22,33 @@ def main(late: bool = False) -> None:
     arm = rik.open_robot("puma560", bus="sim")
     robot = arm.robot
     scene = scene_for(robot)
+    target = marker(scene.marker_id, scene.marker_size, scene.dictionary)
 
-    def marker(now: float) -> rik.Pose:
+    def marker_pose(now: float) -> rik.Pose:
         angle = 2.0 * (now - begin)
-        return scene.pose_world_marker @ rik.Pose((0.04 * np.sin(angle), 0.04 - 0.04 * np.cos(angle), 0.0))
+        position = (0.04 * np.sin(angle), 0.04 - 0.04 * np.cos(angle), 0.0)
+        return scene.pose_world_marker @ rik.Pose(position)
 
-    off = []
+    errors = []
 
-    def compare(tick) -> None:
-        here = (marker(arm.clock.now()) @ scene.pose_marker_tool).position
+    def measure(tick) -> None:
+        wanted = (marker_pose(arm.clock.now()) @ scene.pose_marker_tool).position
         tool = robot.forward(tick.measured).position
-        off.append([np.linalg.norm(here - p) for p in (tick.goal.target.position, tool)])
+        errors.append([np.linalg.norm(wanted - p) for p in (tick.goal.target.position, tool)])
 
     with arm:
         arm.enable()
         begin = arm.clock.now()
-        synthetic = scene.synthetic(robot).with_marker(scene.marker_id, pose=marker)
+        synthetic = scene.synthetic(robot).with_marker(scene.marker_id, pose=marker_pose)
         camera = SyntheticSource(synthetic, lambda: arm.read().q, clock=arm.clock)
-        lens = scene.intrinsics
-        target = marker_target(scene.marker_id, scene.marker_size, scene.dictionary)
-        eye, hover = scene.pose_world_camera, scene.pose_marker_tool
-        options = {"predict": not late, "clock": arm.clock}
-        goals = MarkerGoalSource(camera, lens, target, eye, hover, robot.tool, **options)
+        poses = (scene.pose_world_camera, scene.pose_marker_tool)
+        options = {"frame": robot.tool, "predict": not late, "clock": arm.clock}
+        goals = MarkerGoalSource(camera, scene.intrinsics, target, *poses, **options)
+        follow = {"sinks": [arm], "solver": "lm", "source": arm, "duration": 3.0}
         with LatestGoals(goals, arm.clock, rate_hz=10.0) as latest:
-            rik.follow(robot, latest, sinks=[arm], solver="lm", source=arm, duration=3.0, on_tick=compare)
+            rik.follow(robot, latest, on_tick=measure, **follow)
 
-    goal, tool = 1e3 * np.median(off[-80:], axis=0)
+    goal, tool = 1e3 * np.median(errors[-80:], axis=0)
     print(f"pictures when they were used: {goals.picture_ages.summary()}")
     print(f"goal {goal:.1f} mm, gripper {tool:.1f} mm from where the marker was by then")
 

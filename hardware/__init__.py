@@ -1,7 +1,7 @@
-"""Servos: from joint angles to a bus and back, guarded.  Imported as ``robot_ik.hardware``.
+"""Servos: joint values to a bus and back, with safety checks. Import as ``robot_ik.hardware``.
 
-``open_arm(ArmConfig.load(...), "pty")`` gives an arm; ``BUSES`` are the ways to reach one.  Importing this
-opens nothing and loads neither the SDK nor pyserial.
+``open_arm(ArmConfig.load(...), "pty")`` returns an arm. ``BUSES`` lists the ways to reach servos.
+Importing this package opens nothing and loads neither the SDK nor pyserial.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from robot_ik.errors import BusNotOpenError, ConfigError
 
 if __name__ != "robot_ik.hardware":
     raise ImportError(
-        "this is the hardware package of robot_ik: `import robot_ik.hardware`, not `import hardware` "
-        "(other distributions own that name)"
+        "this is the hardware package of robot_ik: `import robot_ik.hardware`, not "
+        "`import hardware` (other distributions own that name)"
     )
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.pty import PtyPort
     from robot_ik.ports import Clock
+    from robot_ik.robot import Robot
 
 __all__ = [
     "BUSES",
@@ -47,11 +48,11 @@ class Bus:
     """One way to reach servos.
 
     Attributes:
-        name: As the user says it; ``PORT`` stands for any name of a serial port.
+        name: Name on the command line; ``PORT`` stands for any name of a serial port.
         title: One line for help texts.
-        virtual: Its servos are simulated.
-        make: (name given, config, servos or None) -> bus, not open yet.
-        virtual_time: Its simulated servos run on a clock of their own.
+        virtual: The servos are simulated.
+        make: (given name, config, servos or None) -> bus that is not open yet.
+        virtual_time: The simulated servos run on virtual time.
     """
 
     name: str
@@ -61,7 +62,7 @@ class Bus:
     virtual_time: bool = False
 
 
-def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
+def _sim(_name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import SimBus
 
     if servos is None:
@@ -69,17 +70,21 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     return SimBus(servos, config.family.protocol)
 
 
-def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
+def _pty(_name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import ServedBus
 
-    pty_port()  # now, not when it is opened
+    pty_port()  # raises here, not when the bus is opened
     if servos is None:
         raise RuntimeError("a simulated bus needs servos")
     return ServedBus(servos, config.baud, config.family.protocol)
 
 
 def pty_port() -> type[PtyPort]:
-    """The class of ports; raises ``BusNotOpenError`` where termios or fcntl is missing: Windows."""
+    """Return the class ``PtyPort``.
+
+    Raises:
+        BusNotOpenError: This system (Windows) has neither termios nor fcntl.
+    """
     try:
         from robot_ik.hardware.virtual.pty import PtyPort
     except ImportError as reason:
@@ -88,7 +93,7 @@ def pty_port() -> type[PtyPort]:
     return PtyPort
 
 
-def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
+def _port(name: str, config: ArmConfig, _servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.serial_bus import SerialBus
 
     return SerialBus(name, config.baud, config.family.protocol)
@@ -104,14 +109,14 @@ BUSES: Mapping[str, Bus] = MappingProxyType(
         )
     }
 )
-"""Every way to reach servos; the only place of registration."""
+"""Every way to reach servos. The only place of registration."""
 
 SIMULATED = "--bus " + " or ".join(bus.name for bus in BUSES.values() if bus.virtual)
-"""Where servos are simulated, for messages."""
+"""Options that select simulated servos, for messages."""
 
 
 def bus_row(name: str) -> Bus:
-    """The row for what the user said: any other name is that of a port."""
+    """Return the row of a bus. Any name that is not in ``BUSES`` is that of a serial port."""
     return BUSES.get(name, BUSES["PORT"])
 
 
@@ -123,39 +128,50 @@ def open_arm(
     virtual_bus: VirtualBus | None = None,
     start: ArrayLike | Mapping[str, float] | None = None,
     park_at: ArrayLike | Mapping[str, float] | None = None,
+    robot: Robot | None = None,
+    clock: Clock | None = None,
 ) -> Arm:
-    """Makes an arm on a bus, still disconnected: a ``with`` block connects it, ``enable`` gives it torque.
+    """Return an arm on a bus, not connected yet.
+
+    A ``with`` block connects it. ``Arm.enable`` switches torque on. If a calibration is beside the
+    arm file, the model must be the one that was calibrated. This check cannot be skipped.
 
     Args:
-        config: The arm file.
+        config: Arm file.
         bus: A name in ``BUSES``, or a serial port.
-        on_exit: ``torque_off``, ``hold`` or ``park``; the arm file's by default.
-        virtual_bus: Servos made by the caller (faults, true angles), for "sim" and "pty"; else healthy ones.
-        start: (n,) rad, where those default servos stand at first.
-        park_at: (n,) rad, for ``park``; by default where the arm was enabled.
+        on_exit: ``torque_off``, ``hold`` or ``park``; by default that of the arm file.
+        virtual_bus: Servos of the caller (with faults, for example), for "sim" and "pty". By
+            default new servos without faults.
+        start: (n,) rad. Joint values of the new servos at first.
+        park_at: (n,) rad, for ``park``; by default the pose at which the arm was enabled.
+        robot: Model of the arm; by default the robot that the arm file names.
+        clock: Clock of the new servos; by default virtual time on "sim" and real time on "pty".
 
     Raises:
-        ConfigError: ``config`` is none, ``on_exit`` or ``start`` is impossible, or ``virtual_bus`` or
-            ``start`` is for a real port.
+        CalibrationMismatchError: The model is not the one of the calibration.
+        ConfigError: ``config`` is no ``ArmConfig``, ``on_exit`` or ``start`` is impossible, or
+            ``virtual_bus`` or ``start`` is given for a real port.
     """
     from robot_ik.hardware.arm import Arm
+    from robot_ik.hardware.model_check import check_own_model
 
-    servos = _servos(config, bus, virtual_bus, start)
+    servos = _servos(config, bus, virtual_bus, start, clock)
+    check_own_model(config, robot)
     made = bus_row(bus).make(bus, config, servos)
     return Arm(config, made, on_exit=on_exit, park_at=park_at)
 
 
 def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = None) -> ServoBus:
-    """The bus alone, open.
+    """Return an open bus without an arm.
 
     Args:
         name: A name in ``BUSES``, or a serial port.
-        config: Says which baud rate, and which servos where they are virtual.
+        config: Baud rate, and servos of a virtual bus.
         virtual_bus: As for ``open_arm``.
 
     Raises:
-        BusNotOpenError: Missing, not a serial port, not permitted, already open.
-        ConfigError: ``config`` is none, or ``virtual_bus`` for a real port.
+        BusNotOpenError: The port is missing, no serial port, not permitted or already open.
+        ConfigError: ``config`` is no ``ArmConfig``, or ``virtual_bus`` is given for a real port.
     """
     bus = bus_row(name).make(name, config, _servos(config, name, virtual_bus, None))
     bus.names |= {drive.id: drive.name for drive in config.drives}
@@ -168,16 +184,19 @@ def _servos(
     bus: str,
     servos: VirtualBus | None,
     start: ArrayLike | Mapping[str, float] | None,
+    clock: Clock | None = None,
 ) -> VirtualBus | None:
-    """The servos where they are virtual; their clock is that of the bus."""
+    """Return the servos of a virtual bus; None for a serial port."""
     from robot_ik.hardware.config import ArmConfig
 
     given: object = config
     if not isinstance(given, ArmConfig):
         raise ConfigError(
             f"{given!r} is no arm configuration",
-            file="robot_ik.hardware", key="config", allowed='an ArmConfig, e.g. ArmConfig.load("arm.toml")',
-        )  # fmt: skip
+            file="robot_ik.hardware",
+            key="config",
+            allowed='an ArmConfig, e.g. ArmConfig.load("arm.toml")',
+        )
     row = bus_row(bus)
     if not row.virtual:
         if servos is not None or start is not None:
@@ -190,12 +209,12 @@ def _servos(
         return None
     if servos is not None:
         return servos
-    from robot_ik.ports import (  # they bring numpy: commands ask for names only
-        RealClock,
-        VirtualClock,
-    )
+    # Imported here because it loads numpy, and some commands need names of buses only.
+    from robot_ik.ports import RealClock, VirtualClock
 
-    return simulated_servos(config, VirtualClock() if row.virtual_time else RealClock(), start)
+    if clock is None:
+        clock = VirtualClock() if row.virtual_time else RealClock()
+    return simulated_servos(config, clock, start)
 
 
 def simulated_servos(

@@ -14,10 +14,12 @@ from typing import Annotated, Any, Literal
 import tomlkit
 from pydantic import AfterValidator, Field, model_validator
 
+from robot_ik.collision import DEFAULT_MARGIN, LARGEST_MARGIN
 from robot_ik.config import (
     KeyProblem,
     Positive,
     SchemaVersion,
+    Several,
     Table,
     Word,
     check_table,
@@ -95,6 +97,33 @@ class BusTable(Table):
     stale_ms: Annotated[int | None, Field(ge=0, le=60_000)] = None  # half of watchdog_ms
     on_stale: Literal["hold", "park", "torque_off"] = "hold"
     on_orphan: Literal["hold", "torque_off"] = "hold"
+
+
+def _two_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(names) != 2:
+        raise KeyProblem(f"{len(names)} names are not a pair", allowed="2 names of bodies or geoms")
+    return names
+
+
+NamePair = Annotated[Several[Word], AfterValidator(_two_names)]
+
+
+class CollisionTable(Table):
+    """Table ``[collisions]``: what the commands that move the arm must not touch.
+
+    An empty table asks for self-collisions only.
+
+    Attributes:
+        scene: MJCF file of the obstacles around the arm, in the world of its model. Empty: none.
+        margin: Smallest allowed distance of two parts, m.
+        ground: Height of a floor in the world of the model, m. None: no floor.
+        ignore: Pairs of names of bodies or geoms that may touch.
+    """
+
+    scene: str = ""
+    margin: Annotated[float, Field(ge=0.0, le=LARGEST_MARGIN)] = DEFAULT_MARGIN
+    ground: float | None = None
+    ignore: Several[NamePair] = ()
 
 
 class TwinTable(Table):
@@ -225,6 +254,7 @@ class ArmFile(Table):
     robot: Word
     uncalibrated: bool = False
     bus: BusTable = BusTable()
+    collisions: CollisionTable | None = None
     joints: Annotated[
         list[Annotated[JointTable, chosen(_kind)]],
         Field(min_length=1, max_length=MAX_SERVOS, description="at least one [[joints]] table"),

@@ -1,8 +1,9 @@
-"""From a hand that moves a limp arm to numbers: ranges first, zeros second, directions by a wiggle.
+"""Calibration of a limp arm by hand: first ranges, then zeros, then directions.
 
-Ranges come first because only a whole sweep shows whether a joint crosses the end of its servo's revolution
-(4095 -> 0); a zero taken before would be wrong by a revolution beyond it.  Two servos of one joint are swept
-together; that they turn together is checked on the way.  What asks servos raises the errors of the bus too.
+Ranges come first, because only a full sweep shows whether a joint crosses the end of its servo's
+revolution (4095 -> 0). A zero taken earlier could be wrong by a revolution. Two servos of one joint
+are swept together, and the sweep checks that they turn together. Functions that read servos also
+raise the errors of the bus.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from dataclasses import replace
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.files import timestamp
-from robot_ik.hardware.bus import ServoBus, read_all
+from robot_ik.hardware.arm_registers import read_all
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.dynamixel_x_table import REVERSE
@@ -21,37 +23,47 @@ from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
 from robot_ik.hardware.servo import RANGE_TOLERANCE_TICKS, TWIST, Drive, Joint, Servo, Sign
 
 LEAST_SWEEP = math.radians(10.0)
-"""rad at the joint (at the pinion of a slide); a joint that turned by less was forgotten."""
+"""rad at the joint (at the pinion of a slide). A joint that turned by less was not swept."""
 
 LEAST_WIGGLE = math.radians(3.0)
-"""rad at the joint; less may be a hand that touched it by chance."""
+"""rad at the joint. A hand may turn it by less by accident."""
 
 ASKED_WIGGLE = math.radians(10.0)
-"""rad at the joint that a hand is asked for."""
+"""rad at the joint that the user is asked for."""
 
 STILL_TICKS = 12
-"""About 1 degree: a held joint moves by less while its zero is taken."""
+"""Ticks (about 1 degree). A held joint moves by less while its zero is taken."""
 
 
 class OperatorError(HardwareError):
-    """A person did not do what a step asks for; the step can be repeated."""
+    """The user did not do what a step requires. The step can be repeated."""
 
 
 class Sweep:
-    """Smallest and largest position of every servo, whole revolutions counted here.
+    """Smallest and largest position of every servo. Whole revolutions are counted here.
 
-    ``ticks``: servo id -> Present Position at the beginning.
+    Args:
+        config: Arm.
+        ticks: Servo id -> Present Position at the beginning.
+
+    Attributes:
+        now: Servo id -> present position, ticks.
+        low: Servo id -> smallest position, ticks.
+        high: Servo id -> largest position, ticks.
     """
 
     def __init__(self, config: ArmConfig, ticks: Mapping[int, int]) -> None:
-        # A limp servo in position mode may count on beyond its revolution; with torque it counts within it.
+        # Without torque a servo in position mode may count beyond its revolution.
         period = {servo.id: TICKS_PER_REVOLUTION for servo in config.servos if servo.is_single_turn}
         self._raw = {id: ticks[id] for id in config.servo_ids}
-        self.now = {id: value % period[id] if id in period else value for id, value in self._raw.items()}
-        self.low, self.high = dict(self.now), dict(self.now)
+        self.now = {
+            id: value % period[id] if id in period else value for id, value in self._raw.items()
+        }
+        self.low = dict(self.now)
+        self.high = dict(self.now)
 
     def take(self, ticks: Mapping[int, int | None]) -> None:
-        """The next reading; a step of more than half a revolution is a wrap of the count."""
+        """Take the next sample. A step of more than half a revolution is a wrap of the count."""
         for id, before in self._raw.items():
             value = ticks.get(id)
             if value is None:
@@ -65,28 +77,33 @@ class Sweep:
             self.high[id] = max(self.high[id], self.now[id])
 
     def travel(self, drive: Drive) -> float:
-        """How far its joint was turned, rad (m of a slide)."""
+        """Return the range of the joint, rad (m of a slide)."""
         return (self.high[drive.id] - self.low[drive.id]) * drive.joint.resolution
 
 
 def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
-    """Raises ``HardwareError`` where a sweep cannot be used.
+    """Check that a sweep can be used.
 
-    A joint was not swept, crosses the end of its servo's revolution, or its two servos did not turn together.
+    Raises:
+        OperatorError: A joint was not swept.
+        HardwareError: A joint crosses the end of its servo's revolution, or its two servos did not
+            turn together.
     """
     for drive in config.drives:
         joint, servo = drive
-        low, high = sweep.low[servo.id], sweep.high[servo.id]
+        low = sweep.low[servo.id]
+        high = sweep.high[servo.id]
         if sweep.travel(drive) < LEAST_SWEEP * joint.lever:
             which = f" (servo id {servo.id})" if servo is not joint.servo else ""
             raise OperatorError(
-                f"joint {joint.name!r}{which} moved by {joint.text(sweep.travel(drive))} only",
+                f"joint {joint.name!r}{which} moved only by {joint.text(sweep.travel(drive))}",
                 hint="sweep every joint from one stop to the other",
             )
         if servo.is_single_turn and not 0 <= low <= high < TICKS_PER_REVOLUTION:
             raise HardwareError(
-                f"joint {joint.name!r} crosses the end of its servo's revolution: it swept ticks {low} "
-                f"to {high}, and a servo in position mode counts 0 to {TICKS_PER_REVOLUTION - 1}",
+                f"joint {joint.name!r} crosses the end of its servo's revolution: it swept ticks "
+                f"{low} to {high}, and a servo in position mode counts 0 to "
+                f"{TICKS_PER_REVOLUTION - 1}",
                 hint='mount its horn about half a revolution on, or set mode = "extended_position" '
                 "in the arm file",
             )
@@ -97,24 +114,29 @@ def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
 
 
 def _require_together(joint: Joint, other: Servo, travel: float, other_travel: float) -> None:
-    """Raises ``HardwareError`` unless two servos of a joint have gone the same way, whatever their signs."""
+    """Raise ``HardwareError`` if two servos of a joint turned by different amounts."""
     if abs(abs(travel) - abs(other_travel)) > TWIST * joint.lever:
         raise HardwareError(
             f"the two servos of joint {joint.name!r} do not turn together: id {joint.servo.id} by "
             f"{joint.text(travel)}, id {other.id} by {joint.text(other_travel)}",
-            hint="does a horn or a gear slip? do both have the ratio of the arm file?",
+            hint="check that no horn or gear slips and that both have the ratio of the arm file",
         )
 
 
 def counting_directions(
     config: ArmConfig, joint: Joint, before: Mapping[int, int], after: Mapping[int, int]
 ) -> dict[int, Sign]:
-    """Which way the servos of a joint, by id, count when it was turned in the positive direction.
+    """Return servo id -> counting direction of a joint that was turned positively.
 
-    ``before`` and ``after``: servo id -> ticks of all servos.
+    Args:
+        config: Arm.
+        joint: Joint that was turned.
+        before: Servo id -> ticks of all servos before.
+        after: Servo id -> ticks of all servos after.
 
     Raises:
-        HardwareError: Nothing turned, another joint did, or its two servos did not turn together.
+        OperatorError: No joint was turned, or another one.
+        HardwareError: The two servos of the joint did not turn together.
     """
     ways = {
         servo.id: (after[servo.id] - before[servo.id]) * moved.resolution / moved.lever
@@ -128,18 +150,27 @@ def counting_directions(
             f"joint {joint.name!r} did not turn (most: {largest.name} by {farthest})",
             hint=f"turn it by about {joint.text(ASKED_WIGGLE * joint.lever, 0)} and leave it there",
         )
-    if abs(own) < LEAST_WIGGLE or (largest.name != joint.name and abs(ways[largest.id]) > 2.0 * abs(own)):
+    if abs(own) < LEAST_WIGGLE or (
+        largest.name != joint.name and abs(ways[largest.id]) > 2.0 * abs(own)
+    ):
         raise OperatorError(
             f"{joint.name!r} was to be turned, and {largest.name!r} did (by {farthest})",
-            hint="are two ids swapped? compare cables and arm file; robot-ik servo setup changes an id",
+            hint="two ids may be swapped: compare cables and arm file; robot-ik servo setup "
+            "changes an id",
         )
     for other in joint.servos[1:]:
         _require_together(joint, other, own * joint.lever, ways[other.id] * joint.lever)
     return {servo.id: 1 if ways[servo.id] > 0 else -1 for servo in joint.servos}
 
 
-def check_shadows(config: ArmConfig, directions: Mapping[int, int], zero: Mapping[int, int]) -> None:
-    """Raises ``HardwareError`` where a shadow could not follow its servo: by their directions and zeros."""
+def check_shadows(
+    config: ArmConfig, directions: Mapping[int, int], zero: Mapping[int, int]
+) -> None:
+    """Check that every shadow can follow its servo, by directions and zeros.
+
+    Raises:
+        HardwareError: A shadow cannot follow its servo.
+    """
     for joint, servo in config.drives:
         if servo.primary_id is None:
             continue
@@ -147,7 +178,8 @@ def check_shadows(config: ArmConfig, directions: Mapping[int, int], zero: Mappin
         if directions[servo.id] != directions[servo.primary_id]:
             raise HardwareError(
                 f"{which} counts the other way round",
-                hint="set bit 0 of its Drive Mode (reverse), or give it goals of its own: shadow = false",
+                hint="set bit 0 of its Drive Mode (reverse), or give it goals of its own: "
+                "shadow = false",
             )
         apart = abs(zero[servo.id] - zero[servo.primary_id]) * joint.resolution
         if apart > TWIST * joint.lever:
@@ -158,10 +190,15 @@ def check_shadows(config: ArmConfig, directions: Mapping[int, int], zero: Mappin
 
 
 LEAST_OVERLAP = 0.5
-"""Share of a swept range that must lie within the model's: a zero that is half a revolution off has less."""
+"""Share of a swept range that must lie within the model's range.
+
+A zero that is wrong by half a revolution leaves less.
+"""
 
 _IN_ARM_FILE = ("id", "model", "direction", "zero_ticks")
-_SAME_LIMIT = 1e-6  # rad; the file keeps a millionth of a degree
+"""Keys of a calibration that the arm file has, too."""
+_SAME_LIMIT = 1e-6
+"""rad. The calibration file keeps a millionth of a degree."""
 
 
 class CalibrationMismatchError(HardwareError):
@@ -176,18 +213,20 @@ class CalibrationMismatchError(HardwareError):
         table = [("joint", "what", "expected", "found"), *rows]
         widths = [max(len(row[k]) for row in table) for k in range(4)]
         lines = [
-            "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in table
+            "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))
+            for row in table
         ]
         super().__init__(f"{what}\n" + "\n".join(line.rstrip() for line in lines), hint=hint)
 
 
 def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
-    """The arm file with measured zeros and directions, and limits that the sweep has reached.
+    """Return the arm with measured zeros and directions, within the swept ranges.
 
     Raises:
-        CalibrationMismatchError: Ranges that are mostly outside the arm file's and the model's limits.
+        CalibrationMismatchError: A range is mostly outside the limits of arm file and model.
     """
-    joints, rows = [], []
+    joints = []
+    rows = []
     second = {row.name: row for row in found.twins}
     for joint, row in zip(config.joints, found.joints, strict=True):
         servos = [replace(joint.servo, direction=row.direction, zero_ticks=row.zero_ticks)]
@@ -198,17 +237,24 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
         low, high = sorted(made.value(ticks) for ticks in (row.range_min, row.range_max))
         limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]
         common = max(joint.lower, limits[0]), min(joint.upper, limits[1])
-        lower, upper = max(low, common[0]), min(high, common[1])
+        lower = max(low, common[0])
+        upper = min(high, common[1])
         if upper - lower < LEAST_OVERLAP * min(high - low, common[1] - common[0]):
             rows.append(
-                (joint.name, f"range, {joint.unit}", _range(joint, *common), _range(joint, low, high))
+                (
+                    joint.name,
+                    f"range, {joint.unit}",
+                    _range(joint, *common),
+                    _range(joint, low, high),
+                )
             )
         joints.append(replace(made, lower=lower, upper=upper))
     if rows:
         raise CalibrationMismatchError(
-            "the swept ranges are not those of arm file and model",
+            "the swept ranges do not match arm file and model",
             rows,
-            "was the arm in the pose asked for when its zero was taken? is the horn half a revolution off?",
+            "check that the arm was in the requested pose when its zero was taken, and that no "
+            "horn is mounted half a revolution off",
         )
     return replace(config, joints=tuple(joints), file=None, uncalibrated=False)
 
@@ -226,20 +272,29 @@ def measured_calibration(
     directions: Mapping[int, Sign],
     limits: Mapping[str, tuple[float, float]],
 ) -> Calibration:
-    """Puts what the hand has shown together with what the servos say of themselves.
+    """Return the calibration made of what the user showed and what the servos report.
 
-    ``zero``: servo id -> ticks at ``pose``, joint -> rad (m of a slide); ``limits``: joint -> those of the
-    model, rad (m).
+    Args:
+        bus: Open bus.
+        config: Arm.
+        sweep: Ranges.
+        zero: Servo id -> ticks at ``pose``.
+        pose: Joint -> rad (m of a slide).
+        directions: Servo id -> counting direction.
+        limits: Joint -> limits of the model, rad (m).
     """
     drive_mode = read_all(bus, config, "drive_mode", absent=0)
     homing = read_all(bus, config, "homing_offset")
     check_shadows(config, directions, zero)
     rows = []
     for joint, servo in config.drives:
-        leader = servo.id if servo.primary_id is None else servo.primary_id  # whose goals it takes
+        # A shadow takes the goals of its primary servo.
+        leader = servo.id if servo.primary_id is None else servo.primary_id
         direction = directions[leader]
         turned = replace(servo, direction=direction)
-        zero_ticks = zero[leader] - (joint.nearest_ticks(pose[joint.name], turned) - turned.zero_ticks)
+        zero_ticks = zero[leader] - (
+            joint.nearest_ticks(pose[joint.name], turned) - turned.zero_ticks
+        )
         lower, upper = (q / joint.per_unit for q in limits[joint.name])
         rows.append(
             JointCalibration(
@@ -261,15 +316,15 @@ def measured_calibration(
 
 
 def check_calibration(bus: ServoBus, config: ArmConfig, found: Calibration) -> None:
-    """Compares a calibration with arm file and servos.  Writes nothing.
+    """Compare a calibration with arm file and servos. Writes nothing.
 
     Raises:
         CalibrationMismatchError: With a table of all differences.
         ConfigError: The calibration is of another arm.
     """
-    if (others := _names(found.rows)) != _names(config.drives):
+    if (calibrated_names := _names(found.rows)) != _names(config.drives):
         raise ConfigError(
-            f"it is a calibration of {', '.join(others)}",
+            f"the calibration is of {', '.join(calibrated_names)}",
             file=found.file or found.arm,
             key="joints",
             allowed=", ".join(_names(config.drives)),
@@ -290,22 +345,27 @@ def check_calibration(bus: ServoBus, config: ArmConfig, found: Calibration) -> N
 
 
 def require_calibrated(config: ArmConfig) -> None:
-    """Raises ``ConfigError`` for an arm file whose zeros are placeholders."""
+    """Raise ``ConfigError`` for an arm file whose zeros are placeholders."""
     if config.uncalibrated:
         raise config.wrong(
             "the zeros of this arm file are placeholders: every arm of this kind has others; "
             "nothing was switched on",
             "uncalibrated",
             "an arm file with measured zeros",
-            f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then --arm mine.toml",
+            f"robot-ik servo calibrate mine.toml --arm {config.robot} --bus PORT, then "
+            "--arm mine.toml",
         )
 
 
 def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) -> None:
-    """Compares limits of the model (joint -> rad, m) with those the arm was calibrated for.  Asks no servo.
+    """Compare the limits of a model with those of the calibration. Reads no servo.
+
+    Args:
+        config: Arm.
+        limits: Joint -> limits of the model, rad (m).
 
     Raises:
-        CalibrationMismatchError: With a table of what differs.
+        CalibrationMismatchError: With a table of the differences.
         ConfigError: The calibration cannot be read.
     """
     if (found := own_calibration(config)) is None:
@@ -314,7 +374,8 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
     known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
     rows = []
     for row in (row for row in found.joints if row.name in joints.keys() & known):
-        joint, now = joints[row.name], limits[row.name]
+        joint = joints[row.name]
+        now = limits[row.name]
         then = joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper
         if max(abs(a - b) for a, b in zip(then, now, strict=True)) > _SAME_LIMIT:
             what = f"limits of the model, {joint.unit}"
@@ -326,7 +387,10 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
 
 
 def own_calibration(config: ArmConfig) -> Calibration | None:
-    """The calibration beside an arm file; of the joints in use, where the program uses some of them only."""
+    """Return the calibration beside an arm file; None if there is none.
+
+    If the program uses some of the arm's joints, the calibration of these joints is returned.
+    """
     if config.file is None or not calibration_beside(config.file).exists():
         return None
     found = Calibration.load(calibration_beside(config.file))
@@ -336,30 +400,35 @@ def own_calibration(config: ArmConfig) -> Calibration | None:
     ):
         return found
     joints, twins = (
-        tuple(sorted((row for row in rows if row.name in names), key=lambda row: names.index(row.name)))
+        tuple(
+            sorted(
+                (row for row in rows if row.name in names), key=lambda row: names.index(row.name)
+            )
+        )
         for rows in (found.joints, found.twins)
     )
     return replace(found, joints=joints, twins=twins)
 
 
 def _names(rows: Sequence[JointCalibration | Drive]) -> list[str]:
-    """The joint of each servo, as often as servos turn it."""
+    """Return the joint of each servo, in the same order."""
     return [row.name for row in rows]
 
 
 def _differences(
     drive: Drive, row: JointCalibration, said: Mapping[str, int]
 ) -> list[tuple[str, str, str, str]]:
-    """(joint, what, expected, found) of what differs at one joint."""
+    """Return (joint, what, expected, found) of the differences at one joint."""
     joint, servo = drive
     pairs = [(key, getattr(row, key), getattr(servo, key)) for key in _IN_ARM_FILE]
-    # The offset of a shadow is rewritten by other programs at each start, from where the first servo stands
-    # (Interbotix/interbotix_xs_driver src/xs_driver.cpp); the two are compared when torque goes on.
+    # Other programs rewrite the offset of a shadow at each start, from the position of the first
+    # servo (Interbotix/interbotix_xs_driver src/xs_driver.cpp). The two are compared when torque
+    # goes on.
     shadow = drive.is_shadow
     if not shadow:
         pairs.append(("homing_offset", row.homing_offset, said["homing_offset"]))
     rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
-    # Only its reverse bit changes what a position means; the others are set as we need them.
+    # Only the reverse bit changes the meaning of a position. The driver sets the other bits.
     if (row.drive_mode ^ said["drive_mode"]) & REVERSE:
         rows.append((joint.name, "drive_mode", str(row.drive_mode), str(said["drive_mode"])))
     if shadow:
@@ -367,6 +436,12 @@ def _differences(
     present = said["present_position"]
     if servo.is_single_turn:
         present %= TICKS_PER_REVOLUTION
-    if not row.range_min - RANGE_TOLERANCE_TICKS <= present <= row.range_max + RANGE_TOLERANCE_TICKS:
-        rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
+    if (
+        not row.range_min - RANGE_TOLERANCE_TICKS
+        <= present
+        <= row.range_max + RANGE_TOLERANCE_TICKS
+    ):
+        rows.append(
+            (joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present))
+        )
     return rows

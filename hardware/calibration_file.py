@@ -1,4 +1,4 @@
-"""The calibration file: what was measured at an arm, so that it can be compared with the arm later."""
+"""The calibration file: what was measured at an arm, to compare the arm with it later."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.registers import MULTI_TURN_TICKS
 from robot_ik.hardware.servo import Joint, Servo, ServoId, Sign, SwingArm
 
-SCHEMA = 1  # raised when a key changes its meaning
+SCHEMA = 1
+"""Version of the file. It increases when a key changes its meaning."""
 
 
 _Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
@@ -27,13 +28,20 @@ _Byte = Annotated[int, Field(ge=0, le=255)]
 
 @dataclass(frozen=True)
 class JointCalibration:
-    """One joint and a servo of it, as measured.
+    """One joint and one of its servos, as measured.
 
     Attributes:
-        name, id, model: Which; ``drive_mode``, ``homing_offset``: registers 10 and 20.
-        range_min, range_max: Present Position at the ends of the sweep, ticks.
-        direction: +1 or -1; ``zero_ticks``: Present Position at q = 0.
-        urdf_lower, urdf_upper: Limits of the model then, deg (mm of a slide).
+        name: Name of the joint.
+        id: Servo id.
+        model: Servo model.
+        drive_mode: Drive Mode register.
+        homing_offset: Homing Offset register.
+        range_min: Smallest Present Position of the sweep, ticks.
+        range_max: Largest Present Position of the sweep, ticks.
+        direction: +1 or -1.
+        zero_ticks: Present Position at q = 0.
+        urdf_lower: Lower limit of the model at that time, deg (mm of a slide).
+        urdf_upper: Upper limit of the model at that time, deg (mm of a slide).
 
     Raises:
         KeyProblem: The range is empty.
@@ -53,7 +61,9 @@ class JointCalibration:
 
     def __post_init__(self) -> None:
         if self.range_min >= self.range_max:
-            raise KeyProblem(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
+            raise KeyProblem(
+                f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}"
+            )
 
 
 @dataclass(frozen=True)
@@ -61,10 +71,12 @@ class Calibration:
     """A calibrated arm.
 
     Attributes:
-        arm: Name in the arm file; ``robot``: model; ``created``: ISO 8601.
-        joints: In the order of the arm file.
-        twins: The second servos, of joints that two of them turn.
-        file: Where it was read from, for messages.
+        arm: Name in the arm file.
+        robot: Name of the model.
+        created: Date and time, ISO 8601.
+        joints: First servos, in the order of the arm file.
+        twins: Second servos of joints that have two.
+        file: File that it was read from, for messages.
     """
 
     arm: str
@@ -80,7 +92,11 @@ class Calibration:
         return self.joints + self.twins
 
     def save(self, path: Path) -> None:
-        """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
+        """Write the file completely or not at all.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
         head = {"schema": SCHEMA, "arm": self.arm, "robot": self.robot, "created": self.created}
         tables = {"joints": self.joints, "twins": self.twins}
         content = {name: [asdict(row) for row in rows] for name, rows in tables.items() if rows}
@@ -88,21 +104,22 @@ class Calibration:
 
     @classmethod
     def load(cls, path: Path) -> Calibration:
-        """Reads and checks a file.
+        """Read and check a file.
 
         Raises:
-            ConfigError: It cannot be read, or a key is unknown, missing or out of range.
+            ConfigError: The file cannot be read, or a key is unknown, missing or out of range.
         """
         found = read_table(_CalibrationFile, path, "the calibration")
         return cls(found.arm, found.robot, found.created, found.joints, found.twins, path)
 
 
 def calibration_beside(arm_file: Path) -> Path:
-    """Where the calibration of an arm file is, or would be: of ``my.toml`` in ``my.calibration.toml``."""
+    """Return the path of the calibration of ``my.toml``: ``my.calibration.toml``."""
     return arm_file.with_name(arm_file.stem + ".calibration.toml")
 
 
-_NOT_READ = ("firmware", "present_at_save")  # keys of joints in older files
+_NOT_READ = ("firmware", "present_at_save")
+"""Keys of joints in older files."""
 
 
 def _keys_read(row: Any) -> Any:
@@ -117,19 +134,17 @@ class _CalibrationFile(Table):
     arm: str
     robot: str
     created: str
-    bus: Any = None  # of older files, not read
+    bus: Any = None  # in older files; not used
     joints: Annotated[Several[_Row], Field(min_length=1)]
     twins: Several[_Row] = ()
 
 
-# ------------------------------------------------------------------------------------------
-# New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
-
-
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
-    """The arm with zeros by which the joints are where they really are.
+    """Return the arm with zeros for which the joints are where they really are.
 
-    ``offsets``: joint -> rad (m of a slide) by which it exceeds what its servos say.
+    Args:
+        config: Arm.
+        offsets: Joint -> true value minus the value that its servos report, rad (m of a slide).
 
     Raises:
         UnknownJointError: No such joint.
@@ -140,47 +155,56 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     moved = []
     for joint in config.joints:
         offset = offsets.get(joint.name, 0.0)
-        servos = tuple(replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos)
+        servos = tuple(
+            replace(servo, zero_ticks=_moved_zero(joint, servo, offset)) for servo in joint.servos
+        )
         moved.append(replace(joint, servos=servos))
     return replace(config, joints=tuple(moved))
 
 
 def _moved_zero(joint: Joint, servo: Servo, offset: float) -> int:
-    """Return the zero by which the joint value is correct; of a bent gear in the middle of its range."""
+    """Return the corrected zero. Of a swing arm it is exact in the middle of the range."""
     middle = sum(joint.limits) / 2.0 if isinstance(joint.gear, SwingArm) else 0.0
     moved = joint.position(middle - offset, servo) - joint.position(middle, servo)
     return round(servo.zero_ticks + moved)
 
 
 def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tuple[Path, ...]:
-    """Writes ``zeros_moved`` into an arm file, and into the calibration beside it where there is one.
+    """Write ``zeros_moved`` into an arm file and into its calibration, if there is one.
 
-    ``used`` is the arm as it was when the offsets were found; its joints may be some of the file's.  Servos
-    are not touched.
+    Only the zeros change. Comments and all other text stay. Servos are not touched.
+
+    Args:
+        file: Arm file.
+        used: Arm for which the offsets were measured; it may have only some joints of the file.
+        offsets: Joint -> rad (m of a slide), see ``zeros_moved``.
 
     Returns:
-        Where the old files are kept, beside the new ones.
+        Copies of the old files, beside the new ones.
 
     Raises:
-        ConfigError: The file has changed since.
-        OutputError: It cannot be written; everything is as it was.
+        ConfigError: The arm file has changed since.
+        OutputError: A file cannot be written. Nothing was changed.
     """
     old = ArmConfig.load(file)
     for joint in used.joints:
         if old.joint(joint.name) != joint:
             raise ConfigError(
-                f"joint {joint.name!r} has been changed since the arm was measured; nothing is written",
-                file=file, key="joints", hint="measure again",
-            )  # fmt: skip
+                f"joint {joint.name!r} has been changed since the arm was measured; nothing is "
+                "written",
+                file=file,
+                key="joints",
+                hint="measure again",
+            )
     new = zeros_moved(old, offsets)
-    text = file.read_bytes().decode("utf-8")  # line ends as they are
+    text = file.read_bytes().decode("utf-8")  # keeps the line ends
     edited = with_zeros(text, {servo.id: servo.zero_ticks for servo in new.servos})
     calibration = calibration_beside(file)
     kept = [_backup(file, text)]
     if calibration.exists():
         found = Calibration.load(calibration)
         kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
-        # Else arm and calibration would contradict each other.
+        # Arm file and calibration must agree.
         zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.primary_id is None}
         joints, twins = (
             tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
@@ -192,6 +216,7 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
 
 
 def _backup(file: Path, text: str) -> Path:
+    """Write ``text`` to the first free name FILE.N.bak and return that path."""
     number = 1
     while (kept := file.with_name(f"{file.name}.{number}.bak")).exists():
         number += 1

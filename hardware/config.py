@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,6 +23,7 @@ from robot_ik.hardware.arm_file import (
     WATCHDOG_MS,
     ArmFile,
     BusTable,
+    CollisionTable,
     find_arm_file,
     joint_keys,
     parse_arm_file,
@@ -55,6 +57,8 @@ class ArmConfig:
         uncalibrated: The zeros are placeholders, so real servos get no torque.
         on_orphan: What happens if the program is killed: ``hold`` (nothing, the servos keep their
             torque) or ``torque_off`` (a second process switches torque off).
+        collisions: What the commands that move the arm must not touch. None: collisions are not
+            checked.
     """
 
     name: str
@@ -69,6 +73,7 @@ class ArmConfig:
     on_stale: str = "hold"
     uncalibrated: bool = False
     on_orphan: str = "hold"
+    collisions: CollisionTable | None = None
 
     def __post_init__(self) -> None:
         check_arm(self)
@@ -112,12 +117,18 @@ class ArmConfig:
         bus = dict(content.bus)
         if bus["stale_ms"] is None:
             bus["stale_ms"] = content.bus.watchdog_ms // 2 or STALE_MS
+        collisions = content.collisions
+        if collisions is not None and collisions.scene:
+            # The path in the file is relative to the file.
+            scene = file.parent / Path(collisions.scene).expanduser()
+            collisions = collisions.model_copy(update={"scene": str(scene)})
         return cls(
             name=content.name,
             robot=content.robot,
             joints=tuple(table.joint() for table in content.joints),
             file=file,
             uncalibrated=content.uncalibrated,
+            collisions=collisions,
             **bus,
         )
 
@@ -171,7 +182,12 @@ class ArmConfig:
 
     def save(self, path: Path | str) -> None:
         """Write the arm file completely or not at all."""
-        write_atomically(Path(path), self.to_toml())
+        config = self
+        if self.collisions is not None and self.collisions.scene:
+            scene = os.path.relpath(self.collisions.scene, Path(path).parent)
+            collisions = self.collisions.model_copy(update={"scene": scene})
+            config = replace(self, collisions=collisions)
+        write_atomically(Path(path), config.to_toml())
 
     def to_toml(self) -> str:
         """Return the text of the arm file.
@@ -182,6 +198,8 @@ class ArmConfig:
         if self.uncalibrated:
             content["uncalibrated"] = True
         content["bus"] = {key: getattr(self, key) for key in BusTable.model_fields}
+        if self.collisions is not None:
+            content["collisions"] = self.collisions.model_dump(exclude_none=True)
         content["joints"] = [joint_keys(joint) for joint in self.joints]
         return tomlkit.dumps(content)
 

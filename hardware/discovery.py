@@ -1,7 +1,7 @@
-"""Who is on a wire: every id at every rate, with what it says of itself, and ids that two servos share.
+"""The servos on a wire: every id at every rate, and ids that two servos share.
 
-Replies of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
-looks as if no servo had that id.  So a scan counts damaged bytes, and where it saw some it asks
+Replies of two servos with one id collide.  What arrives is damaged, and to a broadcast ping it
+looks as if no servo had that id.  So a scan counts damaged bytes, and if there are some it asks
 every id alone.
 """
 
@@ -13,16 +13,10 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-from robot_ik.errors import ArmStateError, ConfigError, HardwareError
+from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import BROADCAST_ID
 from robot_ik.hardware.family import ServoFamily, families
-from robot_ik.hardware.models import (
-    BAUD_RATES,
-    control_table,
-    model_by_number,
-    model_name,
-    require_id,
-)
+from robot_ik.hardware.models import BAUD_RATES, control_table, model_by_number, model_name
 from robot_ik.hardware.registers import IDS, ControlTable
 from robot_ik.hardware.serial_bus import SerialBus
 from robot_ik.hardware.serial_port import RESPONSE_TIME
@@ -42,26 +36,55 @@ LIKELY = (
     76_800,
     38_400,
 )
-"""Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
+"""Rates in the order in which servos are likely to be found: set up, as bought, the others."""
 
-_MANY = 3  # rates at which no servos are all found again, but where a port has no rate
-_READ_BYTES = 25  # of a read and its reply in Protocol 2, without the data; Protocol 1 has fewer
-_READS = 4  # reads of changing registers that two servos with one id would have to answer alike
+SAME_RATES = 3
+"""Rates at which all servos answer alike only if the port has no baud rate."""
+
+READ_BYTES = 25
+"""Bytes of a read and its reply in Protocol 2, without the data.  Protocol 1 has fewer."""
+
+CHANGING_READS = 4
+"""Reads of registers that change.  Two servos with one id hardly ever answer all of them alike."""
+
+DAMAGED_READS = 1
+"""Damaged replies that noise may cause while one servo is read."""
+
+BITS_PER_BYTE = 10.0
+"""Bits of a byte on the wire: start bit, 8 data bits, stop bit."""
+
+COUNTS_PER_VOLT = 10.0
+"""Counts of the voltage registers for 1 V."""
+
+DELAY_UNIT = 2
+"""us of one count of Return Delay Time."""
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done, and the share that is done."""
+
+
+def no_progress(_what: str, _share: float) -> None:
+    """Report no progress."""
 
 
 @dataclass(frozen=True)
 class FoundServo:
-    """One id that answers at one rate.
+    """One id that answers at one rate.  Fields that could not be read are None.
 
     Attributes:
-        id, baud: Where; ``family``: how it talks.
-        number: Model Number, None where replies were too damaged to tell.
-        firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
-            each None if it could not be read.
-        voltage_limits: The servo's own, V.
-        temperature_limit: The servo's own, C; None if it could not be read.
-        late: s by which its quickest reply came later than its bytes and ``return_delay`` ask for, or None.
-        errors: Latched hardware errors by name.
+        id: Servo id.
+        baud: Rate, bit/s.
+        family: Servo family.
+        number: Model Number; None: the replies were too damaged.
+        firmware: Firmware version.
+        voltage: Supply, V.
+        temperature: C.
+        return_delay: us.
+        torque: Torque is on.
+        voltage_limits: The servo's own limits, V.
+        temperature_limit: The servo's own limit, C.
+        late: s by which its quickest reply came later than its bytes and ``return_delay`` need.
+        errors: Names of latched hardware errors.
         shared: Replies collide: two servos seem to have this id.
     """
 
@@ -82,13 +105,13 @@ class FoundServo:
 
     @property
     def table(self) -> ControlTable | None:
-        """Its registers; None for a model that is not known here."""
-        known = None if self.number is None else model_by_number(self.number)
-        return known and control_table(known.model, self.firmware or None)
+        """Control table; None for an unknown model."""
+        model = None if self.number is None else model_by_number(self.number)
+        return None if model is None else control_table(model.model, self.firmware or None)
 
     @property
     def model(self) -> str:
-        """Its model's name, or what is known of it."""
+        """Name of the model; for an unknown one its number."""
         return "?" if self.number is None else model_name(self.number)
 
 
@@ -97,23 +120,25 @@ def scan(
     bauds: Sequence[int] = LIKELY,
     *,
     family: ServoFamily | None = None,
-    progress: Callable[[str, float], None] = lambda what, share: None,
+    progress: Progress = no_progress,
 ) -> list[FoundServo]:
     """Look for servos at every rate and read their state.  Writes nothing to any servo.
 
-    Servos of two families do not share a wire: once one family has answered, the others are not tried.
+    Servos of two families do not share a wire: once one family has answered, the others are not
+    tried.
 
     Args:
         port: Serial port.
         bauds: Rates to try, bit/s.
         family: The only family to look for; None: every family.
-        progress: Called with what is going on and the share that is done.
+        progress: Called during the scan.
 
     Returns:
         Servos by rate, then by id.
 
     Raises:
-        BusNotOpenError, BusDisconnectedError: Or no servo talks at such a rate.
+        BusNotOpenError: The port cannot be opened, or does not know a rate.
+        BusDisconnectedError: The port went away.
     """
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
@@ -124,54 +149,124 @@ def scan(
     return found
 
 
-def _candidates(baud: int, found: Sequence[FoundServo], family: ServoFamily | None) -> list[ServoFamily]:
-    """Return the families to look for at a rate: those that know it, or the one that has answered."""
-    known = {servo.family.name for servo in found if servo.number is not None}
+def _candidates(
+    baud: int, found: Sequence[FoundServo], family: ServoFamily | None
+) -> list[ServoFamily]:
+    """Return the families to look for at a rate: those that know it, or the one that answered."""
+    answered = {servo.family.name for servo in found if servo.number is not None}
     if family is not None:
         return [family] if baud in family.baud_rates else []
     return [
         candidate
         for candidate in families()
-        if baud in candidate.baud_rates and (not known or candidate.name in known)
+        if baud in candidate.baud_rates and (not answered or candidate.name in answered)
     ]
 
 
-def _scan_rate(
-    port: str, baud: int, family: ServoFamily, progress: Callable[[str, float], None]
-) -> list[FoundServo]:
+def _scan_rate(port: str, baud: int, family: ServoFamily, progress: Progress) -> list[FoundServo]:
     """Return the servos of one family at one rate, by id."""
     with closing(SerialBus(port, baud, family.protocol, retries=0)) as bus:
         bus.open()
-        responses, damaged = bus.collect_pings(BROADCAST_ID, bus.listening_time)
-        servos = [_details(bus, FoundServo(id, baud, family, *who)) for id, who in sorted(responses.items())]
+        replies, damaged = bus.collect_pings(BROADCAST_ID, bus.listening_time)
+        servos = [
+            _with_state(bus, FoundServo(id, baud, family, *reply))
+            for id, reply in sorted(replies.items())
+        ]
         if damaged:
-            rest = [id for id in IDS if id not in responses]
-            servos += _one_by_one(bus, family, rest, progress)
+            other_ids = [id for id in IDS if id not in replies]
+            servos += _scan_ids(bus, family, other_ids, progress)
     return sorted(servos, key=lambda servo: servo.id)
 
 
+def _scan_ids(
+    bus: SerialBus, family: ServoFamily, ids: Sequence[int], progress: Progress
+) -> list[FoundServo]:
+    """Ask every id alone: servos that the broadcast missed, and ids with damaged replies only."""
+    found: dict[int, FoundServo] = {}
+    for k, id in enumerate(ids):
+        progress(f"{bus.baud} baud, id {id}", k / len(ids))
+        replies, damaged = bus.collect_pings(id, RESPONSE_TIME)
+        if damaged and id not in replies:
+            replies, damaged = bus.collect_pings(id, RESPONSE_TIME)  # noise can hit one reply
+        for other, reply in replies.items():
+            found[other] = _with_state(bus, FoundServo(other, bus.baud, family, *reply))
+        if damaged and id not in replies:
+            found[id] = FoundServo(id, bus.baud, family, shared=True)
+    return list(found.values())
+
+
+def _with_state(bus: SerialBus, servo: FoundServo) -> FoundServo:
+    """Return a servo with its state, and whether its replies collide with those of another."""
+    table = servo.table or servo.family.common_table
+    corrupt_before = bus.counters.corrupt
+    values: dict[str, int] = {}
+    quickest = math.inf  # the quickest reply: a busy computer is not the adapter's fault
+    names = (
+        "firmware_version",
+        "return_delay_time",
+        "torque_enable",
+        "hardware_error_status",
+        "present_input_voltage",
+        "present_temperature",
+        "min_voltage_limit",
+        "max_voltage_limit",
+        "temperature_limit",
+        *servo.family.changing_registers * (CHANGING_READS // 2),
+    )
+    for name in names:
+        begin = time.perf_counter()
+        try:
+            values[name] = bus.read(servo.id, table[name]).data or 0
+        except HardwareError:  # a timeout, a refusal or damage: the field stays None
+            continue
+        wire_time = BITS_PER_BYTE * (READ_BYTES + table[name].size) / servo.baud
+        quickest = min(quickest, time.perf_counter() - begin - wire_time)
+
+    voltage = values.get("present_input_voltage")
+    delay = values.get("return_delay_time")
+    torque = values.get("torque_enable")
+    lowest = values.get("min_voltage_limit")
+    highest = values.get("max_voltage_limit")
+    return replace(
+        servo,
+        firmware=values.get("firmware_version", servo.firmware),
+        voltage=None if voltage is None else voltage / COUNTS_PER_VOLT,
+        temperature=values.get("present_temperature"),
+        voltage_limits=(
+            0.0 if lowest is None else lowest / COUNTS_PER_VOLT,
+            math.inf if highest is None else highest / COUNTS_PER_VOLT,
+        ),
+        temperature_limit=values.get("temperature_limit"),
+        return_delay=None if delay is None else DELAY_UNIT * delay,
+        torque=None if torque is None else bool(torque),
+        late=None if delay is None else max(quickest - 1e-6 * DELAY_UNIT * delay, 0.0),
+        errors=servo.family.error_names(values.get("hardware_error_status", 0)),
+        shared=bus.counters.corrupt - corrupt_before > DAMAGED_READS,
+    )
+
+
 def no_reply_hint(bauds: Iterable[int]) -> str:
-    """What to check when no servo answered."""
-    rates = set(bauds)
+    """Return what to check if no servo answered at these rates."""
+    tried = set(bauds)
     text = "check: is the servos' supply on? the cable, and its direction? is it the right port?"
-    left = [rate for rate in BAUD_RATES if rate not in rates]
-    return text + (f" rates not tried: {', '.join(map(str, left))}" if left else "")
+    others = [str(rate) for rate in BAUD_RATES if rate not in tried]
+    return f"{text} rates not tried: {', '.join(others)}" if others else text
 
 
 def scan_notes(found: Sequence[FoundServo]) -> list[str]:
-    """What is wrong with all of them together."""
+    """Return what is wrong with all servos of a scan together."""
     if len(found) > 1 and all(servo.shared for servo in found):
         return ["every reply is damaged: check the cable, its contacts and the adapter"]
     notes = [
-        f"id {servo.id} at {servo.baud}: damaged replies. Two servos with this id? Connect one alone "
-        "and give it another: robot-ik servo setup --id N"
+        f"id {servo.id} at {servo.baud}: damaged replies. Two servos with this id? Connect one "
+        "alone and give it another: robot-ik servo setup --id N"
         for servo in found
         if servo.shared
     ]
     rates: dict[int, list[str]] = {}
     for servo in found:
         rates.setdefault(servo.baud, []).append(str(servo.id))
-    if len(rates) >= _MANY and len(set(map(tuple, rates.values()))) == 1:
+    if len(rates) >= SAME_RATES and len(set(map(tuple, rates.values()))) == 1:
         notes.append(
             "they answer at every rate: the port has none of its own, as a pseudo terminal "
             "(robot-ik sim-bus --match-baud serves servos that hear one rate only)"
@@ -183,146 +278,3 @@ def scan_notes(found: Sequence[FoundServo]) -> list[str]:
             "Connect one alone: robot-ik servo setup --id N --baud RATE"
         )
     return notes
-
-
-def _one_by_one(
-    bus: SerialBus, family: ServoFamily, ids: Sequence[int], progress: Callable[[str, float], None]
-) -> list[FoundServo]:
-    """Servos that the ping to all did not find, and ids from which only damaged replies come."""
-    found: dict[int, FoundServo] = {}
-    for k, id in enumerate(ids):
-        progress(f"{bus.baud} baud, id {id}", k / len(ids))
-        responses, damaged = bus.collect_pings(id, RESPONSE_TIME)
-        if damaged and id not in responses:
-            responses, damaged = bus.collect_pings(id, RESPONSE_TIME)  # noise can hit one reply
-        for other, who in responses.items():
-            found[other] = _details(bus, FoundServo(other, bus.baud, family, *who))
-        if damaged and id not in responses:
-            found[id] = FoundServo(id, bus.baud, family, shared=True)
-    return list(found.values())
-
-
-def _details(bus: SerialBus, servo: FoundServo) -> FoundServo:
-    """The same servo with its state, and whether its replies collide with another's."""
-    table = servo.table or servo.family.common_table
-    before = bus.counters.corrupt
-    values: dict[str, int] = {}
-    quickest = math.inf  # a busy computer is not the adapter's fault
-    names = (
-        "firmware_version",
-        "return_delay_time",
-        "torque_enable",
-        "hardware_error_status",
-        "present_input_voltage",
-        "present_temperature",
-        "min_voltage_limit",
-        "max_voltage_limit",
-        "temperature_limit",
-        *servo.family.changing_registers * (_READS // 2),
-    )
-    for name in names:
-        begin = time.perf_counter()
-        try:
-            values[name] = bus.read(servo.id, table[name]).data or 0
-        except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
-            continue
-        bytes_of_both = _READ_BYTES + table[name].size
-        quickest = min(quickest, time.perf_counter() - begin - bytes_of_both * 10.0 / servo.baud)
-    volts, delay, torque = (values.get(name) for name in ("present_input_voltage", *names[1:3]))
-    low, high = (values.get(f"{end}_voltage_limit") for end in ("min", "max"))
-    return replace(
-        servo,
-        firmware=values.get("firmware_version", servo.firmware),
-        voltage=None if volts is None else volts / 10.0,
-        temperature=values.get("present_temperature"),
-        voltage_limits=(0.0 if low is None else low / 10.0, math.inf if high is None else high / 10.0),
-        temperature_limit=values.get("temperature_limit"),
-        return_delay=None if delay is None else 2 * delay,
-        torque=None if torque is None else bool(torque),
-        late=None if delay is None else max(quickest - 2e-6 * delay, 0.0),
-        errors=servo.family.error_names(values.get("hardware_error_status", 0)),
-        shared=bus.counters.corrupt - before > 1,
-    )
-
-
-# ------------------------------------------------------------------------------------------
-# A servo as bought gets its id and baud rate: alone on the wire, without torque, and read back.
-
-
-def _only_one(found: Sequence[FoundServo]) -> FoundServo:
-    """The servo that may be set up, of those (at least one) that answer; else raises ``HardwareError``."""
-    shared = [servo for servo in found if servo.shared]
-    if shared:
-        raise HardwareError(
-            f"id {shared[0].id} gives damaged replies: two servos with one id, or a bad cable",
-            hint="connect one servo alone and try again",
-        )
-    if len(found) > 1:
-        names = ", ".join(f"id {s.id} {s.model} at {s.baud}" for s in found)
-        raise HardwareError(
-            f"{len(found)} servos answer ({names}); exactly one may be connected, nothing was written",
-            hint="unplug the others: an id that is taken would make both of them unreachable",
-        )
-    if found[0].table is None:
-        raise HardwareError(f"{found[0].model} is not a servo that is known here; nothing was written")
-    return found[0]
-
-
-def set_up(
-    port: str,
-    id: int,
-    baud: int,
-    *,
-    model: str = "",
-    bauds: Sequence[int] = LIKELY,
-    progress: Callable[[str, float], None] = lambda what, share: None,
-) -> FoundServo | None:
-    """Writes id and baud rate into the EEPROM of the only servo on a port, and asks it for both there.
-
-    ``model`` it must have, if any; ``bauds`` and ``progress`` as for ``scan``.
-
-    Returns:
-        The servo as it was found; None where none answers.
-
-    Raises:
-        ConfigError: The model is another, or cannot have this id or rate.
-        ArmStateError: Its torque is on.
-        HardwareError: More than one answers, two share an id, the model is not known, or it does not answer
-            under the new address as it should; errors of the bus.
-    """
-    require_id(id, "--id")
-    found = scan(port, bauds, progress=progress)
-    if not found:
-        return None
-    servo = _only_one(found)
-    table = servo.table
-    if table is None:
-        raise HardwareError("the control table of this model is not known")
-    if model and servo.model != model:
-        raise ConfigError(
-            f"this servo is a {servo.model}", file="command line", key="--joint", allowed=f"a {model}"
-        )
-    if baud not in table.baud_rates:
-        allowed = ", ".join(map(str, table.baud_rates))
-        raise ConfigError(
-            f"{servo.model} cannot talk at {baud} bits/s", file="command line", key="--baud", allowed=allowed
-        )
-    family = servo.family
-    with closing(SerialBus(port, servo.baud, family.protocol)) as bus:
-        bus.open()
-        at = servo.id
-        if bus.read(at, table["torque_enable"]).data:
-            raise ArmStateError(
-                f"torque of the servo (id {at}) is on, so its EEPROM is locked; nothing was written",
-                hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
-                f"{at} --baud {servo.baud}",
-            )
-        family.write_address(bus, table, at, id, baud)
-    with closing(SerialBus(port, baud, family.protocol)) as bus:
-        bus.open()
-        with family.eeprom_unlocked(bus, [id]):
-            names = ("model_number", "id", "baud_rate", "return_delay_time")
-            said = tuple(bus.read(id, table[name]).data for name in names)
-    if said != (servo.number, id, table.baud_code(baud), 0):
-        raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
-    return servo

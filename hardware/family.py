@@ -33,6 +33,8 @@ class Capabilities:
         reboot_clears_errors: A reboot instruction clears hardware errors.
         half_turn_homing: A calibration first makes the middle of every range the middle of the
             servo's revolution, so that no range crosses its end.
+        indirect_addresses: A servo shows registers side by side that lie apart, so that a control
+            cycle reads fewer bytes; see ``ServoFamily.short_block``.
     """
 
     bus_watchdog: bool
@@ -40,6 +42,7 @@ class Capabilities:
     current_goal: bool
     reboot_clears_errors: bool
     half_turn_homing: bool = False
+    indirect_addresses: bool = False
 
 
 class CycleBlock(NamedTuple):
@@ -156,6 +159,25 @@ class ServoFamily(Protocol):
 
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """Return the block that every servo of a model can read without preparation."""
+        ...
+
+    def short_block(
+        self, bus: ServoBus, id: int, table: ControlTable, *, with_health: bool
+    ) -> CycleBlock:
+        """Prepare a servo for a block that is shorter than ``plain_block``, and return the block.
+
+        Its first parts are ``torque_enable`` and ``present_position``, side by side.  Only called
+        in a family with ``indirect_addresses``.
+
+        Args:
+            bus: Open bus.
+            id: Servo id.
+            table: Control table of the servo.
+            with_health: Effort, temperature and supply follow.
+
+        Raises:
+            HardwareError: The servo does not take the addresses, or does not answer.
+        """
         ...
 
     def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:

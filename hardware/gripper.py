@@ -1,4 +1,4 @@
-"""What an arm does with joints that are no part of its q: a gripper's, held until they get another goal."""
+"""Grips: how an arm closes its gripper and reports what it holds."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from robot_ik.hardware.limiter import finite
 from robot_ik.hardware.servo import GRIPPER, Joint
 
 REST = 0.15
-"""s in which a finger that has not moved by ``STILL_TICKS`` stands: at its goal, or at something."""
+"""s in which a finger that moves by less than ``STILL_TICKS`` is at rest."""
 STILL_TICKS = 1.5
+"""Servo ticks by which a finger at rest moves at most."""
 HELD_TICKS = 6.0
-"""Servo ticks from its goal at which a finger that stands is held by something."""
+"""Servo ticks from its goal beyond which a finger at rest is held by an object."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +27,11 @@ class Grip:
     """How a joint of a gripper came to rest.
 
     Attributes:
-        asked, q: Where it was sent and where it stands, m (rad of a hinge).
-        held: Something keeps it from where it was sent.
-        current: How hard the motor presses, mA; None where the servo does not say.
+        joint: Name of the joint.
+        asked: Goal, m (rad of a hinge).
+        q: Joint value at rest, m (rad of a hinge).
+        held: An object keeps the joint from its goal.
+        current: Motor current, mA; None if the servo does not measure it.
     """
 
     joint: str
@@ -41,13 +44,16 @@ class Grip:
 class Fingers:
     """Joints on their way to a grip.
 
-    ``q``: m (rad of a hinge) for every joint of the group ``gripper``, or joint name -> m.
+    Args:
+        config: Arm.
+        q: m (rad of a hinge) for every joint of the group ``gripper``, or joint name -> m.
 
     Attributes:
-        goals: Joint -> where it is sent, within its range.
+        goals: Joint -> goal within its range.
 
     Raises:
-        UnknownJointError, UnsafeCommandError: No gripper, no such joint, or outside its range.
+        UnknownJointError: No such joint.
+        UnsafeCommandError: The arm has no gripper, or a goal is outside the joint's range.
     """
 
     def __init__(self, config: ArmConfig, q: float | Mapping[str, float]) -> None:
@@ -63,11 +69,17 @@ class Fingers:
             joint = config.joint(name)
             lower, upper = joint.limits
             if finite(to) is None:
-                raise UnsafeCommandError(f"{name!r} at {reprlib.repr(to)}", f"a number, {joint.unit}")
+                raise UnsafeCommandError(
+                    f"{name!r} at {reprlib.repr(to)}", f"a number, {joint.unit}"
+                )
             if not lower <= to <= upper:
-                asked, low, high = distinct_texts(*(value / joint.per_unit for value in (to, lower, upper)))
+                asked, low, high = distinct_texts(
+                    *(value / joint.per_unit for value in (to, lower, upper))
+                )
                 unit = joint.unit
-                raise UnsafeCommandError(f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}")
+                raise UnsafeCommandError(
+                    f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}"
+                )
             self.goals[name] = float(to)
         self._names = config.names
         self._joints = [config.joint(name) for name in self.goals]
@@ -75,28 +87,45 @@ class Fingers:
         self._since = -math.inf
 
     def at_rest(self, now: float, cycle: Cycle) -> bool:
-        """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
-        at, sent = cycle.positions(), dict(zip(self._names, cycle.limits.q, strict=True))
+        """Return whether the fingers are at rest and all their goals were sent.
+
+        Called once a cycle.
+
+        Args:
+            now: Time of the cycle, s.
+            cycle: Control cycle of the arm.
+        """
+        at = cycle.positions()
+        sent = dict(zip(self._names, cycle.limits.q, strict=True))
         pairs = ((at, self._last), (sent, self.goals))
-        if any(j.ticks_between(a[j.name], b[j.name]) > STILL_TICKS for a, b in pairs for j in self._joints):
-            self._last, self._since = at, now
+        if any(
+            j.ticks_between(a[j.name], b[j.name]) > STILL_TICKS
+            for a, b in pairs
+            for j in self._joints
+        ):
+            self._last = at
+            self._since = now
         return now - self._since >= REST
 
     def report(self, bus: ServoBus, cycle: Cycle) -> tuple[Grip, ...]:
-        grips, at = [], cycle.positions()
+        """Return how every finger came to rest."""
+        grips = []
+        at = cycle.positions()
         for joint in self._joints:
-            asked, q = self.goals[joint.name], at[joint.name]
+            asked = self.goals[joint.name]
+            q = at[joint.name]
             held = joint.ticks_between(q, asked) > HELD_TICKS
             grips.append(Grip(joint.name, asked, q, held, _current(bus, joint)))
         return tuple(grips)
 
 
 def _current(bus: ServoBus, joint: Joint) -> float | None:
+    """Return the motor current in mA; None if the servo does not measure it."""
     table = joint.servo.table
     if "present_current" not in table:
         return None
     try:
         counts = bus.read(joint.servo.id, table["present_current"]).data
     except HardwareError:
-        return None  # the next cycle says what is wrong
+        return None  # the next cycle reports the error
     return None if counts is None else abs(counts) * table.current_unit

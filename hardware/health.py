@@ -1,4 +1,4 @@
-"""How every servo is, in two reads: position, velocity, current, supply, temperature, torque and errors."""
+"""The state of every servo, and the doctor's check of a port. Writes nothing."""
 
 from __future__ import annotations
 
@@ -17,14 +17,22 @@ from robot_ik.hardware.servo import Drive
 
 @dataclass(frozen=True)
 class ServoState:
-    """One servo at one moment.
+    """One servo at one moment. Values that the servo does not give are None.
 
     Attributes:
-        joint, id: Whose; everything else is None where it did not answer.
-        position_deg, velocity_deg: At the joint, deg and deg/s; ``ticks``: Present Position.
-        position_mm, velocity_mm: Instead, where the joint slides.
-        current_ma: Motor current, mA; ``load_percent``: what an XL430 has in its place.
-        voltage: V; ``temperature``: C; ``torque``: on or off; ``errors``: latched hardware errors.
+        joint: Name of the joint.
+        id: Servo id.
+        position_deg: Joint value, deg.
+        velocity_deg: Joint velocity, deg/s.
+        ticks: Present Position.
+        current_ma: Motor current, mA.
+        load_percent: Load of a servo that measures no current.
+        voltage: Supply, V.
+        temperature: C.
+        torque: Torque is on.
+        errors: Latched hardware errors.
+        position_mm: Joint value of a sliding joint, mm, instead of ``position_deg``.
+        velocity_mm: Velocity of a sliding joint, mm/s.
     """
 
     joint: str
@@ -43,12 +51,12 @@ class ServoState:
 
     @property
     def answered(self) -> bool:
-        """Both reads came back."""
+        """Every block of the servo was read."""
         return self.ticks is not None and self.torque is not None
 
 
 def read_states(bus: ServoBus, drives: Sequence[Drive]) -> list[ServoState]:
-    """Return the state of every servo of ``drives``, which are of one family, in the same order.
+    """Return the state of servos of one family, in the same order.
 
     Raises:
         BusDisconnectedError, BusNotOpenError: The port went away or is not open.
@@ -89,39 +97,51 @@ def _state(drive: Drive, values: Mapping[str, int]) -> ServoState:
         temperature=values.get("present_temperature"),
         torque=bool(values["torque_enable"]) if "torque_enable" in values else None,
         errors=family.error_names(values.get("hardware_error_status", 0)),
-        **{f"position_{joint.unit}": shown, f"velocity_{joint.unit}": scaled("present_velocity", speed)},
+        **{
+            f"position_{joint.unit}": shown,
+            f"velocity_{joint.unit}": scaled("present_velocity", speed),
+        },
     )
 
-
-# ------------------------------------------------------------------------------------------
-# The doctor at the servos of a port: who is there, how they are, what to do about it.  Writes nothing.
 
 WATCHDOG_FIRMWARE = 38
 """First firmware of X servos with a Bus Watchdog."""
 
 _LATE = 4e-3
-"""s; a latency timer of 1 ms, the computer and its USB stay below."""
+"""s. Largest usual lateness of a reply.
 
-_CYCLE_BYTES, _CYCLE_BYTES_EACH = 14 + 14, 5 + 1 + 16  # a sync write and a sync read; of each servo in them
+A latency timer of 1 ms, the computer and its USB are below it.
+"""
 
-_WARM = 10  # C below its limit, a servo is worth a word
+_CYCLE_BYTES = 14 + 14
+"""Bytes of a cycle besides those of its servos: a sync write and a sync read."""
+_CYCLE_BYTES_EACH = 5 + 1 + 16
+"""Bytes of each servo in a cycle: goal, id, status packet."""
+
+_WARM = 10
+"""C below the temperature limit from which a servo counts as warm."""
 
 
 def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
-    """The port, then every servo of the arm file, then those that are not in it.
+    """Return checks of the port, of every servo of the arm file, and of other servos.
 
-    All rates are tried only when a servo is missing at the arm file's.
+    All rates are tried only if a servo does not answer at the arm file's rate.
     """
     try:
         found = scan(port, [config.baud], family=config.family)
         seen = {servo.id for servo in found}
         if not seen.issuperset(config.servo_ids):
-            found += scan(port, [rate for rate in LIKELY if rate != config.baud], family=config.family)
+            found += scan(
+                port, [rate for rate in LIKELY if rate != config.baud], family=config.family
+            )
     except HardwareError as error:
         return [CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
     rows = [serial_row(port, "servos")]
     if not found:
-        return [*rows, CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY))]
+        return [
+            *rows,
+            CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY)),
+        ]
     rows += _speed_rows(port, config, found)
     for drive in config.drives:
         rows.append(_joint_row(drive, [f for f in found if f.id == drive.id], config))
@@ -133,23 +153,32 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
 
 
 def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
-    """How late replies come, beyond the time that their bytes take, and how many cycles that leaves."""
+    """Return the check of how late replies come, and of the cycle rate that this allows."""
     lates = [f.late for f in found if f.baud == config.baud and not f.shared and f.late is not None]
     if not lates:
         return []
-    late, byte, n = min(lates), 10.0 / config.baud, len(config.servo_ids)
+    late = min(lates)
+    byte = 10.0 / config.baud
+    n = len(config.servo_ids)
     rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
-    said = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
+    text = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
-        return [CheckRow("servo speed", OK, said)]
-    return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", quicker(port))]
+        return [CheckRow("servo speed", OK, text)]
+    return [
+        CheckRow(
+            "servo speed", NOTE, f"{text}; the arm file wants {config.rate_hz:g}", quicker(port)
+        )
+    ]
 
 
 def _joint_row(drive: Drive, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
     servo = drive.servo
     what = f"servo {servo.id} {drive.name}"
     if not found:
-        do = f"check its cable and power; as bought it has id 1: robot-ik servo setup --joint {drive.name}"
+        do = (
+            "check its cable and power; from the factory it has id 1: "
+            f"robot-ik servo setup --joint {drive.name}"
+        )
         return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
     if len(found) > 1 or found[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
@@ -164,14 +193,14 @@ def _joint_row(drive: Drive, found: Sequence[FoundServo], config: ArmConfig) -> 
 
 
 def _findings(drive: Drive, f: FoundServo, config: ArmConfig) -> Iterator[tuple[str, str, str]]:
-    """(status, problem, what to do), the worst first."""
+    """Yield (status, problem, what to do), the worst first."""
     servo = drive.servo
     capabilities = config.family.capabilities
     setup = f"connect it alone: robot-ik servo setup --joint {drive.name}"
     if f.model != servo.model:
         yield PROBLEM, f"the arm file says {servo.model}", "correct the arm file, or the servo's id"
     if f.baud != config.baud:
-        yield PROBLEM, f"it talks at {f.baud}, the arm file says {config.baud}", setup
+        yield PROBLEM, f"its baud rate is {f.baud}, that of the arm file {config.baud}", setup
     low, high = f.voltage_limits
     if f.voltage is not None and not low <= f.voltage <= high:
         text = f"its supply must be {low:.1f} to {high:.1f} V"
@@ -184,8 +213,11 @@ def _findings(drive: Drive, f: FoundServo, config: ArmConfig) -> Iterator[tuple[
         and f.firmware is not None
         and "bus_watchdog" not in (f.table or servo.table)
     ):
-        text = f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it runs on when the cable is pulled"
-        do = "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near"
+        text = (
+            f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it does not stop when the cable "
+            "is pulled"
+        )
+        do = "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay beside the arm"
         yield PROBLEM, text, do
     hottest = f.temperature_limit
     if f.temperature is not None and hottest is not None and f.temperature > hottest - _WARM:
@@ -194,9 +226,13 @@ def _findings(drive: Drive, f: FoundServo, config: ArmConfig) -> Iterator[tuple[
         text = "it answers pings only: its Status Return Level is 0"
         yield NOTE, text, "nothing: every start of the arm sets 2"
     if f.torque:
-        yield NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"
+        yield NOTE, "its torque is on", "switch it off with: robot-ik servo torque off"
     if f.table is not None and "fast_read" in servo.table.abilities - f.table.abilities:
-        yield NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"
+        yield (
+            NOTE,
+            "its firmware has no fast reads: cycles take longer",
+            "update it when convenient",
+        )
     if f.return_delay:
         text = f"it waits {f.return_delay} us before each reply"
         yield NOTE, text, "nothing: every start of the arm sets 0"

@@ -1,18 +1,20 @@
-"""The last gate before the servos: position, velocity and acceleration caps on a stream of joint angles.
+"""The last check before the servos: caps of position, velocity and acceleration.
 
 The law, per joint and per tick (all displacements of one tick; ``A = a dt²``):
 
-* A move of ``u`` can be followed by ``u - A``, ``u - 2A``, … so the shortest way to stop after it is
-  ``D(u) = Σ max(0, u - iA)``.  ``_longest_stoppable`` inverts ``u + D(u) = distance``: the longest move after
-  which the joint can still stop within ``distance``.  It bounds every move towards a limit, so a limit is
-  never passed; and as ``D`` is the shortest stop there is, a trajectory that keeps the caps is never touched.
-* The command is a target moving with its own velocity ``w`` (command difference, slew-limited by the cap):
-  the move is ``w`` plus the longest stoppable move along the remaining lag.  In step with the command the
-  lag is 0 and the command passes unchanged; at a constant command ``w`` is 0 and the joint brakes into it
-  without overshoot and without hunting (the discrete law is dead-beat: no gains, nothing to tune).
+* A move of ``u`` can be followed by ``u - A``, ``u - 2A`` and so on, so the shortest way to stop
+  after it is ``D(u) = Σ max(0, u - iA)``. ``_longest_stoppable`` inverts ``u + D(u) = distance``:
+  it returns the longest move after which the joint can still stop within ``distance``. It bounds
+  every move towards a limit, so a limit is never passed. ``D`` is the shortest stop there is, so a
+  trajectory that keeps the caps is not changed.
+* The command is a target that moves with its own velocity ``w``: the command difference, with its
+  change limited by the acceleration cap. The move is ``w`` plus the longest stoppable move along
+  the remaining lag. In step with the command the lag is 0, and the command passes unchanged. At a
+  constant command ``w`` is 0, and the joint brakes into it without overshoot or oscillation (the
+  discrete law is dead-beat and has no gains).
 
-This is the discrete-time form of time-optimal (trapezoidal) motion; compare Kröger, "On-Line Trajectory
-Generation in Robotic Systems" (2010), type II.
+This is the discrete-time form of time-optimal (trapezoidal) motion; compare Kröger, "On-Line
+Trajectory Generation in Robotic Systems" (2010), type II.
 """
 
 from __future__ import annotations
@@ -31,25 +33,25 @@ from robot_ik.errors import UnsafeCommandError, close_matches
 from robot_ik.ports import Array
 
 CAP_SLACK = 1e-6
-"""Relative slack on the caps: a trajectory planned exactly at them is not touched for its rounding."""
+"""Relative slack of the caps. It covers the rounding of a trajectory planned exactly at them."""
 
 PLAN_SLACK = 0.5 * CAP_SLACK
-"""Stops are planned with a little less than the cap, so that rounding never asks for more than it."""
+"""Relative slack of planned stops. It is smaller, so that rounding never exceeds the cap."""
 
 TOUCHED = 1e-9
-"""rad; a smaller difference between command and output is rounding and is neither made nor reported."""
+"""rad. A smaller difference between command and output is rounding and is not reported."""
 
 
 @dataclass(frozen=True)
 class LimiterState:
-    """Everything the limiter remembers.  Tuples of floats, one per joint.
+    """Memory of the limiter: tuples of floats, one per joint.
 
     Attributes:
         q: Last output, rad.
         velocity: Mean velocity of the last tick, rad/s.
         command: Last command after clipping to the limits, rad.
         command_velocity: Slew-limited velocity of the command, rad/s.
-        dt: Length of the last tick, s; 0 = there was none.
+        dt: Length of the last tick, s; 0 before the first tick.
     """
 
     q: tuple[float, ...]
@@ -60,20 +62,20 @@ class LimiterState:
 
     @classmethod
     def at_rest(cls, q: ArrayLike) -> LimiterState:
-        """The arm stands still at ``q`` (n,) rad, inside or outside its limits."""
-        here = tuple(float(x) for x in np.asarray(q, dtype=float).ravel())
-        if not all(math.isfinite(x) for x in here):
-            raise UnsafeCommandError(f"a start at {here}", "finite angles")
-        still = (0.0,) * len(here)
-        return cls(q=here, velocity=still, command=here, command_velocity=still)
+        """Return the state of an arm at rest at ``q`` (n,) rad, inside or outside its limits."""
+        values = tuple(float(x) for x in np.asarray(q, dtype=float).ravel())
+        if not all(math.isfinite(x) for x in values):
+            raise UnsafeCommandError(f"a start at {values}", "finite angles")
+        zeros = (0.0,) * len(values)
+        return cls(q=values, velocity=zeros, command=values, command_velocity=zeros)
 
 
 @dataclass(frozen=True)
 class LimiterReport:
-    """What was changed in one tick, by joint name; false when nothing was.
+    """What one tick changed, by joint name. False if it changed nothing.
 
     Attributes:
-        clipped: Joints whose command lay outside the limits.
+        clipped: Joints whose command was outside the limits.
         capped: Joints whose move was shortened or delayed by the velocity or acceleration cap.
     """
 
@@ -85,7 +87,7 @@ class LimiterReport:
 
 
 class SafetyLimiter:
-    """Pure function of (state, command, dt); one object may serve any number of arms of one kind."""
+    """Pure function of (state, command, dt). One object may serve several equal arms."""
 
     def __init__(
         self,
@@ -97,7 +99,7 @@ class SafetyLimiter:
         margin: float = 0.0,
         joints: Sequence[str] | None = None,
     ) -> None:
-        """Checks the caps once, so that no step need.
+        """Check the caps.
 
         Args:
             lower: (n,) rad.
@@ -105,7 +107,7 @@ class SafetyLimiter:
             velocity: (n,) or one cap, rad/s, positive.
             acceleration: (n,) or one cap, rad/s², positive.
             margin: rad kept free at both ends of the range.
-            joints: n names for reports and named commands; "joint1" … by default.
+            joints: n names for reports and named commands; "joint1", "joint2", … by default.
 
         Raises:
             ValueError: Shapes, signs or an empty range.
@@ -118,25 +120,39 @@ class SafetyLimiter:
         if high.shape != low.shape or not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError("lower and upper must be finite and of one length")
         if (low > high).any() or margin < 0.0:
-            raise ValueError(f"nothing is left between lower {low} and upper {high} (margin {margin} rad)")
+            raise ValueError(
+                f"nothing is left between lower {low} and upper {high} (margin {margin} rad)"
+            )
         if not all(
-            np.isfinite(caps).all() and (caps > 0.0).all() for caps in (max_velocity, max_acceleration)
+            np.isfinite(caps).all() and (caps > 0.0).all()
+            for caps in (max_velocity, max_acceleration)
         ):
             raise ValueError("velocity and acceleration caps must be positive and finite")
-        self.joints = tuple(joints) if joints is not None else tuple(f"joint{i + 1}" for i in range(size))
+        self.joints = (
+            tuple(joints) if joints is not None else tuple(f"joint{i + 1}" for i in range(size))
+        )
         if len(self.joints) != size:
             raise ValueError(f"{len(self.joints)} joint names for {size} joints")
         self.size = size
         self._caps = tuple(
-            zip(low.tolist(), high.tolist(), max_velocity.tolist(), max_acceleration.tolist(), strict=True)
+            zip(
+                low.tolist(),
+                high.tolist(),
+                max_velocity.tolist(),
+                max_acceleration.tolist(),
+                strict=True,
+            )
         )
 
-    def command(self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]) -> tuple[float, ...]:
-        """Checks a command without looking at the limits.
+    def command(
+        self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]
+    ) -> tuple[float, ...]:
+        """Return a checked command. The limits are not checked.
 
         Args:
-            q: (n,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
-            fill: n angles, rad.
+            q: (n,) rad, or joint name -> rad. Joints that are not named take their value from
+                ``fill``.
+            fill: n joint values, rad.
 
         Raises:
             UnsafeCommandError: NaN, infinity, wrong length, not numbers, unknown joint.
@@ -145,7 +161,9 @@ class SafetyLimiter:
             q = self._from_names(q, fill)
         array = _numbers(q)
         if array is None:
-            raise UnsafeCommandError(f"a command of {reprlib.repr(q)}", f"{self.size} angles in radians")
+            raise UnsafeCommandError(
+                f"a command of {reprlib.repr(q)}", f"{self.size} angles in radians"
+            )
         if array.shape != (self.size,):
             raise UnsafeCommandError(
                 f"a command of shape {array.shape}",
@@ -154,40 +172,48 @@ class SafetyLimiter:
         values = tuple(array.tolist())
         if not all(map(math.isfinite, values)):
             bad = [n for n, x in zip(self.joints, values, strict=True) if not math.isfinite(x)]
-            raise UnsafeCommandError(f"NaN or infinity for {', '.join(bad)}", "finite angles in radians")
+            raise UnsafeCommandError(
+                f"NaN or infinity for {', '.join(bad)}", "finite angles in radians"
+            )
         return values
 
     def step(
         self, state: LimiterState, command: Sequence[float], dt: float
     ) -> tuple[LimiterState, LimiterReport]:
-        """One tick.
+        """Return the next state and what was changed.
+
+        With a constant ``dt`` every law holds exactly. With a varying ``dt`` the acceleration
+        between two ticks is bounded over the mean of their lengths, and the position limits take
+        precedence over the acceleration cap.
 
         Args:
-            state: What the last tick returned, or ``LimiterState.at_rest``.
-            command: n values of ``command``, which has checked them.
-            dt: Seconds since the last tick.  With a constant dt every law holds exactly; where dt varies,
-                the acceleration between two ticks is bounded over the mean of their lengths, and the
-                position limits win over the acceleration cap.
+            state: State of the last tick, or ``LimiterState.at_rest``.
+            command: n values that ``command`` has checked.
+            dt: Time since the last tick, s.
 
         Returns:
-            New state, whose ``q`` is to be sent: inside the limits unless the start was outside (then walked
-            back within the caps); what was changed.
+            New state, whose ``q`` is to be sent, and the report. ``q`` is inside the limits unless
+            the start was outside. Then it moves back within the caps.
 
         Raises:
-            UnsafeCommandError: dt not positive and finite, or a state of other joints.
+            UnsafeCommandError: ``dt`` is not positive and finite, or the state is of other joints.
         """
         if not (math.isfinite(dt) and dt > 0.0):
             raise UnsafeCommandError(f"a tick of {dt} s", "a positive time")
         if len(state.q) != self.size:
             raise UnsafeCommandError(f"a state of {len(state.q)} joints", f"{self.size} joints")
         mean_dt = 0.5 * (dt + (state.dt or dt))
-        past = zip(state.q, state.velocity, state.command, state.command_velocity, self._caps, strict=True)
+        past = zip(
+            state.q, state.velocity, state.command, state.command_velocity, self._caps, strict=True
+        )
         rows = [
             _step_joint(goal, q, v, command, lead, caps, dt, mean_dt)
             for goal, (q, v, command, lead, caps) in zip(command, past, strict=True)
         ]
         out, velocity, target, target_velocity, clipped, capped = zip(*rows, strict=True)
-        report = LimiterReport(tuple(compress(self.joints, clipped)), tuple(compress(self.joints, capped)))
+        report = LimiterReport(
+            tuple(compress(self.joints, clipped)), tuple(compress(self.joints, capped))
+        )
         return LimiterState(out, velocity, target, target_velocity, dt), report
 
     def _from_names(self, named: Mapping[str, float], fill: Sequence[float]) -> list[float]:
@@ -205,7 +231,7 @@ class SafetyLimiter:
 
 
 def finite(value: object) -> float | None:
-    """A number as a float; None where it is no number, or NaN, or too large for one."""
+    """Return a number as a float; None for a value that is no number, NaN or too large."""
     if not isinstance(value, Real):
         return None
     try:
@@ -216,7 +242,7 @@ def finite(value: object) -> float | None:
 
 
 def _numbers(q: object) -> Array | None:
-    """Real numbers as an array of floats; None where numpy would guess, and for values that are masked."""
+    """Return real numbers as floats; None for masked values and where numpy would guess."""
     if np.ma.is_masked(q):
         return None
     try:
@@ -229,9 +255,14 @@ def _numbers(q: object) -> Array | None:
 
 
 def _longest_stoppable(distance: float, brake: float) -> float:
-    """Longest move u ≥ 0 of one tick with u + D(u) ≤ distance, where each later move is shorter by ``brake``.
+    """Return the longest move u ≥ 0 of one tick with u + D(u) ≤ distance.
 
-    With n = ⌈u / brake⌉ moves in all, u + D(u) = n u - brake n (n - 1) / 2: piecewise linear, solved exactly.
+    Each later move is shorter by ``brake``. With n = ⌈u / brake⌉ moves in all, u + D(u) = n u -
+    brake n (n - 1) / 2. This is piecewise linear and solved exactly.
+
+    Args:
+        distance: rad.
+        brake: rad.
     """
     if distance <= brake:
         return max(distance, 0.0)
@@ -249,7 +280,17 @@ def _step_joint(
     dt: float,
     mean_dt: float,
 ) -> tuple[float, float, float, float, bool, bool]:
-    """One joint, one tick; the law is at the head of this file.
+    """Return one tick of one joint. The law is at the head of this file.
+
+    Args:
+        wanted: Command, rad.
+        q: Last output, rad.
+        velocity: Velocity of the last tick, rad/s.
+        command: Last command after clipping, rad.
+        command_velocity: Slew-limited velocity of the command, rad/s.
+        caps: Lower and upper limit (rad), velocity (rad/s) and acceleration cap (rad/s²).
+        dt: Length of this tick, s.
+        mean_dt: Mean of this tick and the last, s.
 
     Returns:
         q, velocity, command, velocity of the command, clipped, capped.
@@ -261,7 +302,7 @@ def _step_joint(
     change = max_acceleration * dt * mean_dt * (1.0 + CAP_SLACK)
     last = velocity * dt  # the last move at this tick's length
 
-    # The command's own move, believed only as far as the joint could follow it: a jump is not a velocity.
+    # Move of the command, limited to what the joint could follow: a jump is not a velocity.
     lead = target - command
     if lead != 0.0:
         before = command_velocity * dt
@@ -270,7 +311,7 @@ def _step_joint(
     move = lead + math.copysign(_longest_stoppable(abs(lag), brake), lag)
 
     move = min(max(move, last - change, -longest), last + change, longest)
-    # Outside the limits (a start there) no further outwards; inside, always able to stop before the limit.
+    # Inside the limits the joint can always stop before them. Outside it moves no further out.
     move = min(move, _longest_stoppable(upper - q, brake))
     move = max(move, -_longest_stoppable(q - lower, brake))
 
@@ -278,5 +319,12 @@ def _step_joint(
     if abs(out - target) <= 1e-12:
         out = target
     if lower <= q <= upper:
-        out = min(max(out, lower), upper)  # rounding, and ticks of uneven length
-    return out, (out - q) / dt, target, lead / dt, abs(target - wanted) > TOUCHED, abs(out - target) > TOUCHED
+        out = min(max(out, lower), upper)  # rounding and varying tick lengths
+    return (
+        out,
+        (out - q) / dt,
+        target,
+        lead / dt,
+        abs(target - wanted) > TOUCHED,
+        abs(out - target) > TOUCHED,
+    )

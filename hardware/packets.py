@@ -1,15 +1,17 @@
-"""Bytes of the control cycle, on the host's side: group requests, and the replies to them; the ping to all.
+"""Protocol 2 packets of the control cycle: group requests and their replies.
 
-Only a cycle must be quick; requests to one servo are left to the Dynamixel SDK.  That takes
-a reply apart byte by byte in Python; here whole replies are found and checked at once.  The tests hold the
-requests to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
+A cycle must be quick.  The Dynamixel SDK takes a reply apart byte by byte in Python.  The code here
+finds and checks complete replies at once.  The SDK builds and parses the requests to a single
+servo, see ``protocol2``.  The tests compare the requests with the SDK's own.  Source: Protocol 2.0
+manual, "Packet", "Sync Read" and the sections after it.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,30 +20,46 @@ from robot_ik.hardware.registers import Register
 from robot_ik.hardware.wire_protocol import StatusPacket
 
 HEADER = b"\xff\xff\xfd\x00"
+"""First bytes of every packet."""
+
 STATUS = 0x55
-SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
-BULK_READ, FAST_BULK_READ = 0x92, 0x9A
+"""Instruction byte of a status packet."""
+
+SYNC_READ = 0x82
+SYNC_WRITE = 0x83
+FAST_SYNC_READ = 0x8A
+BULK_READ = 0x92
+FAST_BULK_READ = 0x9A
 
 SHORTEST_STATUS = 11
-"""Bytes of a status packet without data: header 4, id 1, length 2, instruction 1, error 1, CRC 2."""
+"""Bytes of a status packet without data: header 4, id 1, length 2, instruction 1, error 1, CRC 2.
+"""
+
+LENGTH_END = 7
+"""Bytes up to the end of the length field.  The length counts the bytes after it."""
 
 FAST_HEAD = 8
 """Bytes of a fast status before the first servo: header 4, id 1, length 2, instruction 1."""
+
 FAST_FRAME = 4
 """Bytes of a fast status that each servo adds to its data: error 1, id 1, CRC 2."""
 
 MAX_PACKET = 1024
-"""Bytes of a packet; a length field that says more is damaged."""
+"""Bytes of a packet.  A longer length field is damaged."""
+
+POLYNOMIAL = 0x8005
+"""Polynomial of the CRC-16, most significant bit first."""
 
 _STATUS = bytes((STATUS,))
-_STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
+_PLAIN = b"\xff\xff\xfd"
+_STUFFED = b"\xff\xff\xfd\xfd"
 
 
 def _crc_table() -> list[int]:
-    """CRC-16, polynomial 0x8005, most significant bit first, of every pair of bytes."""
+    """Return the CRC-16 of every pair of bytes."""
     value = np.arange(65_536)
     for _ in range(16):
-        value = np.where(value & 0x8000, value << 1 ^ 0x8005, value << 1) & 0xFFFF
+        value = np.where(value & 0x8000, value << 1 ^ POLYNOMIAL, value << 1) & 0xFFFF
     return value.tolist()
 
 
@@ -49,91 +67,70 @@ _CRC = _crc_table()
 
 
 def crc(data: bytes, value: int = 0) -> int:
-    """Checksum of bytes that follow bytes with checksum ``value``."""
-    table, size = _CRC, len(data)
-    for pair in struct.unpack(f">{size >> 1}H", data[:-1] if size & 1 else data):
+    """Return the checksum of bytes that follow bytes with the checksum ``value``."""
+    table = _CRC
+    size = len(data)
+    is_odd = size & 1
+    for pair in struct.unpack(f">{size >> 1}H", data[:-1] if is_odd else data):
         value = table[value ^ pair]
-    return (value << 8 & 0xFF00) ^ table[value >> 8 ^ data[-1]] if size & 1 else value
+    return (value << 8 & 0xFF00) ^ table[value >> 8 ^ data[-1]] if is_odd else value
 
 
 def build(id: int, instruction: int, params: bytes) -> bytes:
-    """An instruction packet: stuffed, measured, signed with its checksum."""
+    """Return an instruction packet, with byte stuffing, length and checksum."""
     body = (bytes((instruction,)) + params).replace(_PLAIN, _STUFFED)
-    head = HEADER + bytes((id,)) + (len(body) + 2).to_bytes(2, "little") + body
-    return head + crc(head).to_bytes(2, "little")
+    packet = HEADER + bytes((id,)) + (len(body) + 2).to_bytes(2, "little") + body
+    return packet + crc(packet).to_bytes(2, "little")
 
 
-def _where(register: Register) -> bytes:
+def needs_stuffing(data: bytes) -> bool:
+    """Return whether data contain the first bytes of a header."""
+    return _PLAIN in data
+
+
+def _address_and_size(register: Register) -> bytes:
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
 
 def write_request(register: Register, values: Mapping[int, int]) -> bytes:
-    """Sync write of one register, servo id -> value.
+    """Return a sync write of one register.
+
+    Args:
+        register: Register.
+        values: Servo id -> value.
 
     Raises:
         ValueError: A value does not fit the register.
     """
     body = [bytes((id,)) + register.encode(value) for id, value in values.items()]
-    return build(BROADCAST_ID, SYNC_WRITE, _where(register) + b"".join(body))
+    return build(BROADCAST_ID, SYNC_WRITE, _address_and_size(register) + b"".join(body))
 
 
 def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:
-    """Sync read if all registers have one address, else bulk read; fast: one status packet for all."""
+    """Return a sync read if all registers have one address, else a bulk read.
+
+    Args:
+        registers: Servo id -> register.
+        fast: The servos answer together in one status packet.
+    """
     first = next(iter(registers.values()))
     if all((r.address, r.size) == (first.address, first.size) for r in registers.values()):
-        return build(BROADCAST_ID, FAST_SYNC_READ if fast else SYNC_READ, _where(first) + bytes(registers))
-    body = b"".join(bytes((id,)) + _where(register) for id, register in registers.items())
+        instruction = FAST_SYNC_READ if fast else SYNC_READ
+        return build(BROADCAST_ID, instruction, _address_and_size(first) + bytes(registers))
+    body = b"".join(
+        bytes((id,)) + _address_and_size(register) for id, register in registers.items()
+    )
     return build(BROADCAST_ID, FAST_BULK_READ if fast else BULK_READ, body)
 
 
-class StatusParser:
-    """Status packets out of bytes that come in pieces, with anything between them.
-
-    Attributes:
-        damaged: Packets seen so far that could not be trusted.
-    """
-
-    def __init__(self) -> None:
-        self._buffer = b""
-        self.damaged = 0
-
-    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
-        """Replies that are complete with these bytes.
-
-        ``last``: nothing more will come: what looks like the head of a packet that is not all there is
-        passed over, for it may be noise with packets behind it.
-        """
-        buffer = self._buffer + data
-        packets = []
-        at = 0
-        while True:
-            at = buffer.find(HEADER, at)
-            if at < 0:
-                at = max(len(buffer) - len(HEADER) + 1, 0)  # it may end in a part of a header
-                break
-            if len(buffer) < at + 7:
-                break
-            length = buffer[at + 5] | buffer[at + 6] << 8
-            end = at + 7 + length
-            if not last and length <= MAX_PACKET and len(buffer) < end:
-                break
-            packet = _status(buffer[at:end]) if len(buffer) >= end else None
-            if packet is None:
-                if len(buffer) < end or buffer.startswith(_STATUS, at + 7):
-                    self.damaged += 1
-                at += len(HEADER)
-                continue
-            packets.append(packet)
-            at = end
-        self._buffer = buffer[at:]
-        return packets
+def has_right_checksum(packet: bytes) -> bool:
+    """Return whether the last two bytes of a packet are the checksum of the others."""
+    return crc(packet[:-2]) == packet[-2] | packet[-1] << 8
 
 
-def _status(packet: bytes) -> StatusPacket | None:
-    """A whole packet, taken apart; None if it is damaged or no status."""
-    if len(packet) < SHORTEST_STATUS or packet[7] != STATUS:
-        return None
-    if crc(packet[:-2]) != packet[-2] | packet[-1] << 8:
+def parse_status(packet: bytes) -> StatusPacket | None:
+    """Return a complete status packet; None if it is damaged or another packet."""
+    if len(packet) < SHORTEST_STATUS or packet[7] != STATUS or not has_right_checksum(packet):
         return None
     body = packet[8:-2]
     if _STUFFED in body:
@@ -141,95 +138,180 @@ def _status(packet: bytes) -> StatusPacket | None:
     return StatusPacket(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
-@lru_cache(maxsize=256)
-def _fast_layout(
-    expected: tuple[tuple[int, int], ...],
-) -> tuple[bytes, tuple[tuple[int, int, int], ...], int]:
-    """Of a fast status in which all servos asked have their part: its head, the servos, bytes in all.
+class StatusParser:
+    """Finds status packets in a byte stream with anything between them.
 
-    Of each servo: its id, the first byte of its data, the first behind them; error and id lie before.
+    Args:
+        parse: Takes a packet apart.  Returns None if it is damaged or no status packet.
+
+    Attributes:
+        damaged: Number of packets found so far that could not be trusted.
     """
-    spans, at = [], FAST_HEAD
-    for id, size in expected:
-        spans.append((id, at + 2, at + 2 + size))
-        at += size + FAST_FRAME
-    head = HEADER + bytes((BROADCAST_ID,)) + (at - 7).to_bytes(2, "little") + _STATUS
-    return head, tuple(spans), at
+
+    def __init__(self, parse: Callable[[bytes], StatusPacket | None] = parse_status) -> None:
+        self.damaged = 0
+        self._parse = parse
+        self._buffer = b""
+
+    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
+        """Return the packets that ``data`` completes.
+
+        Args:
+            data: New bytes.
+            last: No more bytes will come.  The head of an incomplete packet is skipped: it may be
+                noise before a packet.
+        """
+        buffer = self._buffer + data
+        packets = []
+        start = 0
+        while True:
+            start = buffer.find(HEADER, start)
+            if start < 0:
+                start = max(len(buffer) - len(HEADER) + 1, 0)  # a part of a header may be there
+                break
+            if len(buffer) < start + LENGTH_END:
+                break
+            length = buffer[start + 5] | buffer[start + 6] << 8
+            end = start + LENGTH_END + length
+            if not last and length <= MAX_PACKET and len(buffer) < end:
+                break
+            packet = self._parse(buffer[start:end]) if len(buffer) >= end else None
+            if packet is None:
+                if len(buffer) < end or buffer.startswith(_STATUS, start + LENGTH_END):
+                    self.damaged += 1
+                start += len(HEADER)
+                continue
+            packets.append(packet)
+            start = end
+        self._buffer = buffer[start:]
+        return packets
+
+
+class _FastLayout(NamedTuple):
+    """Layout of a fast status in which every servo has its part.
+
+    Attributes:
+        head: First bytes of the packet.
+        spans: (servo id, index of its first byte of data, index after its data).  Its error and id
+            lie before the data.
+        size: Bytes of the packet.
+    """
+
+    head: bytes
+    spans: tuple[tuple[int, int, int], ...]
+    size: int
+
+
+@lru_cache(maxsize=256)
+def _fast_layout(expected: tuple[tuple[int, int], ...]) -> _FastLayout:
+    spans = []
+    size = FAST_HEAD
+    for id, data_size in expected:
+        spans.append((id, size + 2, size + 2 + data_size))
+        size += data_size + FAST_FRAME
+    length = (size - LENGTH_END).to_bytes(2, "little")
+    return _FastLayout(HEADER + bytes((BROADCAST_ID,)) + length + _STATUS, tuple(spans), size)
 
 
 def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> list[bytes] | None:
-    """Data of each servo where ``data`` are just one fast status with nothing wrong; the usual case, quickly.
+    """Return the data of each servo if ``data`` are one fast status without any error.
 
-    ``expected``: (id, bytes of data), in the order asked.  None where anything is wrong, an error or an alert
-    among it: then ``FastParser`` says what.
+    This is the usual case and must be quick.  In every other case the result is None, and
+    ``FastParser`` finds the replies.
+
+    Args:
+        data: Received bytes.
+        expected: (id, bytes of data) in the order of the request.
     """
-    head, spans, total = _fast_layout(expected)
-    # The last checksum runs over all bytes before it.
-    if len(data) != total or not data.startswith(head) or crc(data[:-2]) != data[-2] | data[-1] << 8:
+    head, spans, size = _fast_layout(expected)
+    if len(data) != size or not data.startswith(head):
+        return None
+    # The last checksum covers all bytes before it.
+    if crc(data[:-2]) != data[-2] | data[-1] << 8:
         return None
     values = []
-    for id, first, end in spans:
-        if data[first - 2] or data[first - 1] != id:
+    for id, begin, end in spans:
+        if data[begin - 2] or data[begin - 1] != id:
             return None
-        values.append(data[first:end])
+        values.append(data[begin:end])
     return values
 
 
 class FastParser:
-    """The one status in which all servos answer a fast read; gives each as soon as its checksum is there.
+    """Finds the reply of each servo in the one status packet of a fast read.
 
-    Every servo's checksum runs over all bytes before it, so behind a damaged byte no servo can be trusted,
-    and behind a servo that is missing none answers.  What comes before is good.
+    A reply is complete as soon as its checksum is there.  The checksum of each servo covers all
+    bytes before it.  So no servo after a damaged byte can be trusted, and no servo after a missing
+    one answers.  Replies before that are good.
+
+    Args:
+        expected: (id, bytes of data) in the order of the request.
 
     Attributes:
-        damaged: 1 when there is no use in waiting for more.
+        damaged: 1 if no more replies can come.
     """
 
     def __init__(self, expected: Sequence[tuple[int, int]]) -> None:
-        self._expected = expected
-        self._total = _fast_layout(tuple(expected))[2]
-        self._buffer = b""
-        self._next = self._at = self._crc = 0
         self.damaged = 0
+        self._expected = expected
+        self._size = _fast_layout(tuple(expected)).size
+        self._buffer = b""
+        # Number of the next servo.
+        self._next = 0
+        # Index of its first byte; 0 until the head of the packet was found.
+        self._start = 0
+        # Checksum of the bytes before it.
+        self._crc = 0
 
-    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
-        """Replies that are complete now; ``last``: nothing more will come."""
+    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:  # noqa: ARG002
+        """Return the replies that ``data`` completes.
+
+        Args:
+            data: New bytes.
+            last: Of other parsers.  An incomplete reply of a fast status is never used.
+        """
         packets: list[StatusPacket] = []
         if self.damaged:
             return packets
         buffer = self._buffer + data
-        if not self._at:
+        if not self._start:
             buffer = self._from_head(buffer)
-        self._buffer = buffer = buffer[: self._total]
-        if not self._at:
+        buffer = buffer[: self._size]
+        self._buffer = buffer
+        if not self._start:
             return packets
         while self._next < len(self._expected) and not self.damaged:
             id, size = self._expected[self._next]
-            end = self._at + size + FAST_FRAME
+            end = self._start + size + FAST_FRAME
             if len(buffer) < end:
                 break
-            frame = buffer[self._at : end]
+            frame = buffer[self._start : end]
             value = crc(frame[:-2], self._crc)
             if value != frame[-2] | frame[-1] << 8 or frame[1] != id:
                 self.damaged = 1
                 break
-            packets.append(StatusPacket(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
+            error = frame[0]
+            packets.append(
+                StatusPacket(id, error & ~ALERT_BIT, bool(error & ALERT_BIT), frame[2:-2])
+            )
             self._crc = crc(frame[-2:], value)
-            self._at = end
+            self._start = end
             self._next += 1
         return packets
 
     def _from_head(self, buffer: bytes) -> bytes:
-        """The bytes from the head of a fast status on, or what may begin one; sets ``_at`` behind it."""
-        at = buffer.find(HEADER)
-        while 0 <= at <= len(buffer) - FAST_HEAD:
-            if buffer[at + 4] == BROADCAST_ID and buffer[at + 7] == STATUS:
-                # Stuffing would make it longer; clients differ on whether there is any: not to be trusted.
-                if (buffer[at + 5] | buffer[at + 6] << 8) + 7 != self._total:
+        """Return the bytes from the head of a fast status on, or what may be the start of one."""
+        start = buffer.find(HEADER)
+        while 0 <= start <= len(buffer) - FAST_HEAD:
+            if buffer[start + 4] == BROADCAST_ID and buffer[start + 7] == STATUS:
+                # Byte stuffing would make it longer.  Clients differ on whether there is any, so
+                # such a packet is not used.
+                length = buffer[start + 5] | buffer[start + 6] << 8
+                if length + LENGTH_END != self._size:
                     self.damaged = 1
                     return b""
-                self._at = FAST_HEAD
-                self._crc = crc(buffer[at : at + FAST_HEAD])
-                return buffer[at:]
-            at = buffer.find(HEADER, at + 1)
-        return buffer[at if at >= 0 else 1 - len(HEADER) :]
+                self._start = FAST_HEAD
+                self._crc = crc(buffer[start : start + FAST_HEAD])
+                return buffer[start:]
+            start = buffer.find(HEADER, start + 1)
+        return buffer[start if start >= 0 else 1 - len(HEADER) :]

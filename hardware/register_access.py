@@ -6,7 +6,8 @@ import logging
 from collections.abc import Mapping, Sequence
 
 from robot_ik.errors import ArmStateError, HardwareError
-from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.hardware.arm_registers import read_all, shared_register
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.servo import Drive
 

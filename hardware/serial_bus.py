@@ -1,11 +1,9 @@
 """Servos on one serial port, in any wire protocol.
 
-This file holds transactions, retries, silent servos and late replies.
+This file holds transactions, retries and silent servos.
 
-A status packet names its servo but not the request that it answers.  ``_Unanswered`` keeps the
-requests whose replies did not come.  While a reply to such a request may still come, that servo is
-not asked for the same number of bytes again.  A control cycle asks for a few bytes more, so a late
-reply is recognised by its length.  Every other call waits until no late reply can come.
+``late_replies`` keeps the requests whose replies did not come.  A control cycle recognises late
+replies by their length.  Every other call waits until no late reply can come.
 """
 
 from __future__ import annotations
@@ -15,8 +13,6 @@ import threading
 from builtins import id as identity
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 from robot_ik.errors import (
@@ -27,6 +23,7 @@ from robot_ik.errors import (
     ServoRefusedError,
 )
 from robot_ik.hardware.bus import KEEPS_TORQUE, BusStatus, Counters
+from robot_ik.hardware.late_replies import UnansweredRequests
 from robot_ik.hardware.models import BAUD_RATES
 from robot_ik.hardware.registers import IDS, Register
 from robot_ik.hardware.serial_port import (
@@ -49,20 +46,6 @@ CYCLE_TIME = 0.100
 MAX_FAST_FAILURES = 5
 """Failed fast reads in a row after which the bus asks every servo for its own packet until it is
 reopened.
-"""
-
-LATEST_REPLY = 0.16
-"""s after a request was given up in which a reply to it may still come.
-
-A busy computer and a USB adapter together delay a reply by some tens of ms.  150 ms cover that, and
-the rest is for the bytes themselves.
-"""
-
-LENGTHS = 8
-"""Number of reply lengths that a control cycle chooses from.
-
-At 100 Hz and one lost packet in ten, a servo has two unanswered requests within ``LATEST_REPLY``.
-It has eight once in a thousand cycles.  That cycle does not ask this servo.
 """
 
 MAX_PLANS = 1000
@@ -100,62 +83,6 @@ class _Pending(NamedTuple):
     requested: Mapping[int, Register]
     statuses: dict[int, BusStatus]
     doubtful: frozenset[int]
-
-
-@lru_cache(maxsize=1024)
-def _widened(register: Register, extra: int) -> Register:
-    return replace(register, size=register.size + extra)
-
-
-class _Unanswered(dict[tuple[int, int], float]):
-    """Requests to which a reply may still come.  Usually empty.
-
-    Maps (servo id, bytes of data in the reply) to the time in s after which no reply comes.
-    """
-
-    @property
-    def ids(self) -> frozenset[int]:
-        return frozenset(id for id, _ in self)
-
-    def add(self, keys: Iterable[tuple[int, int]], now: float) -> None:
-        """Add requests that were given up, or that were sent twice and answered once."""
-        self.update(dict.fromkeys(keys, now + LATEST_REPLY))
-
-    def forget(self, now: float) -> None:
-        """Remove the requests to which no reply comes any more."""
-        for key in [key for key, until in self.items() if until <= now]:
-            del self[key]
-
-    def end(self, keys: Iterable[tuple[int, int]]) -> float:
-        """Return the time in s until which a reply to one of ``keys`` may come, 0 if none may."""
-        return max((self.get(key, 0.0) for key in keys), default=0.0)
-
-    def widen(self, registers: Mapping[int, Register], *, uniform: bool) -> dict[int, Register]:
-        """Return registers (id -> register), widened so that no late reply has the same length.
-
-        A servo with late replies of every length is left out.
-
-        Args:
-            registers: Servo id -> register.
-            uniform: Every servo must be asked for the same bytes.
-        """
-        if not uniform:
-            return {
-                id: _widened(register, extra) if extra else register
-                for id, register in registers.items()
-                if (extra := next(self._free_lengths(id, register), None)) is not None
-            }
-        free = {id: set(self._free_lengths(id, register)) for id, register in registers.items()}
-        extra = max(range(LENGTHS), key=lambda extra: sum(extra in row for row in free.values()))
-        return {
-            id: _widened(register, extra) if extra else register
-            for id, register in registers.items()
-            if extra in free[id]
-        }
-
-    def _free_lengths(self, id: int, register: Register) -> Iterator[int]:
-        """Yield the numbers of extra bytes that no late reply of this servo has."""
-        return (extra for extra in range(LENGTHS) if (id, register.size + extra) not in self)
 
 
 _NO_IDS: frozenset[int] = frozenset()
@@ -201,7 +128,7 @@ class SerialBus:
         self._handler: SleepingPortHandler | None = None
         self._sleep_until = self.clock.sleep_until
         self._silence = 0.0  # s for which the line must be silent before the next request
-        self._unanswered = _Unanswered()
+        self._unanswered = UnansweredRequests()
         self._last_reply: dict[int, float] = {}
         self._fast_ids: frozenset[int] = frozenset()
         self._plans: dict[tuple[object, ...], _ReadPlan] = {}

@@ -1,7 +1,8 @@
-"""A servo bus without a wire: the driver itself, on a port that calls the virtual bus as a function.
+"""Servo buses with simulated servos: in process, and behind a pty.
 
-The same code drives servos here and on metal, packets, checks and repetitions included; only time differs:
-a reply is there at once or never, and requests take no time on the clock.
+The driver is that of real servos, including packets, checks and repetitions. In process its port
+calls the virtual bus as a function: a reply is there at once or never, and requests take no time on
+the clock.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class SimBus(SerialBus):
         real: bool = False,
     ) -> None:
         super().__init__("sim", 1_000_000, protocol, retries=retries, clock=virtual_bus.clock)
-        self.real = real  # a test may treat these servos as real ones
+        self.real = real  # a test may treat these servos as real
         self.virtual_bus = virtual_bus
 
     def _make_handler(self) -> InProcessPort:
@@ -41,7 +42,7 @@ class SimBus(SerialBus):
 
 
 class InProcessPort(SleepingPortHandler):
-    """What the driver takes for a serial port: bytes written are answered before the call returns."""
+    """The serial port of a ``SimBus``: bytes are answered before ``writePort`` returns."""
 
     def __init__(self, virtual_bus: VirtualBus, name: str, baud: int, counters: Counters) -> None:
         super().__init__(name, baud, counters)
@@ -69,45 +70,47 @@ class InProcessPort(SleepingPortHandler):
         return len(packet)
 
     def readPort(self, length: int) -> bytes:
-        data, self._buffer = self._buffer[:length], self._buffer[length:]
+        data = self._buffer[:length]
+        self._buffer = self._buffer[length:]
         self._counters.bytes_received += len(data)
         return data
 
-    def receive(self, deadline: float, expected: float | None = None) -> bytes:
+    def receive(self, _deadline: float, _expected: float | None = None) -> bytes:
         return self.readPort(len(self._buffer))
 
     def isPacketTimeout(self) -> bool:
-        """What is not there now will not come."""
+        """Return True if there is no reply: none will come later."""
         return not self._buffer
 
     def _advance(self) -> None:
         self._bus.advance()
         if self._bus.unplugged:
-            raise OSError("it was unplugged")
+            raise OSError("the port was unplugged")
 
 
 class ServedBus(SerialBus):
-    """Virtual servos behind a real pty, and the driver of real ones on it: all but the wire is as with metal.
+    """Virtual servos behind a real pty, with the driver of real servos on it.
 
-    The port is made when it is opened and taken away when it is closed; ``port`` is its path meanwhile.
+    The port is made by ``open`` and removed by ``close``. Meanwhile ``port`` is its path.
     """
 
     real = False
 
     def __init__(self, servos: VirtualBus, baud: int, protocol: WireProtocol = PROTOCOL_2) -> None:
         super().__init__("pty", baud, protocol)
-        self.clock = servos.clock  # of the arm; what is on the wire takes real time
+        self.clock = servos.clock  # clock of the arm; the wire takes real time
         self.virtual_bus = servos
         self._pty: PtyPort | None = None
 
     def open(self) -> None:
         if self._pty is None:
             self._pty = pty_port()(self.virtual_bus)
-        self.port = self._pty.path  # another one after it was unplugged
+        self.port = self._pty.path  # it changes after the port was unplugged
         super().open()
 
     def close(self) -> None:
         super().close()
-        served, self._pty = self._pty, None
+        served = self._pty
+        self._pty = None
         if served is not None:
             served.close()

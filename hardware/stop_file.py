@@ -1,13 +1,15 @@
-"""How one process asks the arm that another one drives to stop, without its port: ``robot-ik stop``.
+"""Request files with which one process stops the arm of another: ``robot-ik stop``.
 
-All arms of a user have their files in one folder:
+The requesting process does not need the port. All arms of a user have their files in one folder:
 
-* ``ID.lock``: locked as long as the program has the arm.  The system takes the lock from a program that ends.
-* ``ID.arm``: what the arm is.  It is written whole, and only once ``ID.lock`` is locked.
-* ``ID.stop``: a request.  It stays until the arm has carried it out or its program has ended.
+* ``ID.lock``: locked as long as the program has the arm. The system unlocks it when the program
+  ends.
+* ``ID.arm``: description of the arm. It is written at once, after ``ID.lock`` is locked.
+* ``ID.stop``: a request. It stays until the arm has carried it out or its program has ended.
 * ``ID.done``: the reply.
 
-The arm looks for a request in its control cycle and with every beat of its heartbeat.  An ID is used once.
+The arm checks for a request in its control cycle and with every beat of its heartbeat. An ID is
+used once.
 """
 
 from __future__ import annotations
@@ -33,14 +35,17 @@ _POLL_PERIOD = 0.01
 """s between two polls for a reply."""
 
 _LITTER_AGE = 3600.0
-"""s after which files of an arm that is gone are removed: a program may still be about to read them."""
+"""s after which files of a program that has ended are removed.
+
+Another program may be about to read younger ones.
+"""
 
 
 def _folder_of_user() -> Path:
-    """One place for all programs of a user: it depends on no environment variable.
+    """Return the folder for all programs of a user. It depends on no environment variable.
 
-    An arm that cron, a service or ``su`` has started must be found from a terminal.  Windows has no such
-    folder; there all programs of a user have the same temporary folder.
+    An arm that cron, a service or ``su`` has started must be found from a terminal. Windows has no
+    such folder, but all programs of a user share a temporary folder.
     """
     if os.name == "posix":
         return Path(f"/tmp/robot-ik-run-{os.getuid()}")
@@ -48,13 +53,14 @@ def _folder_of_user() -> Path:
 
 
 FOLDER = _folder_of_user()
+"""Folder of this user."""
 
 
 def runtime_folder() -> Path:
-    """``FOLDER``, which only this user can look into; made if need be.
+    """Return ``FOLDER``, which only this user can read. It is made if it does not exist.
 
     Raises:
-        HardwareError: There is something else of that name, or it belongs to another user.
+        HardwareError: The name belongs to something else or to another user.
     """
     try:
         FOLDER.mkdir(mode=0o700, exist_ok=True)
@@ -63,14 +69,21 @@ def runtime_folder() -> Path:
         raise HardwareError(f"no runtime folder {FOLDER}: {error.strerror}") from error
     foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
     if foreign or not stat.S_ISDIR(found.st_mode):
-        raise HardwareError(f"{FOLDER} is not a folder of this user", hint="remove it, or ask its owner to")
+        raise HardwareError(
+            f"{FOLDER} is not a folder of this user",
+            hint="remove it, or ask its owner to remove it",
+        )
     if stat.S_IMODE(found.st_mode) != 0o700:
         FOLDER.chmod(0o700)
     return FOLDER
 
 
 class StopFile:
-    """The arm's side; ``name`` is the arm's."""
+    """The arm's side of the request files.
+
+    Args:
+        name: Name of the arm.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -79,9 +92,10 @@ class StopFile:
         self._files: list[int] = []
 
     def open(self, port: str) -> None:
-        """From here on the arm on ``port`` can be found; without a folder it cannot, and the log says so.
+        """Make the arm on ``port`` visible to ``robot-ik stop``.
 
-        An arm that can be found already stays so, with the requests that wait for it.
+        Without a folder the arm stays invisible, and the log says so. An arm that is visible
+        already stays visible, with the requests that wait for it.
         """
         if self._stem is not None:
             return
@@ -104,23 +118,29 @@ class StopFile:
         self._request = str(stem.with_suffix(".stop"))
 
     def _keep_from_cleaners(self, folder: Path) -> None:
-        """A folder that is locked is left alone by systemd-tmpfiles, which else removes what is old."""
+        """Lock the folder.
+
+        systemd-tmpfiles removes old folders, but not locked ones.
+        """
         if os.name == "posix":
             file = os.open(folder, os.O_RDONLY)
             self._files.append(file)
             _lock(file, shared=True)
 
     def requested(self) -> str | None:
-        """``hold`` or ``torque_off`` if a program asks for it."""
+        """Return ``hold`` or ``torque_off`` if there is a request, else None."""
         if not self._request or not os.path.exists(self._request):
             return None
         with suppress(OSError, ValueError, LookupError, TypeError):
             if read_json(Path(self._request), "the request")["policy"] == "torque_off":
                 return "torque_off"
-        return "hold"  # a request that cannot be read is one all the same
+        return "hold"  # a damaged request is a request, too
 
     def acknowledge(self, *, ok: bool, text: str) -> None:
-        """What became of the request, if there is one: a stop may have come from inside the program."""
+        """Write the reply to a request.
+
+        Does nothing if there is no request: a stop may come from inside the program.
+        """
         if self._stem is None or not os.path.exists(self._request):
             return
         try:
@@ -131,20 +151,30 @@ class StopFile:
             os.unlink(self._request)
 
     def close(self) -> None:
-        """The arm is left.  May be called any number of times."""
-        files, self._files = self._files, []
-        stem, self._stem, self._request = self._stem, None, ""
+        """Remove the arm's files. May be called any number of times."""
+        files = self._files
+        self._files = []
+        stem = self._stem
+        self._stem = None
+        self._request = ""
         if stem is not None:
-            _remove(stem, ".arm", ".stop")  # a reply stays for the program that waits for it
+            _remove(stem, ".arm", ".stop")  # another program may wait for the reply
         for file in files:
             os.close(file)
         if stem is not None:
-            _remove(stem, ".lock")  # after it is closed: Windows removes no open file
+            _remove(stem, ".lock")  # Windows removes no open file
 
 
 @dataclass(frozen=True)
 class RunningArm:
-    """An arm that a living program of this user drives; ``stem``: its files without their endings."""
+    """An arm that a running program of this user drives.
+
+    Attributes:
+        name: Name of the arm.
+        port: Its port.
+        pid: Process that drives it.
+        stem: Path of its files without their endings.
+    """
 
     name: str
     port: str
@@ -152,52 +182,65 @@ class RunningArm:
     stem: Path
 
     def stop(self, policy: str = "hold", timeout: float = 3.0) -> tuple[bool, str]:
-        """Asks it to stop by ``hold`` or ``torque_off``, and waits ``timeout`` s for the reply.
+        """Request a stop and wait for the reply.
 
-        Without a reply the request stays: a program that goes on later carries it out then.
+        Without a reply the request stays. A suspended program carries it out when it continues.
+
+        Args:
+            policy: ``hold`` or ``torque_off``.
+            timeout: s to wait for the reply.
 
         Returns:
-            Whether every servo confirmed it; what happened, as text.
+            Whether every servo confirmed the stop, and a text that says what happened.
         """
-        reply, request = self.stem.with_suffix(".done"), self.stem.with_suffix(".stop")
+        reply = self.stem.with_suffix(".done")
+        request = self.stem.with_suffix(".stop")
         reply.unlink(missing_ok=True)
         write_atomically(request, json.dumps({"policy": policy}))
         end = time.monotonic() + timeout
         while True:
-            lives = _has_program(self.stem)  # before the look for a reply
+            is_running = _has_program(self.stem)  # checked before the reply
             if reply.exists():
                 outcome = json.loads(reply.read_text("utf-8"))
                 reply.unlink(missing_ok=True)
                 return bool(outcome["ok"]), str(outcome["text"])
-            if not lives:
+            if not is_running:
                 request.unlink(missing_ok=True)
-                return False, "its program has closed it or ended meanwhile; cut the power if it still moves"
+                return (
+                    False,
+                    "the program has closed the arm or ended; cut the power if the arm still moves",
+                )
             if time.monotonic() >= end:
                 return False, (
-                    f"no answer for {timeout:g} s; cut the power if it still moves. The request stays: "
-                    "the arm stops when its program goes on"
+                    f"no answer for {timeout:g} s; cut the power if the arm still moves. "
+                    "The request stays: the arm stops when its program continues"
                 )
             time.sleep(_POLL_PERIOD)
 
 
 def running_arms(port: str | None = None) -> list[RunningArm]:
-    """Arms that are enabled now; those on ``port`` only, if it is named.
+    """Return the arms that are enabled now.
+
+    Args:
+        port: Only arms on this port; None: all.
 
     Raises:
-        HardwareError: The runtime folder is not this user's.
+        HardwareError: The runtime folder does not belong to this user.
     """
     folder = runtime_folder()
     remove_litter(folder)
     stems = sorted(path.with_suffix("") for path in folder.glob("*.arm"))
     arms = [arm for stem in stems if (arm := _read_running(stem)) is not None]
-    return [arm for arm in arms if port is None or os.path.realpath(arm.port) == os.path.realpath(port)]
+    return [
+        arm for arm in arms if port is None or os.path.realpath(arm.port) == os.path.realpath(port)
+    ]
 
 
 def remove_litter(folder: Path) -> None:
-    """Removes the files of programs that ended without closing their arms.
+    """Remove the files of programs that ended without closing their arms.
 
-    An ``ID.arm`` appears only after its lock, so the files of a running arm are never taken for these.  What
-    else lies in the folder stays.
+    An ``ID.arm`` appears only after its lock, so the files of a running arm are never removed.
+    Other files in the folder stay.
     """
     for path in folder.glob("*.arm"):
         if _has_program(path.with_suffix("")) is False:
@@ -211,14 +254,14 @@ def remove_litter(folder: Path) -> None:
 
 
 def _remove(stem: Path, *endings: str) -> None:
-    """Removes files of an arm, those that are there."""
+    """Remove the existing files of an arm."""
     for ending in endings:
         with suppress(OSError):
             stem.with_suffix(ending).unlink()
 
 
 def _read_running(stem: Path) -> RunningArm | None:
-    """The arm of an ID; None where no program has it, or these are no arm's files."""
+    """Return the arm of an ID; None if no program has it or its files are not valid."""
     if not _has_program(stem):
         return None
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
@@ -228,9 +271,9 @@ def _read_running(stem: Path) -> RunningArm | None:
 
 
 def _has_program(stem: Path) -> bool | None:
-    """Whether a program has the arm of an ID; None where there is no ``ID.lock``.
+    """Return whether a program has the arm of an ID; None if there is no ``ID.lock``.
 
-    A folder or a link of that name is none.
+    A folder or a link with that name does not count.
     """
     try:
         file = os.open(stem.with_suffix(".lock"), os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
@@ -243,10 +286,16 @@ def _has_program(stem: Path) -> bool | None:
 
 
 def _lock(file: int, *, shared: bool = False) -> bool:
-    """Locks an open file if no process has a lock that forbids it.
+    """Lock an open file unless another process has a lock that forbids it.
 
-    ``shared``: several processes may have such a lock at once, so that two that look do not disturb each
-    other.  Windows has none: there a file that another process looks at counts as locked.
+    Args:
+        file: File descriptor.
+        shared: Several processes may hold such a lock at once, so that they can check a lock at the
+            same time. Windows has no shared locks. There a file that another process checks counts
+            as locked.
+
+    Returns:
+        Whether the file is locked now.
     """
     try:
         import fcntl
@@ -254,7 +303,7 @@ def _lock(file: int, *, shared: bool = False) -> bool:
         import msvcrt
 
         try:
-            os.lseek(file, 1 << 20, os.SEEK_SET)  # behind the text, which others must be able to read
+            os.lseek(file, 1 << 20, os.SEEK_SET)  # beyond the text, which other processes read
             msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
             return True
         except OSError:

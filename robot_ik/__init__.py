@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robot_ik.budget import Budget
     from robot_ik.chain import DHRow, from_dh, make_chain
     from robot_ik.collision.avoidance import CollisionAvoidance
+    from robot_ik.collision.obstacle_file import load_obstacles
     from robot_ik.collision.obstacles import Box, Capsule, Cylinder, Mesh, Plane, Sphere
     from robot_ik.collision.scene import Clearance, Scene, load_scene
     from robot_ik.errors import NotConvergedError, RobotIkError
@@ -42,10 +43,12 @@ if TYPE_CHECKING:
     )
     from robot_ik.inverse_kinematics import solve, warm_up
     from robot_ik.motion.line import line_move
+    from robot_ik.motion.plan import Plan, PlanStatus, plan
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.pose_prior import PosePrior
     from robot_ik.problem import Problem
+    from robot_ik.reachability.reachability_map import Reach, ReachabilityMap, map_reachability
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_arm import RobotArm, open_robot
     from robot_ik.robot_file import catalogue
@@ -57,6 +60,7 @@ _HOME = {
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("DHRow", "from_dh", "make_chain"),
     "robot_ik.collision.avoidance": ("CollisionAvoidance",),
+    "robot_ik.collision.obstacle_file": ("load_obstacles",),
     "robot_ik.collision.obstacles": ("Box", "Capsule", "Cylinder", "Mesh", "Plane", "Sphere"),
     "robot_ik.collision.scene": ("Clearance", "Scene", "load_scene"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
@@ -78,10 +82,12 @@ _HOME = {
     ),
     "robot_ik.pose_prior": ("PosePrior",),
     "robot_ik.motion.line": ("line_move",),
+    "robot_ik.motion.plan": ("Plan", "PlanStatus", "plan"),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.budget": ("Budget",),
     "robot_ik.problem": ("Problem",),
+    "robot_ik.reachability.reachability_map": ("Reach", "ReachabilityMap", "map_reachability"),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
@@ -109,6 +115,8 @@ __all__ = [
     "Mesh",
     "NotConvergedError",
     "OrientationGoal",
+    "Plan",
+    "PlanStatus",
     "Plane",
     "PlaneGoal",
     "Pose",
@@ -118,6 +126,8 @@ __all__ = [
     "PositionGoal",
     "PostureGoal",
     "Problem",
+    "Reach",
+    "ReachabilityMap",
     "RealClock",
     "Robot",
     "RobotArm",
@@ -136,11 +146,14 @@ __all__ = [
     "from_dh",
     "joint_move",
     "line_move",
+    "load_obstacles",
     "load_robot",
     "load_scene",
     "make_chain",
     "make_solver",
+    "map_reachability",
     "open_robot",
+    "plan",
     "solve",
     "solve_all",
     "solve_batch",

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.collision.avoidance import CollisionAvoidance, require_same_robot
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Array, Pose
 from robot_ik.goals import Goal
+from robot_ik.model import qpos_addresses
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, require_robot
 from robot_ik.solvers.analytic import SERVED
@@ -23,13 +26,17 @@ def solve_all(
     start: ArrayLike | None = None,
     limits: bool = True,
     collisions: CollisionAvoidance | None = None,
+    fixed: Mapping[str, float] | None = None,
 ) -> tuple[Branch, ...]:
     """Return every branch with which the closed form meets a goal, nearest to ``start`` first.
 
     It serves arms of two parallel hinges for a position, arms of five hinges (pan, three parallel
-    pitch axes, roll) for a pose, and arms of six hinges with a spherical wrist or shoulder, or with
-    three parallel axes, for a pose. At a singular pose one joint angle
-    is free; it stays as near to ``start`` as possible.
+    pitch axes, roll) for a pose, and arms of six hinges with a spherical wrist or shoulder, with
+    three parallel axes, or with a spherical shoulder and two last axes that meet, for a pose. At a
+    singular pose one joint angle is free; it stays as near to ``start`` as possible.
+
+    An arm of seven hinges, such as the Panda, is one of these once a joint is fixed:
+    ``solve_all(robot, pose, fixed={"panda_joint7": 0.8})``.
 
     An arm of five joints meets a position in infinitely many ways and a pose almost never. Each of
     its up to four branches has the best orientation at the position, and the smallest angle comes
@@ -43,14 +50,19 @@ def solve_all(
         limits: Leave out branches outside the joint limits.
         collisions: Measure the clearance of each branch. Free branches come first; the others are
             kept, with the pair of parts that touches in ``branch.clearance``.
+        fixed: Joint name -> position of joints that must not move, rad or m. Each ``branch.q`` has
+            these positions.
 
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
+        UnknownJointError, ModelError: As ``Robot.with_fixed``.
     """
     require_robot(robot)
     if collisions is not None:
         require_same_robot(robot, collisions)
     origin = robot.home if start is None else robot.check_q(start, "start")
+    if fixed:
+        return _with_fixed_joints(robot, goal, origin, fixed, limits, collisions)
     try:
         problem = Problem(robot, goal, solver="analytic")
     except UnsupportedGoalError as error:
@@ -58,8 +70,31 @@ def solve_all(
         error.hint = f"solve_all serves {SERVED}; solve(…) finds one solution for any arm"
         raise
     branches = listed_branches(robot, problem.branches(origin), origin, limits=limits)
-    if collisions is None:
-        return branches
+    return branches if collisions is None else _measured(branches, collisions)
+
+
+def _with_fixed_joints(
+    robot: Robot,
+    goal: Goal | Pose | ArrayLike,
+    origin: Array,
+    fixed: Mapping[str, float],
+    limits: bool,
+    collisions: CollisionAvoidance | None,
+) -> tuple[Branch, ...]:
+    """Return the branches of a robot some of whose joints are fixed, as ``q`` of all joints."""
+    moving = robot.with_fixed(fixed)
+    addresses = qpos_addresses(robot.model, robot.tree)
+    moves = np.isin(addresses, qpos_addresses(moving.model, moving.tree))
+    branches = []
+    for branch in solve_all(moving, goal, start=origin[moves], limits=limits):
+        q = moving.frozen_qpos[addresses]
+        q[moves] = branch.q
+        branches.append(replace(branch, q=q))
+    return tuple(branches) if collisions is None else _measured(branches, collisions)
+
+
+def _measured(branches: Sequence[Branch], collisions: CollisionAvoidance) -> tuple[Branch, ...]:
+    """Return branches with their clearances, those inside the limits and free first."""
     measured = []
     for branch in branches:
         clearance = collisions.clearance(branch.q)

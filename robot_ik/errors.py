@@ -527,6 +527,10 @@ class UnsupportedGeomError(CollisionError):
         )
 
 
+class ReachabilityMapError(RobotIkError):
+    """A folder that holds no reachability map, or a map that does not fit its robot."""
+
+
 class GoalError(RobotIkError, ValueError):
     """Root of the errors of goals."""
 
@@ -604,18 +608,42 @@ class MotionBlockedError(TrajectoryError, CollisionError):
         self.distance = distance
         self.margin = margin
         self.q = q
-        first, second = pair
-        if distance < 0.0:
-            what = f"{first} would touch {second} by {-1e3 * distance:.1f} mm"
+        if time > 0.0:
+            text = f"{contact_text(pair, distance, margin)} at {time:.2f} s"
+            hint = "move round it, or give the pair as ignore if they may touch"
         else:
-            what = (
-                f"{first} would come within {1e3 * distance:.1f} mm of {second} "
-                f"(margin {1e3 * margin:.1f} mm)"
-            )
-        super().__init__(
-            f"{what} at {time:.2f} s",
-            hint="move round it, or give the pair as ignore if they may touch",
-        )
+            text = f"{contact_text(pair, distance, margin)} at the start"
+            hint = "move these parts apart first, or give the pair as ignore if they may touch"
+        super().__init__(text, hint=hint)
+
+
+def contact_text(pair: tuple[str, str], distance: float, margin: float) -> str:
+    """Return in words that two parts would touch, or come nearer than a margin.
+
+    Args:
+        pair: Names of the two parts.
+        distance: Their distance, m; negative: the depth of their contact.
+        margin: The required distance, m.
+    """
+    first, second = pair
+    if distance < 0.0:
+        return f"{first} would touch {second} by {-1e3 * distance:.1f} mm"
+    return (
+        f"{first} would come within {1e3 * distance:.1f} mm of {second} "
+        f"(margin {1e3 * margin:.1f} mm)"
+    )
+
+
+class PlanningError(TrajectoryError):
+    """``plan`` found no motion. Only ``Plan.require()`` raises it.
+
+    Attributes:
+        plan: The plan with its status.
+    """
+
+    def __init__(self, message: str, plan: object, *, hint: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.plan = plan
 
 
 NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)

@@ -30,10 +30,10 @@ from robot_ik.solvers import make_solver
 if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.goals import Tolerance
-    from robot_ik.motion.limited_step import LimitedStep
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver
+    from robot_ik.solvers.limited_step import LimitedStep
 
 
 LONGEST_RUN = 1e9
@@ -521,7 +521,7 @@ class _FollowState:
         self._kinds = kinds
         if self._collisions is not None:
             # Here: it loads the compiled collision checks, 0.05 s that few callers need.
-            from robot_ik.motion.limited_step import LimitedStep
+            from robot_ik.solvers.limited_step import LimitedStep
 
             self._limited = LimitedStep(self._problem, self._collisions, self._largest_allowed)
         return self._problem
@@ -535,7 +535,7 @@ class _FollowState:
             return None, False
         problem = self.problem_for([goal] if isinstance(goal, Goal) else list(goal))
         if self._limited is not None:
-            solution = self._limited.solve(report.q)
+            solution = self._limited.solve(problem, report.q)
         else:
             solution = problem.solve(report.q)
         report.last = solution

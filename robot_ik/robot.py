@@ -11,7 +11,7 @@ import dataclasses
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -28,10 +28,11 @@ from robot_ik.errors import (
     UnknownFrameError,
     UnsupportedJointError,
     distinct_texts,
+    require_joints,
 )
-from robot_ik.geometry import Array, Pose, vector
+from robot_ik.geometry import Array, Pose, is_real, vector
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import Tree
+from robot_ik.kernels.tree import HINGE, SLIDE, Tree
 from robot_ik.robot_file import RobotFile, find_robot
 
 LIMIT_SLACK = 1e-9
@@ -359,6 +360,56 @@ class Robot:
         if len(tree.coupled):
             tree = narrowed(tree, self.joints)
         return dataclasses.replace(self, tree=tree)._with_home_inside()
+
+    def with_fixed(self, values: Mapping[str, float]) -> Robot:
+        """Return this robot with some of its joints frozen. They leave ``q``.
+
+        Args:
+            values: Joint name -> position, rad or m, inside its limits.
+
+        Raises:
+            UnknownJointError: There is no such active joint. The message has close names.
+            UnsupportedJointError: The joint is a ball or free, or no other joint is left.
+            ModelError: A value is not a number inside the limits of its joint.
+        """
+        require_joints(values, self.joints)
+        home = self.home.copy()
+        kept = np.ones(self.tree.size, dtype=bool)
+        for joint, value in values.items():
+            node = self.joints.index(joint)
+            if self.tree.kind[node] not in (HINGE, SLIDE):
+                raise UnsupportedJointError(f"joint {joint!r} has no single value", path=self.path)
+            v = self.tree.vadr[node]
+            if not is_real(value, self.lower[v] - LIMIT_SLACK, self.upper[v] + LIMIT_SLACK):
+                raise ModelError(
+                    f"joint {joint!r} cannot be fixed at {value!r}",
+                    hint=f"give a number from {self.lower[v]:.6g} to {self.upper[v]:.6g}",
+                )
+            home[self.tree.qadr[node]] = value
+            kept[node] = False
+        joints = [joint for joint, keep in zip(self.tree.joint_ids, kept, strict=True) if keep]
+        if not joints:
+            raise UnsupportedJointError("no joint is left that may move", path=self.path)
+        frozen_qpos = self.qpos(home)
+        tree, bodies = mjcf.build_tree(self.model, joints, frozen_qpos)
+        dofs = kept[self.tree.dof_node]
+        tree = tree.with_limits(self.lower[dofs], self.upper[dofs])
+        if self.couplings:
+            names = mjcf.joint_names(self.model)
+            addresses = self.model.jnt_qposadr
+            tree = with_couplings(tree, self.couplings, frozen_qpos, addresses, names)
+        fixed = dataclasses.replace(
+            self,
+            tree=tree,
+            joints=tuple(joint for joint, keep in zip(self.joints, kept, strict=True) if keep),
+            velocity_limits=self.velocity_limits[dofs],
+            acceleration_limits=self.acceleration_limits[dofs],
+            stiffness=self.stiffness[dofs],
+            home=frozen_qpos[mjcf.qpos_addresses(self.model, tree)],
+            frozen_qpos=frozen_qpos,
+            _bodies=bodies,
+        )
+        return fixed._with_home_inside()
 
     def _check_limits(self, lower: ArrayLike, upper: ArrayLike) -> tuple[Array, Array]:
         """Return both limits as arrays (nv,), or raise ``ModelError``."""

@@ -13,18 +13,22 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import ConfigError, UnknownJointError
+from robot_ik.errors import CollisionError, ConfigError, ModelError, UnknownJointError
+from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm, virtual_servos
 from robot_ik.hardware.arm_part import ArmPart
-from robot_ik.hardware.calibration import check_model
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.ports import Array, Clock, Closing, JointReading
 from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_file import catalogue
 
 if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.virtual.bus import VirtualBus
+
+GROUND = "ground"
+"""Name of the floor that ``[collisions] ground`` of an arm file adds to the scene."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,17 @@ class RobotArm(Closing):
     def chain(self) -> ArmConfig:
         """Arm file with the joints of the robot only, in the robot's order."""
         return self.part.config
+
+    @cached_property
+    def collisions(self) -> CollisionAvoidance | None:
+        """Condition on collisions of the arm file, for the robot; None if it has none.
+
+        Joints that the robot does not have, such as those of a gripper, stand as at home.
+
+        Raises:
+            ConfigError: As ``arm_collisions``.
+        """
+        return arm_collisions(self.config, self.robot)
 
     @property
     def clock(self) -> Clock:
@@ -110,6 +125,7 @@ def open_robot(
     on_exit: str | None = None,
     start: ArrayLike | Mapping[str, float] | None = None,
     virtual_bus: VirtualBus | None = None,
+    clock: Clock | None = None,
 ) -> RobotArm:
     """Return a robot and its arm on a bus.  Nothing is connected and no torque changes.
 
@@ -124,6 +140,8 @@ def open_robot(
         start: (n,) initial values of the robot's joints, or joint name -> value, for simulated
             servos.  None: home of the robot.
         virtual_bus: Simulated servos to use instead of new ones.
+        clock: Clock of new simulated servos. None: virtual time on ``"sim"``, real time on
+            ``"pty"``.
 
     Raises:
         ConfigError: There is no arm file, or it does not fit the model.
@@ -134,15 +152,65 @@ def open_robot(
     config = arm if isinstance(arm, ArmConfig) else ArmConfig.load(arm or _arm_file_beside(robot))
     source = robot.path if isinstance(name, Robot) else name
     robot = robot_of_arm(robot, config, source)
-    check_model(config, _model_limits(robot))
-    chain = config.only(robot.joints)
-    robot = robot.with_limits(chain.lower, chain.upper)
     if start is None and virtual_bus is None and bus_row(bus).virtual:
         start = robot.home
     if start is not None and not isinstance(start, Mapping):
         start = dict(zip(robot.joints, np.asarray(start, dtype=float).tolist(), strict=True))
-    opened = open_arm(config, bus, on_exit=on_exit, virtual_bus=virtual_bus, start=start)
-    return RobotArm(robot, opened)
+    opened = open_arm(
+        config,
+        bus,
+        on_exit=on_exit,
+        virtual_bus=virtual_bus,
+        start=start,
+        robot=robot,
+        clock=clock,
+    )
+    chain = config.only(robot.joints)
+    return RobotArm(robot.with_limits(chain.lower, chain.upper), opened)
+
+
+def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None:
+    """Return the condition of the table ``[collisions]`` of an arm file; None without the table.
+
+    Args:
+        config: Arm.
+        robot: Its model, with any of its joints.
+
+    Raises:
+        ConfigError: The scene cannot be read or built, a name is unknown, or some parts are always
+            nearer than the margin.
+    """
+    table = config.collisions
+    if table is None:
+        return None
+    # Here, because they load the compiled collision checks, 0.05 s that few arms need.
+    from robot_ik.collision.avoidance import CollisionAvoidance
+    from robot_ik.collision.obstacle_file import load_obstacles
+    from robot_ik.collision.obstacles import Obstacle, Plane
+    from robot_ik.collision.scene import Scene
+
+    obstacles: list[Obstacle] = []
+    key = "collisions.scene"
+    try:
+        if table.scene:
+            obstacles += load_obstacles(table.scene)
+        if table.ground is not None:
+            key = "collisions.ground"
+            obstacles.append(Plane(GROUND, pose=Pose((0.0, 0.0, table.ground))))
+        key = "collisions.scene"
+        scene = Scene(robot, obstacles)
+        key = "collisions.ignore"
+        collisions = CollisionAvoidance(scene, table.margin, ignore=table.ignore)
+    except (CollisionError, ModelError) as error:
+        raise config.wrong(str(error.args[0]), key, hint=error.hint) from error
+    if always_near := collisions.always_near:
+        names = ", ".join(f'["{a}", "{b}"]' for a, b in (item.pair for item in always_near))
+        raise config.wrong(
+            "these parts are nearer than the margin in every posture, so no motion is free",
+            "collisions.ignore",
+            hint=f"a smaller margin, or ignore = [{names}]",
+        )
+    return collisions
 
 
 def robot_of_arm(robot: Robot, config: ArmConfig, source: str | os.PathLike[str]) -> Robot:
@@ -184,11 +252,3 @@ def _require_joints(robot: Robot, names: Sequence[str], config: ArmConfig) -> No
             key="joints",
             allowed=", ".join(robot.joints),
         )
-
-
-def _model_limits(robot: Robot) -> dict[str, tuple[float, float]]:
-    """Return joint -> limits of the model, rad or m."""
-    return {
-        joint: (float(robot.lower[v]), float(robot.upper[v]))
-        for joint, v in zip(robot.joints, robot.tree.vadr.tolist(), strict=True)
-    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -65,7 +65,7 @@ _CAUSE = {
     Status.BLOCKED_BY_COLLISION: "collisions are in the way of every solution that was found",
     Status.NO_FREE_BRANCH: "proven: every branch of the closed form collides",
 }
-_COLLIDING = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
+COLLIDING = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
 
 
 @dataclass(frozen=True)
@@ -107,6 +107,8 @@ class Solution:
         given: The goals as given to the problem.
         targets: The matrices (g, 4, 4) of their parts in this solve. ``goals`` joins the two.
         avoidance: The condition on collisions. None without one.
+        nearest_free: If collisions are in the way: the free posture that comes nearest to the
+            goals, of those that limited steps found. None if they found none.
         angle_bound: Radians, or None if nothing is proven. No configuration inside the limits with
             the position of this one has a smaller angle to the wanted orientation.
     """
@@ -123,6 +125,12 @@ class Solution:
     trace_rows: Array | None = None
     avoidance: CollisionAvoidance | None = None
     angle_bound: float | None = None
+    # Not an argument: it costs nothing for solutions without a collision.
+    nearest_free: Solution | None = field(default=None, init=False)
+
+    def at(self, q: Array, status: Status) -> Solution:
+        """Return a solution of the same solve with other joint angles (nq,) and status."""
+        return replace(self, q=q, status=status, trace_rows=None)
 
     @property
     def converged(self) -> bool:
@@ -201,9 +209,15 @@ class Solution:
         if self.converged:
             return self
         distance = f"{1000 * self.error.position:.2f} mm, {np.degrees(self.error.angle):.3f}° off"
-        if self.status in _COLLIDING and self.clearance.pair is not None:
+        if self.status in COLLIDING and self.clearance.pair is not None:
             first, second = self.clearance.pair
             distance += f", {first} and {second} {1000 * self.clearance.distance:.1f} mm apart"
+        if self.nearest_free is not None:
+            error = self.nearest_free.error
+            distance += (
+                f"; nearest without a collision: {1000 * error.position:.2f} mm, "
+                f"{np.degrees(error.angle):.3f}° off"
+            )
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.meaning}); "
             f"nearest: {distance} after {self.iterations} steps",

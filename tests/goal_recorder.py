@@ -1,7 +1,7 @@
-"""A pytest plugin: in a test with an ``Arm`` no command beyond limits reaches the servos.
+"""A pytest plugin that fails a test in which an ``Arm`` sends a goal beyond its limits.
 
-It reads every packet to simulated servos, in this process and behind a pty. It costs nothing in
-tests without an arm. It does not read the packets of other processes, such as a command line.
+It reads every packet on its way to simulated servos, in process and behind a pty, for every servo
+family. It costs nothing in tests without an arm. Packets of child processes are not seen.
 """
 
 from __future__ import annotations
@@ -9,93 +9,136 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from importlib.abc import MetaPathFinder
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
-    from robot_ik.hardware.virtual.protocol import Packet, Parser
 
+# Instruction codes. Protocol 1 and Protocol 2 share those that they both have.
 _WRITE = 0x03
 _REG_WRITE = 0x04
 _SYNC_WRITE = 0x83
 _BULK_WRITE = 0x93
 
+Write = tuple[int, int, bytes]
+"""(servo id, address, data) of one write."""
+
+
+class _Watched(NamedTuple):
+    """A bus with the servos of an arm.
+
+    Attributes:
+        bus: The bus. It is kept, so that its ``id`` is not reused.
+        drives: Servo id -> joint and servo.
+        parser: Finds the instruction packets of the bus.
+    """
+
+    bus: VirtualBus
+    drives: dict[int, Any]
+    parser: Any
+
 
 class GoalRecorder:
-    """Reads every packet to the servos of an arm, and records goals that are not allowed.
+    """Reads every packet to the servos of an arm and keeps the goals that no arm may send.
 
-    A goal must be inside the range of the arm file. If the shaft is outside, the goal may be
-    between shaft and range.
+    A goal lies within the arm file's range. If the shaft is outside, the goal lies between the
+    shaft and the range.
+
+    Attributes:
+        goals: Number of goals.
+        forbidden: Text of every goal beyond the limits.
     """
 
     def __init__(self) -> None:
         self.goals = 0
         self.forbidden: list[str] = []
-        self._watched: dict[int, tuple[VirtualBus, dict[int, Any], Parser]] = {}
+        self._watched: dict[int, _Watched] = {}
 
     def watch(self, bus: VirtualBus, config: ArmConfig) -> None:
-        """Record the goals of an arm. The reference to the bus keeps its id unique."""
-        from robot_ik.hardware.virtual.protocol import Parser
-
-        self._watched[id(bus)] = (bus, {drive.id: drive for drive in config.drives}, Parser())
+        """Watch the goals to the servos of an arm."""
+        drives = {drive.id: drive for drive in config.drives}
+        self._watched[id(bus)] = _Watched(bus, drives, bus.side.parser())
 
     def see(self, bus: VirtualBus, data: bytes) -> None:
-        """Called with what goes to the servos, before they have it."""
-        if id(bus) not in self._watched:
+        """Take bytes to the servos, before the servos have them."""
+        watched = self._watched.get(id(bus))
+        if watched is None:
             return
-        _, servos, parser = self._watched[id(bus)]
-        for packet in parser.feed(data, bus.clock.now()):
-            for servo_id, address, written in self._writes(packet):
-                servo = servos.get(servo_id)
-                if servo is None:
+        writes = _writes_1 if bus.side.name.startswith("Protocol 1") else _writes_2
+        for packet in watched.parser.feed(data, bus.clock.now()):
+            for servo_id, address, written in writes(packet):
+                drive = watched.drives.get(servo_id)
+                if drive is None:
                     continue
-                goal = servo.servo.table["goal_position"]
+                goal = drive.servo.table["goal_position"]
                 if address <= goal.address < address + len(written):
                     at = goal.address - address
-                    self.check(bus, servo, goal.decode(written[at : at + goal.size]))
+                    self.check(bus, drive, goal.decode(written[at : at + goal.size]))
 
-    def check(self, bus: VirtualBus, servo: Any, goal: int) -> None:
-        """One goal for one servo."""
+    def check(self, bus: VirtualBus, drive: Any, goal: int) -> None:
+        """Take one goal for one servo, ticks."""
         self.goals += 1
-        first, last = servo.ticks_range
+        first, last = drive.ticks_range
         if first <= goal <= last:
             return
-        at = servo.servo.table["present_position"]
-        for present in (
-            at.decode(s.read(at.address, at.size)[0]) for s in bus.servos if s.id == servo.id
-        ):
+        for servo in bus.servos:
+            if servo.id != drive.id:
+                continue
+            present = _present_position(servo)
             if not min(first, present) <= goal <= max(last, present):
                 self.forbidden.append(
-                    f"{servo.name}: {goal}, range {first}..{last}, shaft at {present}"
+                    f"{drive.name}: {goal}, range {first}..{last}, shaft at {present}"
                 )
 
-    @staticmethod
-    def _writes(packet: Packet) -> Iterator[tuple[int, int, bytes]]:
-        """(id, address, data) of every write in a packet."""
-        params = packet.params
-        if not packet.valid:
-            return
-        if packet.instruction in (_WRITE, _REG_WRITE):
-            yield packet.id, int.from_bytes(params[:2], "little"), params[2:]
-        elif packet.instruction == _SYNC_WRITE:
-            address = int.from_bytes(params[:2], "little")
-            size = int.from_bytes(params[2:4], "little")
-            for at in range(4, len(params), 1 + size):
-                yield params[at], address, params[at + 1 : at + 1 + size]
-        elif packet.instruction == _BULK_WRITE:
-            at = 0
-            while at < len(params):
-                size = int.from_bytes(params[at + 3 : at + 5], "little")
-                address = int.from_bytes(params[at + 1 : at + 3], "little")
-                yield params[at], address, params[at + 5 : at + 5 + size]
-                at += 5 + size
+
+def _present_position(servo: Any) -> int:
+    register = servo.table["present_position"]
+    data = servo.read(register.address, register.size)
+    # A Dynamixel servo also returns an error code.
+    return int(register.decode(data[0] if isinstance(data, tuple) else data))
 
 
-_now = GoalRecorder()
-"""Of the test that is running."""
+def _writes_1(packet: Any) -> Iterator[Write]:
+    """Yield every write in a Protocol 1 packet."""
+    params = packet.params
+    if packet.instruction in (_WRITE, _REG_WRITE) and params:
+        yield packet.id, params[0], params[1:]
+    elif packet.instruction == _SYNC_WRITE and len(params) > 2:
+        address, size = params[:2]
+        for at in range(2, len(params), 1 + size):
+            yield params[at], address, params[at + 1 : at + 1 + size]
+
+
+def _writes_2(packet: Any) -> Iterator[Write]:
+    """Yield every write in a Protocol 2 packet."""
+    params = packet.params
+    if not packet.valid:
+        return
+    if packet.instruction in (_WRITE, _REG_WRITE):
+        yield packet.id, _word(params, 0), params[2:]
+    elif packet.instruction == _SYNC_WRITE:
+        address = _word(params, 0)
+        size = _word(params, 2)
+        for at in range(4, len(params), 1 + size):
+            yield params[at], address, params[at + 1 : at + 1 + size]
+    elif packet.instruction == _BULK_WRITE:
+        at = 0
+        while at < len(params):
+            address = _word(params, at + 1)
+            size = _word(params, at + 3)
+            yield params[at], address, params[at + 5 : at + 5 + size]
+            at += 5 + size
+
+
+def _word(params: bytes, at: int) -> int:
+    return int.from_bytes(params[at : at + 2], "little")
+
+
+_recorder = GoalRecorder()
+"""Recorder of the running test."""
 
 
 def _tap_bus(module: Any) -> None:
@@ -103,7 +146,7 @@ def _tap_bus(module: Any) -> None:
 
     def tapped(self: VirtualBus, data: bytes, baud: int | None = None) -> object:
         with self.lock:
-            _now.see(self, data)
+            _recorder.see(self, data)
             return respond(self, data, baud)
 
     module.VirtualBus.respond = tapped
@@ -116,7 +159,7 @@ def _tap_arm(module: Any) -> None:
         make(self, config, *arguments, **options)
         servos = getattr(self.bus, "virtual_bus", None)
         if servos is not None:
-            _now.watch(servos, config)
+            _recorder.watch(servos, config)
 
     module.Arm.__init__ = made
 
@@ -125,13 +168,13 @@ _TAPS = {"robot_ik.hardware.virtual.bus": _tap_bus, "robot_ik.hardware.arm": _ta
 
 
 class _Tapper(MetaPathFinder):
-    """Taps the modules when somebody imports them: most tests never do."""
+    """Taps the modules when they are imported. Most tests import neither."""
 
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+    def find_spec(self, name: str, _path: Any = None, _target: Any = None) -> Any:
         tap = _TAPS.pop(name, None)
         if tap is None:
             return None
-        from importlib.util import find_spec
+        from importlib.util import find_spec  # only when a module is tapped
 
         spec = find_spec(name)
         if spec is None or spec.loader is None:
@@ -140,7 +183,7 @@ class _Tapper(MetaPathFinder):
 
         def tapped(module: Any) -> None:
             run(module)
-            if module.__name__ == name:  # pytest's rewriting loader is one for all modules
+            if module.__name__ == name:  # pytest's rewriting loader serves all modules
                 tap(module)
 
         spec.loader.exec_module = tapped  # type: ignore[method-assign]
@@ -148,7 +191,7 @@ class _Tapper(MetaPathFinder):
 
 
 def pytest_configure() -> None:
-    """From here on every arm is watched."""
+    """Watch every arm from now on."""
     for name in [name for name in _TAPS if name in sys.modules]:
         _TAPS.pop(name)(sys.modules[name])
     sys.meta_path.insert(0, _Tapper())
@@ -156,8 +199,9 @@ def pytest_configure() -> None:
 
 @pytest.fixture(autouse=True)
 def goal_recorder() -> Iterator[GoalRecorder]:
-    """No command beyond limits reaches the wire."""
-    global _now
-    _now = recorder = GoalRecorder()
+    """Fail the test if a goal beyond the limits was on the wire."""
+    global _recorder
+    _recorder = GoalRecorder()
+    recorder = _recorder
     yield recorder
     assert not recorder.forbidden, recorder.forbidden[:5]

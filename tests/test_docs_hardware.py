@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import logging
 import re
+import subprocess
+import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +21,7 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.family import FAMILY_MODULES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import Instruction, Packet, Parser
@@ -70,16 +73,13 @@ def test_whose_packets_are_on_the_wire_is_said_rightly(
     page = (REFERENCE / "hardware.md").read_text(encoding="utf-8")
     packets = page.partition("\n## Packets\n")[2].partition("\n## ")[0]
     (row,) = [row for row in packets.splitlines() if row.startswith("|") and f"`{call}`" in row]
-    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket"})
+    assert ("the official Dynamixel SDK" in row.split("|")[3]) == (used == {"txPacket", "rxPacket"})
     assert ("hardware/packets.py" in row.split("|")[3]) == (not used)
 
 
 def test_every_call_of_a_bus_is_in_that_table() -> None:
     calls = {name for name in vars(ServoBus) if not name.startswith("_")}
     assert calls - {"open", "close", "is_open", "use_fast_reads", "fileno"} == set(CALLS)
-
-
-# The recipe
 
 
 class Wire(VirtualBus):
@@ -140,10 +140,17 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(
     assert servos.goals_seen() <= logged, "a goal that is in no log"
 
 
-# Promises and tests
+FAMILIES = tuple(FAMILY_MODULES)
+HARDWARE_TESTS = ROOT / "tests" / "hardware"
+PROMISES = "test_safety_promises.py"
+"""File of the tests that the page names without a file."""
+
+ROBOTS_OF = {"dynamixel_x": ("koch_v11", "[2"), "feetech_sts": ("so101", "[1")}
+"""Family -> parts of test ids: its robot, or the number of its wire protocol."""
 
 
 def _rows(heading: str) -> list[list[str]]:
+    """Return the cells of the first table below a heading, without its head."""
     page = (REFERENCE / "safety.md").read_text(encoding="utf-8")
     part = page.partition(f"## {heading}\n")[2].partition("\n## ")[0]
     rows = [
@@ -154,23 +161,47 @@ def _rows(heading: str) -> list[list[str]]:
     return rows[2:]
 
 
-def _named_tests(cell: str) -> list[tuple[Path, str]]:
-    """(file, test) for every `tests/….py::test_…` in a cell."""
-    return [(ROOT / file, test) for file, test in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", cell)]
+def _named_tests(cell: str) -> list[tuple[str, str]]:
+    """Return (file, test) for every test in a cell."""
+    names = re.findall(r"`(?:([\w/]+\.py)::)?(test_\w+)`", cell)
+    return [(file or PROMISES, test) for file, test in names]
 
 
-def _defined(file: Path) -> set[str]:
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+def _collected(files: set[str]) -> list[str]:
+    """Return the ids of all tests in files of tests/hardware, as pytest collects them."""
+    words = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider"]
+    paths = [str(HARDWARE_TESTS / file) for file in sorted(files)]
+    run = subprocess.run([*words, *paths], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert run.returncode == 0, run.stdout
+    return [line for line in run.stdout.splitlines() if "::" in line]
 
 
-def test_every_promise_names_the_test_that_holds_it() -> None:
-    rows = _rows("What is guaranteed")
-    assert len(rows) >= 11
-    for promise, _, shown in rows:
-        tests = _named_tests(shown)
-        assert tests, f"no test is named for: {promise}"
-        for file, test in tests:
-            assert file.is_file() and test in _defined(file), (
-                f"{file.name}::{test} holds: {promise}"
-            )
+def test_every_promise_names_a_test_for_every_family() -> None:
+    promises = [row[0] for row in _rows("What is guaranteed")]
+    tests = {number: cells for number, *cells in _rows("Tests of the promises")}
+    assert len(promises) >= 25
+    assert list(tests) == promises
+    cells_of_families = {
+        number: dict(zip(FAMILIES, (f"{both} {single}" for single in singles), strict=True))
+        for number, (both, *singles) in tests.items()
+    }
+    files = {
+        file
+        for cells in cells_of_families.values()
+        for cell in cells.values()
+        for file, _ in _named_tests(cell)
+    }
+    collected = _collected(files)
+    for number, cells in cells_of_families.items():
+        for family, cell in cells.items():
+            assert _named_tests(cell), f"no test of {family} is named for promise {number}"
+    for number, (both, *singles) in tests.items():
+        for file, test in _named_tests(" ".join([both, *singles])):
+            ids = [line for line in collected if f"{file}::{test}" in line]
+            assert ids, f"{file}::{test} of promise {number} does not exist"
+        for file, test in _named_tests(both):
+            ids = [line for line in collected if f"{file}::{test}" in line]
+            for family in FAMILIES:
+                parts = (family, *ROBOTS_OF[family])
+                runs = any(part in line for line in ids for part in parts)
+                assert runs, f"{file}::{test} of promise {number} does not run for {family}"

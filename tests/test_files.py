@@ -43,7 +43,8 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.faults import load_faults
-from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
+from robot_ik.jobs.ar.motion import make_motion, robot_of
+from robot_ik.jobs.ar.script_motion import is_script
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.hand_guiding import load_motion

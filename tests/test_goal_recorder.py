@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.config import ArmConfig
+from tests.hardware.family_arms import FAMILIES, family_config
 
 PLUGIN = Path(__file__).with_name("goal_recorder.py")
 
@@ -22,10 +22,16 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.limiter import SafetyLimiter
 
+ARMS = {
+    "dynamixel_x": ArmConfig.generic("two", ["a", "b"], [-1.0, -1.0], [1.0, 1.0]),
+    "feetech_sts": ArmConfig.load("so101").only(["wrist_roll", "wrist_flex"]),
+}
+
 @pytest.mark.parametrize("bus", ["sim", "pty"])
 @pytest.mark.parametrize("broken", [False, True])
-def test_it(bus, broken, monkeypatch):
-    arm = ArmConfig.generic("two", ["a", "b"], [-1.0, -1.0], [1.0, 1.0])
+@pytest.mark.parametrize("family", ARMS)
+def test_it(family, bus, broken, monkeypatch):
+    arm = ARMS[family]
     if broken:
         step = SafetyLimiter.step
         def beyond(self, *given):
@@ -38,13 +44,13 @@ def test_it(bus, broken, monkeypatch):
 """
 
 
-def test_arms_of_all_tests_are_watched(goal_recorder) -> None:
-    config = ArmConfig.generic("two", ["a", "b"], [-1.0, -1.0], [1.0, 1.0])
-    with open_arm(config, "sim") as arm:
+@pytest.mark.parametrize("family", FAMILIES)
+def test_arms_of_all_tests_are_watched(goal_recorder, family) -> None:
+    with open_arm(family_config(family), "sim") as arm:
         arm.enable()
         before = goal_recorder.goals
-        arm.send(np.full(2, 9.0), arm.clock.now())
-        assert goal_recorder.goals == before + 2
+        arm.send(np.full(6, 9.0), arm.clock.now())
+        assert goal_recorder.goals == before + 6
 
 
 def test_an_arm_that_sends_goals_beyond_its_limits_fails_its_test(tmp_path: Path) -> None:
@@ -73,8 +79,12 @@ def test_an_arm_that_sends_goals_beyond_its_limits_fails_its_test(tmp_path: Path
         check=False,
     )
     buses = ["sim", "pty"] if sys.platform != "win32" else ["sim"]
-    assert f"{2 * len(buses)} passed, {len(buses)} errors" in run.stdout, run.stdout
-    for bus in buses:
-        assert f"ERROR test_bad.py::test_it[True-{bus}]" in run.stdout
-    assert "AssertionError: ['a: " in run.stdout and "range 1397..2699" in run.stdout
+    broken = 2 * len(buses)
+    assert f"{2 * broken} passed, {broken} errors" in run.stdout, run.stdout
+    for family in ("dynamixel_x", "feetech_sts"):
+        for bus in buses:
+            assert f"ERROR test_bad.py::test_it[{family}-True-{bus}]" in run.stdout
+    assert "AssertionError: ['a: " in run.stdout
+    assert "range 1397..2699" in run.stdout
+    assert "AssertionError: ['wrist_roll: " in run.stdout
     assert pytest.ExitCode(run.returncode) is pytest.ExitCode.TESTS_FAILED

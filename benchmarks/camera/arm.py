@@ -27,7 +27,8 @@ from robot_ik.camera.motion_filter import MotionFilter
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import MarkerTarget, Observation, marker_grid
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify, summary
+from robot_ik.jobs.arm_camera.error_map import summary
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import scene_for

@@ -29,8 +29,9 @@ from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHand
 from rich.console import Console
 from rich.progress import track
 
-from robot_ik.hardware.dynamixel import LENGTHS, DynamixelBus
+from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.late_replies import LENGTHS
 from robot_ik.hardware.packets import read_request, write_request
 from robot_ik.hardware.registers import Register
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status

@@ -22,8 +22,9 @@ from rich.console import Console
 
 from robot_ik.hardware.families.feetech_sts import FAMILY
 from robot_ik.hardware.families.feetech_sts_table import STS3215
+from robot_ik.hardware.late_replies import LENGTHS
 from robot_ik.hardware.registers import Register
-from robot_ik.hardware.serial_bus import LENGTHS, SerialBus
+from robot_ik.hardware.serial_bus import SerialBus
 from robot_ik.hardware.virtual.protocol1 import build_status
 
 PAGE = Path(__file__).resolve().parents[1] / "reference" / "feetech_sts.md"

@@ -1,12 +1,19 @@
-"""How many wrong replies become values: late, short, foreign and damaged ones, on both protocols.
+"""Count late, short, foreign and damaged replies that become values, on both protocols.
 
-    python docs/make/measure_wrong_replies.py                    100,000 values per protocol
-    python docs/make/measure_wrong_replies.py --values 5000      fewer
+    python docs/make/measure_wrong_replies.py                    100,000 values a protocol
+    python docs/make/measure_wrong_replies.py --values 10000     fewer
 
-A bus drives six simulated servos on virtual time. Their registers hold other numbers before every
-call. A share of the status packets is late, short, foreign, damaged, lost or out of order.
-A value is wrong if its register did not hold it during the call. A read without a value is not
+A bus drives six simulated servos on virtual time.  Their registers hold other numbers before every
+call.  In the first scenario a share of the status packets is late, short, foreign, damaged, lost or
+out of order.  In the others a quarter of the requests is answered late, by all servos or by one of
+them, and a later request may be answered before.
+
+A value is wrong if its register did not hold it during the call.  A read without a value is not
 wrong: the program learns that it has none.
+
+The two copies of a doubled reply arrive together, in time or late, as an adapter delivers them. A
+copy that arrives while the next request is sent is not covered: on a half-duplex wire it would
+collide with that request.
 """
 
 from __future__ import annotations
@@ -35,20 +42,13 @@ IDS = tuple(range(1, 7))
 BAUD = 1_000_000
 
 PERIOD = 0.01
-"""s between two calls of every other pair. The others follow at once."""
+"""s between two calls of every other pair.
 
-LATE_SHARE = 0.1
-"""Share of the requests that are answered late."""
+The others follow at once, as while an arm is connected.
+"""
 
-LATENESS = (0.002, 0.15)
-"""Shortest and longest lateness, s. The bus guards against replies that are up to 0.16 s late."""
-
-SPOIL_SHARE = 0.02
-"""Share of the status packets that are spoilt, for each way of spoiling."""
-
-EXCLUDED = ("late", "duplicate")
-"""Ways of spoiling that are not used. The port itself makes replies late. A servo does not send a
-reply twice, and the second copy of a late one could not be told from a reply."""
+EXCLUDED = ("late",)
+"""Ways of spoiling that are not used: the port itself makes replies late."""
 
 MODELS = {"dynamixel_x": "XM430-W350", "feetech_sts": "STS3215"}
 """Servo family -> model that is measured."""
@@ -75,20 +75,57 @@ WORD_LIMIT = 1000
 """Longer registers hold numbers below this."""
 
 
+@dataclass(frozen=True)
+class Scenario:
+    """What goes wrong with the replies.
+
+    Attributes:
+        lateness_ms: Shortest and longest lateness.  The bus guards against replies that are up to
+            160 ms late.
+        late_share: Share of the requests that are answered late.
+        spoil_share: Share of the status packets that are spoilt, for each way of spoiling.
+    """
+
+    lateness_ms: tuple[float, float]
+    late_share: float = 0.25
+    spoil_share: float = 0.0
+
+    @property
+    def title(self) -> str:
+        """Text for the table."""
+        shortest, longest = self.lateness_ms
+        late = f"{shortest:g} to {longest:g} ms late"
+        return f"{late}; short, foreign, damaged, lost" if self.spoil_share else late
+
+
+SCENARIOS = (
+    Scenario((2, 150), late_share=0.1, spoil_share=0.02),
+    Scenario((34, 150)),
+    Scenario((40, 40)),
+    Scenario((60, 60)),
+    Scenario((80, 80)),
+    Scenario((120, 120)),
+    Scenario((150, 150)),
+)
+
+
 class WrongPort(InProcessPort):
-    """Waits as a serial port does, on the servos' clock. Some replies are late.
+    """Waits as a serial port does, on the servos' clock.  Some replies are late.
 
     Args:
         bus: Driver.
         servos: Virtual bus.
+        scenario: How late, and how often.
         rng: Decides which replies are late.
     """
 
-    def __init__(self, bus: SerialBus, servos: VirtualBus, rng: random.Random) -> None:
+    def __init__(
+        self, bus: SerialBus, servos: VirtualBus, scenario: Scenario, rng: random.Random
+    ) -> None:
         super().__init__(servos, "wrong", bus.baud, bus.counters)
         self.seconds_per_byte = 10.0 / bus.baud
-        self._servos = servos
         self._clock = servos.clock
+        self._scenario = scenario
         self._rng = rng
         self._coming: list[tuple[float, bytes]] = []
         self._packets: list[bytes] = []
@@ -100,13 +137,23 @@ class WrongPort(InProcessPort):
         return self._packets
 
     def _wait_until(self, time: float) -> None:
-        """Wait until ``time`` or the next bytes. Put what has come into the buffer."""
+        """Wait until ``time`` or the next bytes.  Put what has come into the buffer."""
         arrivals = [arrival for arrival, _ in self._coming]
         if not self._buffer:
             self._clock.sleep_until(min([time, *arrivals]))
         now = self._clock.now()
         self._buffer += b"".join(data for arrival, data in sorted(self._coming) if arrival <= now)
         self._coming = [row for row in self._coming if row[0] > now]
+
+    def _lateness(self) -> list[float]:
+        """Return the lateness of every packet, s: of all, or of one of them by chance."""
+        rng = self._rng
+        late = 0.0
+        if rng.random() < self._scenario.late_share:
+            late = 1e-3 * rng.uniform(*self._scenario.lateness_ms)
+        count = len(self._packets)
+        only = rng.randrange(count or 1) if rng.random() < 0.5 else None
+        return [late if only in (None, number) else 0.0 for number in range(count)]
 
     def getCurrentTime(self) -> float:
         return 1000.0 * self._clock.now()
@@ -117,12 +164,10 @@ class WrongPort(InProcessPort):
         self._packets = []
         super().writePort(packet)
         self._buffer = before
-        late = self._rng.uniform(*LATENESS) if self._rng.random() < LATE_SHARE else 0.0
-        only = self._rng.randrange(len(self._packets) or 1) if self._rng.random() < 0.5 else None
-        at = self._clock.now()
-        for number, reply in enumerate(self._packets):
-            at += len(reply) * self.seconds_per_byte
-            self._coming.append((at + (late if only in (None, number) else 0.0), reply))
+        arrival = self._clock.now()
+        for reply, late in zip(self._packets, self._lateness(), strict=True):
+            arrival += len(reply) * self.seconds_per_byte
+            self._coming.append((arrival + late, reply))
         return len(packet)
 
     def receive(self, deadline: float, _expected: float | None = None) -> bytes:
@@ -153,20 +198,31 @@ class WrongPort(InProcessPort):
 
 
 class WrongBus(SerialBus):
-    """The driver of real servos on virtual ones that answer wrongly."""
+    """The driver of real servos on virtual ones that answer wrongly.
 
-    def __init__(self, servos: VirtualBus, family: str, rng: random.Random) -> None:
-        super().__init__("wrong", BAUD, family_of(family).protocol, clock=servos.clock)
+    Args:
+        servos: Virtual bus.
+        scenario: What goes wrong.
+        rng: Decides which replies are late.
+    """
+
+    def __init__(self, servos: VirtualBus, scenario: Scenario, rng: random.Random) -> None:
+        protocol = family_of(servos.family).protocol
+        super().__init__("wrong", BAUD, protocol, clock=servos.clock)
         self._servos = servos
+        self._scenario = scenario
         self._rng = rng
+        for name in SPOILS:
+            spoilt = 0.0 if name in EXCLUDED else scenario.spoil_share
+            servos.wire.chances[name] = spoilt
 
     def _make_handler(self) -> WrongPort:
-        return WrongPort(self, self._servos, self._rng)
+        return WrongPort(self, self._servos, self._scenario, self._rng)
 
 
 @dataclass
 class WrongReplies:
-    """What came of the reads.
+    """The values that were read.
 
     Attributes:
         values: Number of values.
@@ -181,7 +237,13 @@ class WrongReplies:
     examples: list[str] = field(default_factory=list)
 
     def take(self, what: str, right: Mapping[int, int], read: Mapping[int, int | None]) -> None:
-        """Count the values of one call: servo id -> what its register held, and what was read."""
+        """Count the values of one call.
+
+        Args:
+            what: Name of the call.
+            right: Servo id -> what its register held.
+            read: Servo id -> what was read.
+        """
         for id, value in read.items():
             self.values += value is not None
             self.refused += value is None
@@ -190,19 +252,23 @@ class WrongReplies:
                 self.examples.append(f"{what} of {id}: {value}, not {right[id]}")
 
 
-def measure(family: str, values: int, seed: int = 0) -> WrongReplies:
-    """Read servos and groups, write, and run control cycles until enough values have come."""
+def measure(family: str, values: int, scenario: Scenario, seed: int = 0) -> WrongReplies:
+    """Read servos and groups, write, and run control cycles until enough values have come.
+
+    Args:
+        family: Servo family.
+        values: Number of values.
+        scenario: What goes wrong.
+        seed: Seed of all chances.
+    """
     rng = random.Random(seed)
     clock = VirtualClock()
-    model = MODELS[family]
     another = VIRTUAL_FAMILIES[family].another
-    servos = VirtualBus([another(model, id, clock, BAUD) for id in IDS], clock, seed)
-    bus = WrongBus(servos, family, rng)
+    servos = VirtualBus([another(MODELS[family], id, clock, BAUD) for id in IDS], clock, seed)
+    bus = WrongBus(servos, scenario, rng)
     bus.open()
     bus.use_fast_reads(IDS)
-    for name in SPOILS:
-        servos.wire.chances[name] = 0.0 if name in EXCLUDED else SPOIL_SHARE
-    table = control_table(model)
+    table = control_table(MODELS[family])
     result = WrongReplies()
     while result.values < values:
         clock.sleep_until(clock.now() + rng.choice((0.0, PERIOD)))
@@ -219,7 +285,8 @@ def _call(
     bus: WrongBus, servos: VirtualBus, table: ControlTable, rng: random.Random
 ) -> tuple[str, dict[int, int], dict[int, int | None]]:
     """Make one call: return what it was, what the registers held, and what was read (by id)."""
-    name = rng.choice(NAMES[table.family])
+    names = NAMES[table.family]
+    name = rng.choice(names)
     register = table[name]
     kind = rng.choice(("read", "write", "sync_read", "sync_read", "exchange", "exchange"))
     right = {servo.id: servo.register(name) for servo in servos.servos}
@@ -228,6 +295,12 @@ def _call(
         return kind, right, {id: status.data for id, status in statuses.items()}
     if kind == "exchange":
         reads = dict.fromkeys(IDS, register)
+        if not bus.protocol.uniform_group_reads:
+            # One servo in turn is asked for another register, as servos with thresholds are.
+            other = names[0]
+            turn = rng.choice(IDS)
+            reads[turn] = table[other]
+            right[turn] = servos.servo(turn).register(other)
         statuses = bus.exchange(table["torque_enable"], {}, reads, within=PERIOD)
         return kind, right, {id: status.data for id, status in statuses.items()}
     id = rng.choice(IDS)
@@ -249,16 +322,19 @@ def main() -> None:
     parser.add_argument("--values", type=int, default=100_000, help="values of each protocol")
     parser.add_argument("--seed", type=int, default=0, help="seed of all chances")
     options = parser.parse_args()
-    table = Table("protocol", "values", "wrong values", "reads without a value")
+    table = Table("protocol", "replies", "values", "wrong values", "reads without a value")
     console = Console()
+    values = -(-options.values // len(SCENARIOS))
     wrong = 0
     for family in FAMILY_MODULES:
-        result = measure(family, options.values, options.seed)
-        wrong += result.wrong
-        numbers = (result.values, result.wrong, result.refused)
-        table.add_row(family_of(family).protocol.name, *(f"{number:,}" for number in numbers))
-        for text in result.examples[:10]:
-            console.print(text)
+        for scenario in SCENARIOS:
+            result = measure(family, values, scenario, options.seed)
+            wrong += result.wrong
+            numbers = (result.values, result.wrong, result.refused)
+            protocol = family_of(family).protocol.name
+            table.add_row(protocol, scenario.title, *(f"{number:,}" for number in numbers))
+            for text in result.examples[:10]:
+                console.print(text)
     console.print(table)
     raise SystemExit(wrong > 0)
 

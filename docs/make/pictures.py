@@ -35,7 +35,8 @@ from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
-from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
+from robot_ik.jobs.arm_camera.error_map import error_picture
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.jobs.robot_setup import Rehearsal
 
@@ -179,7 +180,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
 def error_map() -> Image:
     """A simulated arm with a slipped horn on joint 2: where it is off, and with the zeros that were found."""
     report = run_verify(VerifyRequest("tabletop_puma", fit=True, rehearsal=Rehearsal({"joint2": 1.5})))
-    drawn = cv2.imdecode(np.frombuffer(error_picture(report), np.uint8), cv2.IMREAD_COLOR)
+    drawn = cv2.imdecode(np.frombuffer(error_picture(report.error_maps()), np.uint8), cv2.IMREAD_COLOR)
     return np.asarray(drawn, dtype=np.uint8)
 
 

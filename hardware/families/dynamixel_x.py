@@ -7,9 +7,11 @@ import logging
 import math
 from collections.abc import Collection, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import replace
 
 from robot_ik.errors import BusTimeoutError, HardwareError, ServoRefusedError
-from robot_ik.hardware.bus import ServoBus, read_all
+from robot_ik.hardware.arm_registers import read_all
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.dynamixel_x_table import (
     ACCELERATION_UNIT,
@@ -60,6 +62,9 @@ ROBOTIS-GIT/emanual _includes/en/dxl/x/position_pid_gain.md: the gain is the reg
 LARGEST_PROFILE = 32767
 """Largest value of both profile registers."""
 
+CYCLE_REGISTERS = ("torque_enable", "present_position")
+"""What every control cycle reads."""
+
 
 class DynamixelX:
     """Dynamixel X series; implements ``ServoFamily``."""
@@ -72,7 +77,11 @@ class DynamixelX:
     velocity_unit = VELOCITY_UNIT
     protocol = PROTOCOL_2
     capabilities = Capabilities(
-        bus_watchdog=True, goal_enables_torque=False, current_goal=True, reboot_clears_errors=True
+        bus_watchdog=True,
+        goal_enables_torque=False,
+        current_goal=True,
+        reboot_clears_errors=True,
+        indirect_addresses=True,
     )
     mode_values: Mapping[OperatingMode, int] = {mode: int(mode) for mode in OperatingMode}
     unprotected_exit = "the servos stop by themselves after watchdog_ms and hold their position"
@@ -312,21 +321,37 @@ class DynamixelX:
 
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """From torque to temperature: the same 83 bytes in every model."""
-        effort = "present_current" if "present_current" in table else "present_load"
-        names = (
-            "torque_enable",
-            "present_position",
-            effort,
-            "present_temperature",
-            "present_input_voltage",
-        )
         block = table.block("torque_enable", "present_temperature")
+        names = (*CYCLE_REGISTERS, *_health_registers(table))
         return CycleBlock(block, tuple(table[name] for name in names))
 
+    def short_block(
+        self, bus: ServoBus, id: int, table: ControlTable, *, with_health: bool
+    ) -> CycleBlock:
+        """Point the indirect addresses at torque and position: 5 bytes, with health 10."""
+        names = (*CYCLE_REGISTERS, *_health_registers(table)) if with_health else CYCLE_REGISTERS
+        registers = [table[name] for name in names]
+        addresses = [a for register in registers for a in range(register.address, register.end)]
+        first = table["indirect_address_1"].address
+        pointers = Register("indirect addresses", first, 2 * len(addresses), writable=True)
+        data = b"".join(address.to_bytes(2, "little") for address in addresses)
+        value = int.from_bytes(data, "little")
+        if bus.read(id, pointers).data != value:
+            bus.write(id, pointers, value)
+            if bus.read(id, pointers).data != value:
+                raise HardwareError("the indirect addresses read back otherwise")
+
+        begin = table["indirect_data_1"].address
+        block = Register("torque, position and health", begin, len(addresses), signed=True)
+        parts = [
+            replace(register, address=begin + addresses.index(register.address))
+            for register in registers
+        ]
+        return CycleBlock(block, tuple(parts))
+
     def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:
-        effort = "present_current" if "present_current" in table else "present_load"
         return (
-            table.block(effort, "present_temperature"),
+            table.block(_effort_register(table), "present_temperature"),
             table.block("torque_enable", "hardware_error_status"),
         )
 
@@ -359,6 +384,16 @@ class DynamixelX:
 
     def reset(self, bus: ServoBus, drive: Drive) -> None:
         bus.reboot(drive.id)
+
+
+def _effort_register(table: ControlTable) -> str:
+    """Return the register of the motor's effort: some models measure no current."""
+    return "present_current" if "present_current" in table else "present_load"
+
+
+def _health_registers(table: ControlTable) -> tuple[str, ...]:
+    """Return the registers that thresholds watch."""
+    return (_effort_register(table), "present_temperature", "present_input_voltage")
 
 
 FAMILY = DynamixelX()

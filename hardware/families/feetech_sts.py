@@ -1,4 +1,6 @@
-"""Feetech STS servos (STS3215): set-up, speed limits, errors.  Protocol 1, sign-magnitude numbers.
+"""Feetech STS servos (STS3215): set-up, speed limits, errors.  Protocol 1.
+
+Numbers are sign-magnitude.
 
 Differences from the Dynamixel X series that decide how an arm must be driven:
 
@@ -20,7 +22,8 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 
 from robot_ik.errors import BusTimeoutError, HardwareError
-from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.hardware.arm_registers import read_all, shared_register
+from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.feetech_sts_table import BAUD_RATES, STS3215
 from robot_ik.hardware.family import Capabilities, CycleBlock
@@ -76,8 +79,15 @@ SMALLEST_STRENGTH = 0.25
 SMALLEST_GRIP = 0.02
 """The same for a gripper, which may press softly and carries no arm."""
 
-LOAD_LAG = 320.0
-"""Ticks (28 degrees) by which a load may keep a shaft behind.  A cautious guess: no manual says."""
+FULL_EFFORT = 3910.0
+"""Ticks behind times Position P Gain at which a servo gives its full duty cycle.
+
+No Feetech document gives it. Rhoban/bam (060af88, bam/feetech/actuator.py) measured it with an
+oscilloscope: the duty cycle is 0.166 per rad and count of the gain, at most 0.97. That is
+0.97 / 0.166 * 652 ticks/rad = 3809. Their fit of a 12 V servo (params/feetech_sts3215_12V/m1.json)
+multiplies 0.166 by 0.975: 3907. The larger value is rounded up, so that a loaded joint is not taken
+for one that does not follow. Only the fault ``not_following`` depends on it.
+"""
 
 LARGEST_VELOCITY = 3400
 """tick/s.  Largest Goal Velocity [MT]."""
@@ -174,12 +184,22 @@ class FeetechSts:
                 )
 
     def check_protection(self, bus: ServoBus, config: ArmConfig) -> None:
-        """Warn of servos whose Unloading Condition is 0: overload does not switch torque off."""
+        """Warn of servos that heat does not switch off, and of joints without a load threshold.
+
+        The next goal ends an overload, so a servo that gets a stream of goals is never overloaded.
+        """
         masks = read_all(bus, config, "unloading_condition")
         names = [drive.name for drive in config.drives if not masks[drive.id]]
         if names:
             log.warning(
                 "%s: Unloading Condition is 0, so no overload and no heat switches torque off",
+                ", ".join(names),
+            )
+        names = [joint.name for joint in config.joints if joint.stop_at.load_percent is None]
+        if names:
+            log.warning(
+                "%s: without load_percent in [joints.stop_at] a blocked joint presses with all its "
+                "torque, because every goal ends an overload of the servo",
                 ", ".join(names),
             )
 
@@ -279,6 +299,17 @@ class FeetechSts:
         block = table.block("torque_enable", "present_current")
         return CycleBlock(block, tuple(table[name] for name in names))
 
+    def short_block(
+        self,
+        _bus: ServoBus,
+        _id: int,
+        table: ControlTable,
+        *,
+        with_health: bool,  # noqa: ARG002
+    ) -> CycleBlock:
+        """Return the plain block: these servos have no indirect addresses."""
+        return self.plain_block(table)
+
     def state_blocks(self, table: ControlTable) -> tuple[Register, ...]:
         return (table.block("torque_enable", "present_current"),)
 
@@ -318,8 +349,8 @@ class FeetechSts:
         """
         return bool(values["torque_enable"]) and values["goal_velocity"] != 0
 
-    def load_lag(self, position_p_gain: int) -> float:  # noqa: ARG002 - no manual says how it acts
-        return LOAD_LAG
+    def load_lag(self, position_p_gain: int) -> float:
+        return FULL_EFFORT / position_p_gain if position_p_gain else 0.0
 
     def reset(self, bus: ServoBus, drive: Drive) -> None:
         """Switch torque off.  An overload ends with the next goal position [DS 7-11]."""

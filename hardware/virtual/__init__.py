@@ -1,6 +1,8 @@
-"""A servo bus without servos: it speaks Protocol 2.0 byte for byte and its shafts take time to move.
+"""Virtual servos on a virtual bus that speaks the wire protocol byte for byte.
 
-``VirtualServo`` (memory, rules, motion, load) ← ``VirtualBus`` (packets in, packets out, faults) ←
-``PtyPort`` (a serial port that any client can open) or ``SimBus`` (in process, on virtual time).  Shafts
-follow their profiles; with a ``World`` a MuJoCo model of the arm moves them.
+``VirtualServo`` and ``VirtualSts3215`` hold memory, rules, motion and load of one servo.
+``VirtualBus`` takes instruction packets, returns status packets and injects faults. ``PtyPort``
+serves a bus on a serial port that any client can open. ``SimBus`` serves it in process, on virtual
+time. Shafts take time to move: they follow their profiles, or a ``World`` moves them with a MuJoCo
+model of the arm.
 """

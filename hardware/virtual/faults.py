@@ -1,7 +1,8 @@
-"""What can go wrong on a virtual bus: a ``Fault`` is of a kind of ``FAULTS``, on a servo or bus, for a time.
+"""Faults of a virtual bus.
 
-A row of ``FAULTS`` is all there is of a kind: files, scripts, the command line and the table in the docs
-take names, values and help from it.  A file of faults: ``docs/how-to/virtual_bus.md``.
+A ``Fault`` has a kind, a servo or none, a value and a time. Each kind is one row of ``FAULTS``.
+Files, scripts, the command line and the table in the docs take names, values and help from it. The
+file of faults is described in ``docs/how-to/virtual_bus.md``.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ if TYPE_CHECKING:
 TICKS_PER_DEGREE = TICKS_PER_REVOLUTION / 360.0
 
 Undo = Callable[[], None] | None
-"""How to take it back; None where there is no way."""
+"""Takes a fault back; None: the fault cannot be taken back."""
 Apply = Callable[[Any, float], Undo]
-"""(servo or bus, value): lets it happen."""
+"""(servo or bus, value): begins the fault."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,13 @@ class Kind:
     """One kind of fault.
 
     Attributes:
-        help: One line for people.
-        apply: What it does, to a servo or to the bus.
-        low, high: Range of its value; without one it takes none.
+        help: One line for the user.
+        apply: Begins the fault on a servo or on the bus.
+        low: Smallest value; None: the fault takes no value.
+        high: Largest value; None: the fault takes no value.
         whole: The value is a whole number.
-        servo: It befalls servos; else the bus, wire and port among it.
-        families: Servo families that have it; empty: every family.
+        servo: The fault is of servos; otherwise of the bus, its wire or its port.
+        families: Servo families that have the fault; empty: every family.
     """
 
     help: str
@@ -66,18 +68,26 @@ class Kind:
 
     @property
     def span(self) -> str:
-        """What its value may be, as text; empty where it takes none."""
+        """Allowed values as text; empty if the fault takes no value."""
         whole = "a whole number, " if self.whole else ""
-        return "" if self.low is None or self.high is None else f"{whole}{self.low:.10g}..{self.high:.10g}"
+        return (
+            ""
+            if self.low is None or self.high is None
+            else f"{whole}{self.low:.10g}..{self.high:.10g}"
+        )
 
     def require(self, value: float | None) -> None:
-        """Raises ``KeyProblem`` for a value that is missing, out of range, or none of its own."""
+        """Raise ``KeyProblem`` for a value that is missing, out of range or not expected."""
         if not self.span:
             if value is not None:
-                raise KeyProblem(f"{value:g} is given to a fault that takes no value", "value", "nothing")
+                raise KeyProblem(
+                    f"{value:g} is given to a fault that takes no value", "value", "no value"
+                )
         elif value is None:
             raise KeyProblem("this key is missing", "value", self.span)
-        elif not (self.low or 0.0) <= value <= (self.high or 0.0) or (self.whole and value != round(value)):
+        elif not (self.low or 0.0) <= value <= (self.high or 0.0) or (
+            self.whole and value != round(value)
+        ):
             raise KeyProblem(f"{value:g} is not right", "value", self.span)
 
 
@@ -87,17 +97,21 @@ _Count = Annotated[int | None, Field(ge=1)]
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault to be; a table of a file of faults has these keys.
+    """A fault to be injected. A table of a file of faults has these keys.
 
     Attributes:
         kind: A name in ``FAULTS``.
-        id: Servo, or ``joint``: its name; neither: every servo, or none where the kind is not of servos.
-        value: As the kind wants it.
-        at_s: Seconds after it was injected; ``at_packet``: instead, before that many packets are handled.
-        for_s: Seconds until it is taken back; ``for_packets``: instead, so many packets; neither: for good.
+        id: Id of the servo.
+        value: Value of the fault, see ``Kind``.
+        joint: Name of the joint, instead of ``id``. Without id and joint the fault is of every
+            servo, or of the bus.
+        at_s: s after the injection at which the fault begins.
+        at_packet: Instead: the fault begins before this number of packets is handled.
+        for_s: s until the fault is taken back.
+        for_packets: Instead: packets until the fault is taken back. Without both it lasts.
 
     Raises:
-        KeyProblem: No such kind, a value that it does not take, or two keys that say the same.
+        KeyProblem: No such kind, a value that the kind does not take, or two keys with one meaning.
     """
 
     kind: str
@@ -112,13 +126,15 @@ class Fault:
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:
             raise KeyProblem.unknown("fault", self.kind, FAULTS, "kind")
-        for one, other in (("joint", "id"), ("at_s", "at_packet"), ("for_s", "for_packets")):
-            if getattr(self, one) is not None and getattr(self, other) is not None:
-                raise KeyProblem(f"{one} and {other} say the same", other, f"{one} or {other}")
+        for key, other in (("joint", "id"), ("at_s", "at_packet"), ("for_s", "for_packets")):
+            if getattr(self, key) is not None and getattr(self, other) is not None:
+                raise KeyProblem(
+                    f"{key} and {other} exclude each other", other, f"{key} or {other}"
+                )
         kind = FAULTS[self.kind]
-        whom = next((key for key in ("joint", "id") if getattr(self, key) is not None), None)
-        if whom is not None and not kind.servo:
-            raise KeyProblem(f"{self.kind} is not of one servo", whom, "no joint and no id")
+        servo_key = next((key for key in ("joint", "id") if getattr(self, key) is not None), None)
+        if servo_key is not None and not kind.servo:
+            raise KeyProblem(f"{self.kind} is not of one servo", servo_key, "no joint and no id")
         kind.require(self.value)
 
     def require_family(self, family: str) -> None:
@@ -126,12 +142,15 @@ class Fault:
         families = FAULTS[self.kind].families
         if families and family not in families:
             kinds = [name for name, row in FAULTS.items() if family in (row.families or (family,))]
-            raise KeyProblem(f"{family} servos have no fault {self.kind!r}", "kind", ", ".join(kinds))
+            raise KeyProblem(
+                f"{family} servos have no fault {self.kind!r}", "kind", ", ".join(kinds)
+            )
 
     def require_servo(self, config: ArmConfig) -> None:
-        """Raises ``KeyProblem`` where the arm has no such servo."""
+        """Raise ``KeyProblem`` if the arm has no such servo."""
         self.require_family(config.family.name)
-        names, ids = config.names, config.servo_ids
+        names = config.names
+        ids = config.servo_ids
         if self.joint is not None and self.joint not in names:
             raise KeyProblem.unknown("joint", self.joint, names, "joint")
         if self.id is not None and self.id not in ids:
@@ -139,14 +158,14 @@ class Fault:
 
 
 def joint_offset(joint: Joint, degrees: float) -> Fault:
-    """The ``zero_offset`` by which a joint is so many degrees further, in its own direction."""
+    """Return the ``zero_offset`` that moves a joint by ``degrees`` in its own direction."""
     return Fault("zero_offset", joint.servo.id, degrees * joint.servo.direction * joint.gear.ratio)
 
 
 class Injected:
-    """A fault on a bus: on its way, happening or over.  Times and packets count from now.
+    """A fault on a bus: scheduled, active or over. Times and packets count from the injection.
 
-    The bus holds its lock; raises its ``KeyError`` where there is no such servo.
+    The bus holds its lock. Its ``KeyError`` is raised if there is no such servo.
     """
 
     def __init__(self, fault: Fault, bus: VirtualBus) -> None:
@@ -154,15 +173,15 @@ class Injected:
         self.over = False
         self._bus = bus
         self._undos: list[Undo] = []
-        whom = fault.id if fault.joint is None else fault.joint
-        self._servos = bus.servos if whom is None else (bus.servo(whom),)
+        name = fault.id if fault.joint is None else fault.joint
+        self._servos = bus.servos if name is None else (bus.servo(name),)
         now = bus.clock.now()
         if fault.at_packet is not None:
             bus.schedule.at_packet(
                 bus.schedule.packets + fault.at_packet, lambda: self._begin(bus.clock.now())
             )
         elif fault.at_s:
-            when = now + fault.at_s  # from when it should have begun its end is counted
+            when = now + fault.at_s  # the end is counted from here, however late the bus is
             bus.schedule.at(when, lambda: self._begin(when))
         else:
             self._begin(now)
@@ -170,7 +189,8 @@ class Injected:
     def _begin(self, when: float) -> None:
         if self.over:
             return
-        fault, bus = self.fault, self._bus
+        fault = self.fault
+        bus = self._bus
         kind = FAULTS[fault.kind]
         for target in self._servos if kind.servo else (bus,):
             self._undos.append(kind.apply(target, fault.value or 0.0))
@@ -180,21 +200,22 @@ class Injected:
             bus.schedule.at_packet(bus.schedule.upcoming + fault.for_packets, self.end)
 
     def end(self) -> None:
-        """Takes it back, or off the schedule."""
+        """Take the fault back, or remove it from the schedule."""
         if not self.over:
             self.over = True
             for undo in filter(None, reversed(self._undos)):
                 undo()
 
 
-# ------------------------------------------------------------------------------------------
-# What the kinds do.
-
-
 class _Override:
-    """A value laid over a target's own: of several the one that began last, while it lasts.
+    """A value laid over the value of a servo or of the bus.
 
-    ``read`` and ``write`` the value of a servo or bus; ``convert`` makes it of the fault's value.
+    The override that began last counts. When it ends, the one before it counts again.
+
+    Args:
+        read: Reads the value.
+        write: Writes the value.
+        convert: Value of the fault -> value to write.
     """
 
     def __init__(
@@ -203,8 +224,12 @@ class _Override:
         write: Callable[[Any, Any], None],
         convert: Callable[[float], Any] = lambda value: value,
     ) -> None:
-        self._read, self._write, self._convert = read, write, convert
-        self._laid: WeakKeyDictionary[Any, tuple[Any, list[tuple[object, Any]]]] = WeakKeyDictionary()
+        self._read = read
+        self._write = write
+        self._convert = convert
+        self._laid: WeakKeyDictionary[Any, tuple[Any, list[tuple[object, Any]]]] = (
+            WeakKeyDictionary()
+        )
 
     def __call__(self, target: Any, value: float) -> Undo:
         own, layers = self._laid.setdefault(target, (self._read(target), []))
@@ -224,12 +249,16 @@ class _Override:
 
 
 def _attribute(name: str, convert: Callable[[float], Any] = lambda _: True) -> _Override:
-    """An attribute of a servo or of the bus; by default one that is yes or no."""
-    return _Override(lambda it: getattr(it, name), lambda it, value: setattr(it, name, value), convert)
+    """Return the override of an attribute of a servo or of the bus; by default set to True."""
+    return _Override(
+        lambda target: getattr(target, name),
+        lambda target, value: setattr(target, name, value),
+        convert,
+    )
 
 
 def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
-    """A register, behind the host's back."""
+    """Return the override of a register, without a request of the host."""
     return _Override(
         lambda servo: servo.register(name),
         lambda servo, value: servo.set_register(name, value),
@@ -238,13 +267,15 @@ def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
 
 
 def _chance(name: str) -> _Override:
-    return _Override(lambda bus: bus.wire.chances[name], lambda bus, p: bus.wire.chances.update({name: p}))
+    return _Override(
+        lambda bus: bus.wire.chances[name], lambda bus, p: bus.wire.chances.update({name: p})
+    )
 
 
 def _shutdown(name: str) -> Apply:
-    """A hardware error, which only a restart takes back."""
+    """Return the function that sets a hardware error, which only a restart takes back."""
 
-    def apply(servo: Any, value: float) -> Undo:
+    def apply(servo: Any, _value: float) -> Undo:
         servo.inject_error(name)
         return servo.reboot
 
@@ -299,28 +330,32 @@ _ERROR_FAMILIES = _error_families()
 FAULTS: Mapping[str, Kind] = MappingProxyType(
     {
         "silent": Kind("neither hears nor answers", _attribute("silent")),
-        "unplugged": Kind("has no power; it starts anew when plugged in", _OFF),
-        "stuck": Kind("the gear is stripped: the shaft rests and feels no load", _attribute("stuck")),
-        "jammed": Kind("something holds the shaft: the motor presses against it", _attribute("jammed")),
+        "unplugged": Kind("has no power; it restarts when plugged in", _OFF),
+        "stuck": Kind(
+            "the gear is stripped: the shaft rests and feels no load", _attribute("stuck")
+        ),
+        "jammed": Kind(
+            "something holds the shaft: the motor presses against it", _attribute("jammed")
+        ),
         "push": Kind("a steady torque on the shaft, N m", _PUSH, -100, 100),
         "zero_offset": Kind("shaft ahead of its registers, degrees", _ZERO_OFFSET, -3600, 3600),
         "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, -3600, 3600),
         "lost_turns": Kind(
-            "counts wrong by so many revolutions",
+            "counts wrong by this number of revolutions",
             _lose_revolutions,
             -255,
             255,
             whole=True,
             families=("dynamixel_x",),
         ),
-        "reboot": Kind("restarts by itself", lambda it, _: it.reboot()),
-        "hot": Kind("is so warm, C", _heat, 0, 150),
+        "reboot": Kind("restarts by itself", lambda servo, _: servo.reboot()),
+        "hot": Kind("temperature of the motor, C", _heat, 0, 150),
         **{
             name: Kind(f"hardware error: {name}", _shutdown(name), families=families)
             for name, families in _ERROR_FAMILIES.items()
         },
         "watchdog_tripped": Kind(
-            "its watchdog has run out",
+            "its Bus Watchdog has tripped",
             _register("bus_watchdog", lambda _: TRIPPED),
             families=("dynamixel_x",),
         ),
@@ -328,7 +363,9 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
         "homing_offset": Kind(
             "its Homing Offset, ticks", _register("homing_offset"), -2047, 2047, whole=True
         ),
-        "firmware": Kind("another firmware version", _register("firmware_version"), 1, 255, whole=True),
+        "firmware": Kind(
+            "another firmware version", _register("firmware_version"), 1, 255, whole=True
+        ),
         "latched_overload": Kind(
             "an overload stays until a power cycle", _attribute("latches_overload"), families=STS
         ),
@@ -342,30 +379,41 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
             _attribute("drops_locked_writes"),
             families=STS,
         ),
-        "return_delay": Kind("waits, 2 us a count", _register("return_delay_time"), 0, 254, whole=True),
-        "status_level": Kind("Status Return Level", _register("status_return_level"), 0, 2, whole=True),
-        "baud": Kind("its baud rate, bits/s", _BAUD, 9600, 4_500_000, whole=True),
-        "id": Kind(
-            "its id; one that is taken makes status packets collide", _register("id"), *_ID_RANGE, whole=True
+        "return_delay": Kind(
+            "waits, 2 us a count", _register("return_delay_time"), 0, 254, whole=True
         ),
-        "model": Kind("says it is this model number", _register("model_number"), 0, 65535, whole=True),
-        "supply": Kind("volts it gets; far too low: it restarts", _SUPPLY, 0, 30),
-        "extra": Kind("one servo more, with this id", _add_servo, *_ID_RANGE, whole=True, servo=False),
+        "status_level": Kind(
+            "Status Return Level", _register("status_return_level"), 0, 2, whole=True
+        ),
+        "baud": Kind("its baud rate, bit/s", _BAUD, 9600, 4_500_000, whole=True),
+        "id": Kind(
+            "its id; if it is in use, status packets collide",
+            _register("id"),
+            *_ID_RANGE,
+            whole=True,
+        ),
+        "model": Kind("reports this model number", _register("model_number"), 0, 65535, whole=True),
+        "supply": Kind("supply, V; far too low: it restarts", _SUPPLY, 0, 30),
+        "extra": Kind(
+            "an additional servo with this id", _add_servo, *_ID_RANGE, whole=True, servo=False
+        ),
         **{name: Kind(row.help, _chance(name), 0, 1, servo=False) for name, row in SPOILS.items()},
         "echo": Kind("the adapter returns what was sent", _attribute("echo"), servo=False),
-        "latency": Kind("status packets come so much later, ms", _LATENCY, 0, 1000, servo=False),
+        "latency": Kind("delay of all status packets, ms", _LATENCY, 0, 1000, servo=False),
         "port_unplugged": Kind("the port is gone", _attribute("unplugged"), servo=False),
     }
 )
-"""Every kind of fault, by name; the only place of registration."""
-
-
-# ------------------------------------------------------------------------------------------
-# The file.
+"""Every kind of fault, by name. The only place of registration."""
 
 
 class FaultFile(Table):
-    """A file of faults; ``seed``: of the wire's random ones."""
+    """A file of faults.
+
+    Attributes:
+        version: Schema of the file.
+        seed: Seed of the random faults of the wire.
+        faults: The faults.
+    """
 
     version: SchemaVersion
     seed: int = 0
@@ -373,28 +421,37 @@ class FaultFile(Table):
 
 
 def load_faults(path: Path | str, config: ArmConfig) -> FaultFile:
-    """Reads a file of faults for an arm.
+    """Return the faults of a file for an arm.
 
     Raises:
-        ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
+        ConfigError: The file cannot be read, is not TOML, or a key is unknown, missing or out of
+            range.
     """
     path = Path(path)
     return parse_faults(read_text(path, "the file of faults"), config, path)
 
 
 def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultFile:
-    """The same from text; ``file`` appears in errors."""
+    """Return the faults of a text. ``file`` is its name in errors."""
     found = check_table(FaultFile, parse_toml(text, file), file)
     for k, fault in enumerate(found.faults):
         make_fault(config, file, f"faults[{k}]", **dataclasses.asdict(fault))
     return found
 
 
-def make_fault(config: ArmConfig, file: Path | str = "<text>", at: str = "fault", **keys: Any) -> Fault:
-    """The fault of these keys of ``Fault``, None left out, checked as in a file of faults.
+def make_fault(
+    config: ArmConfig, file: Path | str = "<text>", at: str = "fault", **keys: Any
+) -> Fault:
+    """Return a fault, checked as in a file of faults.
+
+    Args:
+        config: Arm.
+        file: Name of the file for errors.
+        at: Place in that file for errors.
+        **keys: Keys of ``Fault``. A key that is None is left out.
 
     Raises:
-        ConfigError: No such kind, servo or value; ``file`` and where the fault stands ``at`` in it are named.
+        ConfigError: No such kind, servo or value. The error names file and place.
     """
     try:
         fault = Fault(**{name: value for name, value in keys.items() if value is not None})

@@ -1,4 +1,4 @@
-"""The memory of a virtual servo: bytes behind a control table, and the checks before a write."""
+"""The memory of a virtual servo: bytes of a control table, and checks before a write."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from robot_ik.hardware.registers import ControlTable, OperatingMode, Register
 from robot_ik.hardware.virtual.protocol import ErrorCode
 
 PROFILE = ("profile_acceleration", "profile_velocity")
-"""0 once the Bus Watchdog has tripped: "when it stops, [both] are set to 0" (ROBOTIS
-e-manual, x/bus_watchdog; an older page: "applied as 0")."""
+"""Registers that are 0 after the Bus Watchdog has tripped.
+
+ROBOTIS e-manual, x/bus_watchdog: "when it stops, [both] are set to 0". An older page: "applied as
+0".
+"""
 CONTROLLER = (
     "velocity_i_gain",
     "velocity_p_gain",
@@ -19,13 +22,18 @@ CONTROLLER = (
     "feedforward_1st_gain",
     *PROFILE,
 )
-"""Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
-"Control Table Backup"; the indirect addresses come on top)."""
+"""Gains and profile: another operating mode resets them, and a backup keeps them.
 
-PROTOCOL_2, RC_PROTOCOLS = 2, 20
-"""Protocol Type: the usual one, and the first of those of remote controls (20 to 22, of the 330 family)."""
+Protocol 2.0 manual, "Control Table Backup". The backup also keeps the indirect addresses.
+"""
 
-_LONGEST_RAMP = 32_737  # ms; Profile Acceleration of a time-based profile
+PROTOCOL_2 = 2
+"""Protocol Type of a servo that speaks Protocol 2.0."""
+RC_PROTOCOLS = 20
+"""First Protocol Type of a remote control (20 to 22, of the 330 family)."""
+
+_LONGEST_RAMP = 32_737
+"""ms. Largest Profile Acceleration of a time-based profile."""
 
 
 def _pointer(register: Register) -> bool:
@@ -36,14 +44,14 @@ class Memory:
     """Bytes of one servo.
 
     Attributes:
-        first_indirect: Address of the first byte that may stand for another.
-        values: Register name -> value; change it by ``set`` only.
+        first_indirect: Address of the first byte that may stand for another byte.
+        values: Register name -> value. Only ``set`` changes it.
     """
 
     def __init__(self, table: ControlTable) -> None:
         self.table = table
         self._bytes = bytearray(table.size)
-        # The same once more, decoded: a servo asks itself far more often than it is asked.
+        # The same values decoded: the servo itself reads registers far more often than the host.
         self.values: dict[str, int] = {}
         self._registers = dict(table.registers)
         self._at = {register.address: register for register in table}
@@ -59,31 +67,36 @@ class Memory:
         self.reset(eeprom=True)
 
     def reset(self, *, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
-        """Factory values: of RAM as after a power cycle, and of EEPROM too if asked."""
+        """Set RAM to its values after a power cycle, and EEPROM to factory values if asked."""
         for register in self.table:
             if (eeprom or not register.eeprom) and register.name not in keep:
                 self.set(register.name, register.initial or 0)
 
     def backup(self) -> dict[str, int]:
-        """What Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
-        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in CONTROLLER or _pointer(r)))
+        """Return what Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
+        kept = (
+            r
+            for r in self.table
+            if r.writable and (r.eeprom or r.name in CONTROLLER or _pointer(r))
+        )
         return {r.name: self.values[r.name] for r in kept}
 
     def drives(self, bit: int) -> bool:
-        """Whether a bit of Drive Mode is set."""
+        """Return whether a bit of Drive Mode is set."""
         return bool(self.values.get("drive_mode", 0) & bit)
 
     def set(self, name: str, value: int) -> None:
-        """Sets a register as the servo itself does: without any check but its size."""
+        """Set a register without any check except its size."""
         register = self._registers[name]
-        first, size = register.address, register.size
+        first = register.address
+        size = register.size
         self._bytes[first : first + size] = value.to_bytes(size, "little", signed=register.signed)
         self.values[name] = value
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
-        """Bytes of any range; gaps between registers read 0.
+        """Return the bytes of any range. Gaps between registers read 0.
 
-        Nothing is readable behind the table or where no register is at all (access error).
+        A range that ends beyond the table or contains no register is an access error.
         """
         end = address + length
         if length == 0 or end > len(self._bytes) or not any(self._defined[address:end]):
@@ -93,7 +106,10 @@ class Memory:
         return bytes(self._bytes[self._resolve(a)] for a in range(address, end)), ErrorCode.NONE
 
     def spans(self, address: int, length: int) -> list[tuple[int, int]]:
-        """Ranges (first, end) of real memory that a range stands for; indirect data point elsewhere."""
+        """Return the ranges (first, end) of memory that a range stands for.
+
+        Indirect data stand for bytes at other addresses.
+        """
         if address + length <= self.first_indirect:
             return [(address, address + length)]
         found: list[tuple[int, int]] = []
@@ -105,8 +121,13 @@ class Memory:
                 found.append((real, real + 1))
         return found
 
-    def parse_write(self, address: int, data: bytes) -> tuple[list[tuple[Register, int]], ErrorCode]:
-        """What a write would set, after every check; all of it is good or none is done."""
+    def parse_write(
+        self, address: int, data: bytes
+    ) -> tuple[list[tuple[Register, int]], ErrorCode]:
+        """Return what a write would set, after every check.
+
+        If one register refuses its value, the write sets nothing.
+        """
         register = self._at.get(address)
         if register is not None and register.size == len(data) and address not in self._pointers:
             error = self._refusal(register, value := register.decode(data))
@@ -130,18 +151,21 @@ class Memory:
                 if error:
                     return [], error
                 values.append((register, value))
-                at, done = register.end, done + register.size
+                at = register.end
+                done = done + register.size
         return values, ErrorCode.NONE
 
     def _refusal(self, register: Register, value: int) -> ErrorCode:
-        """Why a register does not take a value: its own access and range, then the other registers."""
-        values, name = self.values, register.name
+        """Return why a register refuses a value: access, range, or the state of other registers."""
+        values = self.values
+        name = register.name
         if not register.writable or (register.eeprom and values["torque_enable"]):
             return ErrorCode.ACCESS
         if not register.minimum <= value <= register.maximum:
             return ErrorCode.DATA_RANGE
         tripped = values.get("bus_watchdog") == TRIPPED
-        error, refused = ErrorCode.DATA_RANGE, False
+        error = ErrorCode.DATA_RANGE
+        refused = False
         match name:
             case "bus_watchdog":
                 refused = tripped and value != 0
@@ -164,7 +188,10 @@ class Memory:
         return error if refused else ErrorCode.NONE
 
     def _resolve(self, address: int) -> int:
-        """Where the byte at an address really lives; a pointer out of the table is as good as none."""
+        """Return the real address of a byte.
+
+        A pointer that leads out of the table has no effect.
+        """
         pointer = self._pointers.get(address)
         if pointer is None:
             return address

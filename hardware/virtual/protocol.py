@@ -1,7 +1,8 @@
-"""Dynamixel Protocol 2.0, the servo's side: packets to bytes and a stream of bytes to packets.
+"""Dynamixel Protocol 2.0 on the servo's side: packets to bytes and bytes to packets.
 
-The host side of this project speaks through the official SDK and ``hardware/packets.py``; this codec is
-written apart from both, so that they check each other.  Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
+The host's side uses the official SDK and ``hardware/packets.py``. This codec is written
+independently of both, so that the two sides check each other. Source: ROBOTIS e-manual, "DYNAMIXEL
+Protocol 2.0".
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 ALERT = 0x80
 MAX_PACKET = 1024
-"""Longest packet in bytes (the SDK's buffer); a longer length field is noise."""
+"""Bytes of the longest packet (the SDK's buffer). A longer length field is damaged."""
 PACKET_GAP = 0.050
-"""A packet whose bytes stop for longer than this, s, is dropped."""
+"""s. A packet is dropped if its bytes stop for longer than this."""
 
 _PAIR = struct.Struct(">H")
-_SHORTEST = 10  # header 4, id 1, length 2, instruction 1, CRC 2
+
+_SHORTEST = 10
+"""Bytes of the shortest packet: header 4, id 1, length 2, instruction 1, CRC 2."""
+
 _STUFFED = b"\xff\xff\xfd"
 
 
@@ -69,7 +73,7 @@ def _crc_table() -> tuple[int, ...]:
 
 
 _CRC_TABLE = _crc_table()
-# Of two bytes at once: the remainder of any 16 bits is one entry.
+# Remainders of two bytes at once: one entry for each value of 16 bits.
 _CRC_PAIRS = tuple(
     ((_CRC_TABLE[high] << 8) & 0xFF00) ^ _CRC_TABLE[(_CRC_TABLE[high] >> 8) ^ low]
     for high in range(256)
@@ -78,7 +82,7 @@ _CRC_PAIRS = tuple(
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16 with polynomial 0x8005, initial 0, not reflected, no final xor."""
+    """Return the CRC-16 with polynomial 0x8005, initial value 0, not reflected, no final XOR."""
     crc = 0
     for (pair,) in _PAIR.iter_unpack(data[: len(data) & ~1]):
         crc = _CRC_PAIRS[crc ^ pair]
@@ -88,23 +92,30 @@ def crc16(data: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Puts FD after each FF FF FD, so that no header can appear inside a packet."""
+    """Insert FD after each FF FF FD, so that no header can appear inside a packet."""
     return body.replace(_STUFFED, _STUFFED + b"\xfd")
 
 
 def unstuff(body: bytes) -> bytes:
-    """Takes the FD after each FF FF FD out again."""
+    """Remove the FD after each FF FF FD."""
     return body.replace(_STUFFED + b"\xfd", _STUFFED)
 
 
 @dataclass(frozen=True)
 class Packet:
-    """A packet as it arrived."""
+    """A packet as it arrived.
+
+    Attributes:
+        id: Servo id.
+        instruction: Instruction byte. It may be a number that no ``Instruction`` has.
+        params: Parameters without stuffing. Those of a status packet begin with its error byte.
+        valid: The checksum was correct. If not, none of the other fields can be trusted.
+    """
 
     id: int
-    instruction: int  # or a number that no ``Instruction`` has
-    params: bytes  # unstuffed; those of a status begin with its error byte
-    valid: bool = True  # the checksum was right; if not, nothing else can be trusted
+    instruction: int
+    params: bytes
+    valid: bool = True
 
     @property
     def is_status(self) -> bool:
@@ -117,24 +128,31 @@ class Packet:
 
 
 def build(id: int, instruction: int, params: bytes = b"") -> bytes:
-    """An instruction packet: stuffed, then its length, then its checksum."""
+    """Return an instruction packet: stuffed, with length and checksum."""
     body = stuff(bytes([instruction]) + params)
     packet = HEADER + bytes([id]) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + crc16(packet).to_bytes(2, "little")
 
 
 def build_status(id: int, error: int, data: bytes = b"") -> bytes:
-    """A status packet; ``error`` is the whole error byte, alert bit included."""
+    """Return a status packet. ``error`` is the whole error byte, including the alert bit."""
     return build(id, Instruction.STATUS, bytes([error]) + data)
 
 
 def build_fast_status(parts: Sequence[tuple[int, int, bytes]], expected: int) -> bytes:
-    """The one packet in which several servos answer a fast read, each adding its part behind the last.
+    """Return the packet in which several servos answer a fast read, part by part.
 
-    ``parts``: (error byte, id, data) of each in the order asked.  The first servo writes the header with the
-    length that is ``expected`` if all answer; a silent one silences those behind it: a torso is left.
+    Args:
+        parts: (error byte, id, data) of every servo that answers, in the order of the request.
+        expected: Length of the packet if every servo answers. The first servo writes it into the
+            header. A silent servo silences all servos behind it, so the packet may be incomplete.
     """
-    packet = HEADER + bytes([BROADCAST]) + (expected - 7).to_bytes(2, "little") + bytes([Instruction.STATUS])
+    packet = (
+        HEADER
+        + bytes([BROADCAST])
+        + (expected - 7).to_bytes(2, "little")
+        + bytes([Instruction.STATUS])
+    )
     for error, id, data in parts:
         packet += bytes([error, id]) + data
         packet += crc16(packet).to_bytes(2, "little")
@@ -142,14 +160,14 @@ def build_fast_status(parts: Sequence[tuple[int, int, bytes]], expected: int) ->
 
 
 class Parser:
-    """Cuts a stream of bytes into packets and finds the next header after garbage."""
+    """Cuts a byte stream into packets and finds the next header after garbage."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._last = 0.0
 
     def feed(self, data: bytes, now: float) -> list[Packet]:
-        """Takes bytes that arrived at ``now`` (s); gives the packets that are complete with them."""
+        """Return the packets that ``data``, received at time ``now`` in s, completes."""
         if self._buffer and now - self._last > PACKET_GAP:
             self._buffer.clear()
         self._last = now
@@ -171,13 +189,13 @@ class Parser:
                 continue
             if len(buffer) >= size:
                 return self._take(size)
-            # Stuffing keeps headers out of a packet: a new one means that the rest of this one will not come.
+            # Stuffing keeps headers out of a packet: a new header means that this one broke off.
             if buffer.find(HEADER, 1) < 0:
                 return None
             self._seek(1)
 
     def _seek(self, start: int) -> None:
-        """Drops everything before the next header at or after ``start``; keeps what may begin one."""
+        """Drop everything before the next header at or after ``start``; keep what may begin one."""
         at = self._buffer.find(HEADER, start)
         if at < 0:
             at = max(len(self._buffer) - len(HEADER) + 1, start)
@@ -188,7 +206,8 @@ class Parser:
         valid = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
         if valid:
             del self._buffer[:size]
-        else:  # perhaps a byte was lost: the next packet may begin inside this one, if only by a byte
+        else:
+            # A byte may be lost: the next packet may begin inside this one.
             self._seek(1)
         body = unstuff(raw[7:-2])
         return Packet(raw[4], body[0], body[1:], valid)

@@ -6,7 +6,8 @@ import random
 from collections.abc import Sequence
 
 from robot_ik.hardware.families.dynamixel_x_table import RETURN_ALL, RETURN_READ
-from robot_ik.hardware.virtual import servo as instructions
+from robot_ik.hardware.virtual import instructions
+from robot_ik.hardware.virtual.instructions import Request, fast_status_packets, responding
 from robot_ik.hardware.virtual.protocol import (
     BROADCAST,
     ErrorCode,
@@ -15,7 +16,7 @@ from robot_ik.hardware.virtual.protocol import (
     Parser,
     build_status,
 )
-from robot_ik.hardware.virtual.servo import Request, VirtualServo, fast_status_packets, responding
+from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.servo_side import Answer
 from robot_ik.hardware.virtual.wire import collide
 

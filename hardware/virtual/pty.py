@@ -1,6 +1,6 @@
-"""The virtual bus behind a serial port that any program on this machine can open: a pseudo terminal.
+"""The virtual bus behind a pseudo terminal: a serial port that any program can open.
 
-Where there is none (Windows) the bus is still there in process (``SimBus``).
+Windows has no pseudo terminals. There ``SimBus`` serves the bus in process.
 """
 
 from __future__ import annotations
@@ -26,32 +26,42 @@ from robot_ik.ports import Closing
 log = logging.getLogger(__name__)
 
 _CHUNK = 4096
-_REPLUG_PERIOD = 0.02  # s; how often an unplugged port looks whether it is plugged in again
-_WORLD_PERIOD = 0.01  # s; how often a world of its own goes on where no packet comes
-_BITS_PER_BYTE = 10  # 8N1: a start bit, eight of data, a stop bit
-_TCGETS2 = 0x802C542A  # Linux: struct termios2, which also knows rates without a B constant
-_TERMIOS2 = struct.Struct("4I20x2I")  # four flag words, line and control characters, two rates
+"""Bytes read at once."""
+_REPLUG_PERIOD = 0.02
+"""s between two checks whether an unplugged port is plugged in again."""
+_WORLD_PERIOD = 0.01
+"""s between two updates of a world while no packet comes."""
+_BITS_PER_BYTE = 10
+"""8N1: a start bit, eight data bits, a stop bit."""
+_TCGETS2 = 0x802C542A
+"""Linux request for struct termios2, which also knows rates without a B constant."""
+_TERMIOS2 = struct.Struct("4I20x2I")
+"""Layout of termios2: four flag words, line and control characters, two rates."""
 _RATES = {
-    getattr(termios, name): int(name[1:]) for name in dir(termios) if name[0] == "B" and name[1:].isdigit()
+    getattr(termios, name): int(name[1:])
+    for name in dir(termios)
+    if name[0] == "B" and name[1:].isdigit()
 }
+"""Constant of termios -> bit/s."""
 
 
 class PtyPort(Closing):
     """Serves a virtual bus on a pty; a context manager.
 
-    The thread sleeps in ``select`` until bytes come, so an idle port costs nothing.  A client may close
-    and another open the port at any time; while this object lives the port stays, but for the fault
-    ``port_unplugged``: then it is gone, and a new one appears under the same link afterwards.
+    The thread sleeps in ``select`` until bytes come, so an idle port costs no CPU. Clients may open
+    and close the port at any time. The port exists until ``close``, except during the fault
+    ``port_unplugged``: the port disappears, and later a new one appears under the same link.
 
     Args:
         bus: The servos.
-        link: Also make this symbolic link to the port: a name that stays the same from run to run.
-        match_baud: Servos hear only a client whose rate is theirs; without, any rate does.
-        wire_baud: Take as long as the bytes of request and reply take at this rate; 0: no time at all.
+        link: Symbolic link to the port, a name that stays the same from run to run.
+        match_baud: Servos hear only a client with their own baud rate. By default they hear any
+            rate.
+        wire_baud: Rate at which bytes take their time, bit/s. 0: bytes take no time.
 
     Attributes:
-        path: Of the port, e.g. ``/dev/pts/7``; another one after it was unplugged.
-        link: As given, or ``None``.
+        path: Path of the port, e.g. ``/dev/pts/7``. It changes after the port was unplugged.
+        link: The symbolic link; None if there is none.
 
     Raises:
         OutputError: ``link`` exists and is not a symbolic link, or cannot be made.
@@ -71,18 +81,21 @@ class PtyPort(Closing):
         self._wire_baud = wire_baud
         self._closed = threading.Event()
         self._wake_reader, self._wake_writer = os.pipe()
-        self._master = self._slave = -1
+        self._master = -1
+        self._slave = -1
         try:
             self._plug_in()
         except BaseException:
             self._close_files(self._wake_reader, self._wake_writer)
             raise
         bus.when_changed(self._wake)
-        self._thread = threading.Thread(target=self._serve, name=f"virtual bus {self.path}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._serve, name=f"virtual bus {self.path}", daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
-        """Takes the port away, as pulling the cable does; may be called any number of times."""
+        """Remove the port, as pulling the cable does. May be called any number of times."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -93,7 +106,7 @@ class PtyPort(Closing):
         self._close_files(self._wake_reader, self._wake_writer)
 
     def client_baud(self) -> int:
-        """Bits/s the client has set the port to; 0 if it is not known."""
+        """Return the rate that the client has set, bit/s; 0 if it is unknown."""
         if sys.platform == "linux":
             with contextlib.suppress(OSError):
                 raw = fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size))
@@ -111,7 +124,7 @@ class PtyPort(Closing):
     def _plug_in(self) -> None:
         self._master, self._slave = os.openpty()
         try:
-            # Raw before anyone opens it: else the line discipline echoes and swallows bytes.
+            # Raw mode before a client opens the port: a line discipline echoes and drops bytes.
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
             self.path = os.ttyname(self._slave)
@@ -122,13 +135,14 @@ class PtyPort(Closing):
             raise
 
     def _pull_out(self) -> None:
-        """Takes link and pty away; a client that has it open gets an error."""
+        """Remove link and pty. A client that has it open gets an error."""
         if self._master < 0:
             return
         if self.link is not None:
             _remove_link(self.link, self.path)
         self._close_files(self._master, self._slave)
-        self._master = self._slave = -1
+        self._master = -1
+        self._slave = -1
 
     @staticmethod
     def _close_files(*handles: int) -> None:
@@ -137,7 +151,11 @@ class PtyPort(Closing):
                 os.close(handle)
 
     def _wait(self) -> bool:
-        """Sleeps until there are bytes, something booked is due, or it is over; whether there are bytes."""
+        """Sleep until bytes arrive, a scheduled fault is due, or the port is closed.
+
+        Returns:
+            Whether there are bytes to read.
+        """
         self.bus.advance()
         if self.bus.unplugged and self._master >= 0:
             self._pull_out()
@@ -146,9 +164,9 @@ class PtyPort(Closing):
         waits = []
         if (due := self.bus.schedule.next_time) is not None:
             waits.append(max(0.0, due - self.bus.clock.now()))
-        if self.bus.unplugged:  # the program that runs the bus may plug it in at any time
+        if self.bus.unplugged:  # the program that owns the bus may plug it in at any time
             waits.append(_REPLUG_PERIOD)
-        if self.bus.world is not None:  # else it would have to catch up while a client waits
+        if self.bus.world is not None:  # otherwise it must catch up while a client waits
             waits.append(_WORLD_PERIOD)
         handles = [self._wake_reader] if self._master < 0 else [self._master, self._wake_reader]
         ready, _, _ = select.select(handles, [], [], min(waits, default=None))
@@ -157,13 +175,13 @@ class PtyPort(Closing):
         return self._master in ready
 
     def _serve(self) -> None:
-        """The thread: bytes to the bus, replies back, until closed."""
+        """Pass bytes to the bus and replies back until the port is closed (the thread)."""
         while not self._closed.is_set():
             try:
                 if not self._wait():
                     continue
             except OutputError as error:
-                log.warning("virtual bus: it cannot be plugged in again: %s", error)
+                log.warning("virtual bus: the port cannot be plugged in again: %s", error)
                 return
             arrived = time.monotonic()
             try:
@@ -174,9 +192,11 @@ class PtyPort(Closing):
                 log.warning("virtual bus on %s: the port went away: %s", self.path, error)
                 return
             try:
-                reply, delay = self.bus.respond(data, self.client_baud() if self._match_baud else None)
+                reply, delay = self.bus.respond(
+                    data, self.client_baud() if self._match_baud else None
+                )
             except Exception:
-                # A mistake in a servo must not look like a dead cable.
+                # An error in a virtual servo must not look like a broken cable.
                 log.exception("virtual bus on %s failed on %s", self.path, data.hex(" "))
                 continue
             self._pace(arrived, len(data), len(reply), delay)
@@ -184,7 +204,7 @@ class PtyPort(Closing):
                 self._send(reply)
 
     def _pace(self, arrived: float, received: int, sent: int, delay: float) -> None:
-        """Waits until the last byte of the reply would have come over the wire."""
+        """Wait until the last byte of the reply would have arrived over a wire."""
         seconds = delay if sent else 0.0
         if self._wire_baud:
             seconds += (received + sent) * _BITS_PER_BYTE / self._wire_baud
@@ -193,21 +213,28 @@ class PtyPort(Closing):
             self._closed.wait(max(0.0, arrived + seconds - time.monotonic()))
 
     def _send(self, reply: bytes) -> None:
-        """Bytes that are not read are lost, as on a wire; a full buffer must not stop the bus."""
+        """Send a reply.
+
+        Bytes that no client reads are lost, as on a wire. A full buffer does not stop the bus.
+        """
         try:
             while reply and not self._closed.is_set():
                 reply = reply[os.write(self._master, reply) :]
         except BlockingIOError:
-            log.debug("virtual bus on %s: nobody reads, %d bytes lost", self.path, len(reply))
+            log.debug("virtual bus on %s: no client reads, %d bytes lost", self.path, len(reply))
         except OSError as error:
             log.debug("virtual bus on %s: %s", self.path, error)
 
 
 def _make_link(link: Path, path: str) -> None:
-    """Makes or replaces a symbolic link in one step, so that a client finds the old one or the new one."""
+    """Make or replace a symbolic link in one step.
+
+    A client finds either the old port or the new one.
+    """
     if os.path.lexists(link) and not link.is_symlink():
         raise OutputError(
-            f"{link} exists and is not a symbolic link; it stays as it is", hint="choose another --link"
+            f"{link} exists and is not a symbolic link; nothing was changed",
+            hint="choose another --link",
         )
     fresh = link.with_name(f".{link.name}.{os.getpid()}.{threading.get_ident()}")
     try:
@@ -216,12 +243,13 @@ def _make_link(link: Path, path: str) -> None:
     except OSError as error:
         fresh.unlink(missing_ok=True)
         raise OutputError(
-            f"the link {link} cannot be made: {error.strerror or error}", hint="is its folder writable?"
+            f"cannot make the link {link}: {error.strerror or error}",
+            hint="check that its folder exists and is writable",
         ) from error
 
 
 def _remove_link(link: Path, path: str) -> None:
-    """Removes a link unless another port has taken it over."""
+    """Remove a link unless another port has taken it over."""
     with contextlib.suppress(OSError):
         if os.readlink(link) == path:
             link.unlink()

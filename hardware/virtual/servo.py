@@ -1,21 +1,24 @@
-"""One servo without a motor: its memory, its rules and what its registers do.
+"""One Dynamixel X servo without a motor: its memory, its rules and what its registers do.
 
-What a register does follows the ROBOTIS e-manual (X series).  Where the manual is silent the choice is
-the less comfortable one for the host: Goal Position keeps its value while torque is off, so that
-switching torque on moves the shaft to a stale goal; a reboot forgets revolutions; a servo that has shut down
-takes Torque Enable = 1 without an error and does not obey.  Without a world a limp shaft stays.
+What a register does follows the ROBOTIS e-manual (X series). Where the manual is silent, the choice
+is the less comfortable one for the host:
+
+* Goal Position keeps its value while torque is off, so torque on moves the shaft to a stale goal.
+* A reboot forgets revolutions.
+* A servo that has shut down accepts Torque Enable = 1 without an error and does not obey.
+
+Without a world a shaft without torque stays where it is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 from robot_ik.hardware.families.dynamixel_x_table import (
     BAUD_RATES,
     HARDWARE_ERRORS,
-    RETURN_READ,
     REVERSE,
     SLAVE,
     TORQUE_BY_GOAL,
@@ -29,65 +32,70 @@ from robot_ik.hardware.registers import (
     OperatingMode,
     Register,
 )
+from robot_ik.hardware.virtual.electrics import PWM_FULL, Electrics
 from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, Memory
-from robot_ik.hardware.virtual.motor import (
-    PWM_FULL,
-    TORQUE_MODES,
-    VELOCITY_TICKS,
-    Electrics,
-    torque_limit,
-)
-from robot_ik.hardware.virtual.protocol import (
-    ALERT,
-    BROADCAST,
-    MAX_PACKET,
-    ErrorCode,
-    Instruction,
-    build_fast_status,
-)
+from robot_ik.hardware.virtual.motor import TORQUE_MODES, torque_limit
+from robot_ik.hardware.virtual.profiles import VELOCITY_TICKS
+from robot_ik.hardware.virtual.protocol import ALERT, ErrorCode
 from robot_ik.hardware.virtual.shaft import Shaft
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Clock
 
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
+"""Parameters of the Clear instruction."""
 PROTOCOL_1 = 1
 """Protocol Type of a servo that understands Protocol 1.0 only."""
-_STORE, _RESTORE = b"\x01CTRL", b"\x02CTRL"
-_TORQUE_AT_START, _RAM_FROM_BACKUP = 0b01, 0b10  # bits of Startup Configuration
+_STORE = b"\x01CTRL"
+"""Parameters of Control Table Backup that store."""
+_RESTORE = b"\x02CTRL"
+"""Parameters of Control Table Backup that restore."""
+_TORQUE_AT_START = 0b01
+"""Bit of Startup Configuration."""
+_RAM_FROM_BACKUP = 0b10
+"""Bit of Startup Configuration."""
 BROWN_OUT = 0.4
-"""Share of the nominal supply below which a servo loses its memory and starts anew when power is back."""
+"""Share of the nominal supply below which a servo loses its memory.
+
+It restarts when power is back.
+"""
 
 
 _ERROR_BITS = {name: 1 << bit for bit, name in HARDWARE_ERRORS.items()}
-# Heat and strain change slowly: they are updated no more often than this, s.
+"""Hardware error -> its bit in Hardware Error Status."""
 _ELECTRICS_PERIOD = 0.02
-_SUPPLY = ("present_input_voltage",)  # outlasts every start
+"""s. Heat and strain change slowly and are updated no more often than this."""
+_SUPPLY = ("present_input_voltage",)
+"""Registers that keep their value over every start."""
 _NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *TORQUE_MODES)))
+"""Operating modes without a goal position."""
 
 
 class VirtualServo:
-    """A servo on a virtual bus.  Not locked by itself: the bus does that.
+    """A servo on a virtual bus. Not locked: the bus holds its lock.
 
     Args:
         model: Name of a control table.
         id: 0..252.
         clock: The only source of time.
-        position_ticks: What Present Position reads at first.
-        mode: Operating mode; ``baud``: bits/s.
-        firmware: Another than the model's usual one.
-        reverse: Bit 0 of its Drive Mode, set when it was built in: it counts against its encoder.
-        shadow_of: Its Secondary ID; ``None``: none.
+        position_ticks: Present Position at first.
+        mode: Operating mode.
+        baud: bit/s.
+        firmware: Firmware version; None: the usual one of the model.
+        reverse: Bit 0 of Drive Mode, set when the servo was built in: it counts against its
+            encoder.
+        shadow_of: Secondary ID; None: it has none.
 
     Attributes:
-        stuck: The shaft does not move, whatever the goal, and feels no load (a stripped gear); registers
-            report where it really is.
-        silent: Hears nothing and answers nothing, as without a data line.
-        off: Has no power.
-        zero_offset_ticks: Hidden from the registers: the shaft is this far from where they say.
-        reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
-        ready_at: When the last of these is over, s.
+        stuck: The shaft does not move and feels no load (a stripped gear). Registers show where it
+            is.
+        silent: The servo hears nothing and answers nothing, as without a data line.
+        off: The servo has no power.
+        zero_offset_ticks: Hidden distance of the shaft from where its registers show it.
+        reboot_time: s after a reboot in which the servo hears nothing; some tenths on a real servo.
+        ready_at: Time at which the last reboot is over, s.
         electrics: Temperature and strain of the motor.
-        booted: When power came, s; ``heard``: when the last instruction packet went over the bus, s.
+        booted: Time at which power came, s.
+        heard: Time of the last instruction packet on the bus, s.
     """
 
     def __init__(
@@ -106,8 +114,10 @@ class VirtualServo:
         self.table = control_table(model, firmware)
         self.memory = Memory(self.table)
         self.zero_offset_ticks = 0.0
-        self.silent = self.off = False
-        self.reboot_time = self.ready_at = 0.0
+        self.silent = False
+        self.off = False
+        self.reboot_time = 0.0
+        self.ready_at = 0.0
         if reverse:
             self.memory.set("drive_mode", REVERSE)
         if shadow_of is not None:
@@ -136,7 +146,7 @@ class VirtualServo:
 
     @property
     def secondary_id(self) -> int | None:
-        """Another id to which it listens, in silence."""
+        """A second id that the servo obeys without replies; None: it has none."""
         id = self.memory.values["secondary_id"]
         return id if id in IDS and id != self.id else None
 
@@ -146,33 +156,36 @@ class VirtualServo:
 
     @property
     def return_delay(self) -> float:
-        """Seconds it waits before it answers."""
+        """s that the servo waits before it answers."""
         return 2e-6 * self.memory.values["return_delay_time"]
 
     @property
     def deaf(self) -> bool:
-        """Silent, off, still starting up, or set to Protocol 1.0, which nobody speaks here."""
+        """The servo is silent, off, starting up, or set to Protocol 1.0."""
         other = self.memory.values["protocol_type"] == PROTOCOL_1
         return self.silent or self.off or other or self._clock.now() < self.ready_at
 
     @property
     def torque(self) -> bool:
-        """Torque Enable, after the bus watchdog and shutdown had their say."""
+        """Torque Enable, after Bus Watchdog and shutdown were brought up to date."""
         self.update()
         return bool(self.memory.values["torque_enable"])
 
     @property
     def tripped(self) -> bool:
-        """The bus watchdog has run out and was not cleared."""
+        """The Bus Watchdog has tripped and was not cleared."""
         return self.memory.values.get("bus_watchdog") == TRIPPED
 
     def status_byte(self, error: int) -> int:
-        """The error byte of a reply: number, and the alert bit while Hardware Error Status is not 0."""
+        """Return the error byte of a reply: error number and alert bit."""
         return error | (ALERT if self.memory.values["hardware_error_status"] else 0)
 
     @property
     def true_ticks(self) -> float:
-        """True shaft position: with the hidden offset, without homing offset, reverse, lost revolutions."""
+        """True shaft position, ticks.
+
+        The hidden offset is included. Homing offset, reverse and lost revolutions are not.
+        """
         self.update()
         return self.shaft.encoder + self.zero_offset_ticks
 
@@ -192,7 +205,7 @@ class VirtualServo:
 
     @property
     def jammed(self) -> bool:
-        """Something holds the shaft where it is: the motor presses against it, unlike ``stuck``."""
+        """The shaft is held and the motor presses against that, unlike ``stuck``."""
         return self.shaft.stops[0] == self.shaft.stops[1]
 
     @jammed.setter
@@ -254,28 +267,35 @@ class VirtualServo:
         self.shaft.lose_revolutions(revolutions)
 
     def rotate_by_hand(self, ticks: float) -> None:
-        """Turns the shaft of a servo without torque by so many ticks; with torque it does not give."""
+        """Turn the shaft by ticks if torque is off. With torque it does not move."""
         if not self.torque:
             self.shaft.rotate_by(ticks)
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
-        """Bytes of the control table as they are now."""
+        """Return present bytes of the control table."""
         self.update()
         memory = self.memory
         live = self._plans.get((address, length))
         if live is None:
             spans = memory.spans(address, length)
-            live = [(r.name, v) for r, v in self._live if any(f < r.end and e > r.address for f, e in spans)]
-            if address + length <= memory.first_indirect:  # else the pointers may change
+            live = [
+                (r.name, v)
+                for r, v in self._live
+                if any(f < r.end and e > r.address for f, e in spans)
+            ]
+            if address + length <= memory.first_indirect:  # pointers may change
                 self._plans[address, length] = live
         for name, value in live:
             memory.set(name, value())
         return memory.read(address, length)
 
     def write(self, address: int, data: bytes, *, secondary: bool = False) -> ErrorCode:
-        """Sets registers if all of them may be set; then does what they say.
+        """Set registers if all of them may be set, and do what they say.
 
-        ``secondary``: sent to the Secondary ID, by which EEPROM cannot be changed.
+        Args:
+            address: First address.
+            data: Bytes.
+            secondary: The write came to the Secondary ID, which cannot change EEPROM.
         """
         self.update()
         had_torque = bool(self.memory.values["torque_enable"])
@@ -286,7 +306,7 @@ class VirtualServo:
         return error
 
     def reg_write(self, address: int, data: bytes, *, secondary: bool = False) -> ErrorCode:
-        """Checks a write and keeps it for ``action``."""
+        """Check a write and keep it for ``action``."""
         self.update()
         _, error = self._parse_write(address, data, secondary)
         if not error:
@@ -303,34 +323,43 @@ class VirtualServo:
         return values, error
 
     def action(self) -> ErrorCode:
-        """Does the kept write; an instruction error if there is none."""
+        """Do the kept write; an instruction error if there is none."""
         if self._registered is None:
             return ErrorCode.INSTRUCTION
-        (address, data), self._registered = self._registered, None
+        (address, data) = self._registered
+        self._registered = None
         self.memory.set("registered_instruction", 0)
         return self.write(address, data)
 
     def clear(self, params: bytes) -> ErrorCode:
-        """Clear multi-turn: the reading falls back into one revolution; only while the shaft stands."""
+        """Clear multi-turn: fold the reading into one revolution.
+
+        This works only while the shaft stands still.
+        """
         self.update()
         if "clear" not in self.table.abilities:
             return ErrorCode.INSTRUCTION
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
-        if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # it can be seen to move
+        if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # the host sees it move
             return ErrorCode.RESULT_FAIL
         self.shaft.fold()
         self.memory.set("goal_position", self.shaft.position_register())
         return ErrorCode.NONE
 
     def reboot(self) -> None:
-        """RAM at its defaults, torque off, errors gone, revolutions forgotten; as when power comes back."""
+        """Restart: RAM to its defaults, torque off, errors and revolutions forgotten.
+
+        The same happens when power comes back.
+        """
         memory = self.memory
         memory.reset(eeprom=False, keep=_SUPPLY)
         if "backup_ready" in self.table:
             memory.set("backup_ready", int(bool(self._backup)))
         self._registered = None
-        startup = memory.values["startup_configuration"] if "startup_configuration" in self.table else 0
+        startup = (
+            memory.values["startup_configuration"] if "startup_configuration" in self.table else 0
+        )
         if startup & _RAM_FROM_BACKUP:
             for name, value in self._backup.items():
                 if not self.table[name].eeprom:
@@ -342,7 +371,11 @@ class VirtualServo:
             self._torque_on()
 
     def factory_reset(self, option: int) -> ErrorCode:
-        """0xFF: everything; 1: all but the id; 2: all but id and baud rate.  Then a reboot."""
+        """Reset EEPROM and reboot.
+
+        Args:
+            option: 0xFF: everything. 1: all but the id. 2: all but id and baud rate.
+        """
         keep = {0xFF: (), 1: ("id",), 2: ("id", "baud_rate")}.get(option)
         if keep is None:
             return ErrorCode.DATA_RANGE
@@ -351,7 +384,10 @@ class VirtualServo:
         return ErrorCode.NONE
 
     def control_table_backup(self, params: bytes) -> ErrorCode:
-        """Stores what a backup keeps, or restores its EEPROM part and reboots; only without torque."""
+        """Store a backup, or restore its EEPROM part and reboot.
+
+        This works only without torque.
+        """
         if "backup" not in self.table.abilities:
             return ErrorCode.INSTRUCTION
         if params not in (_STORE, _RESTORE):
@@ -369,13 +405,14 @@ class VirtualServo:
         return ErrorCode.NONE
 
     def set_supply(self, volts: float) -> None:
-        """Another supply voltage; outside the limits of the servo it is an input voltage error.
+        """Set the supply voltage. Outside the limits of the servo it is an input voltage error.
 
-        So low that it cannot run, it starts anew once power is back.
+        A servo whose supply is too low to run restarts when power is back.
         """
         self.update()
         self.memory.set("present_input_voltage", max(0, round(10.0 * volts)))
-        low, high = self.memory.values["min_voltage_limit"], self.memory.values["max_voltage_limit"]
+        low = self.memory.values["min_voltage_limit"]
+        high = self.memory.values["max_voltage_limit"]
         if not low <= 10.0 * volts <= high:
             self.inject_error("input_voltage")
         starved = volts < BROWN_OUT * self.table.supply
@@ -383,17 +420,16 @@ class VirtualServo:
             self.switch(not starved)
 
     def switch(self, on: bool) -> None:
-        """Gives it power, so that it starts up, or takes it away: no torque, no replies, RAM lost."""
+        """Switch the power on or off. Without power: no torque, no replies, RAM lost."""
         self.update()
         self.off = not on
         self.reboot()
 
-    # ------------------------------------------------------------------------ by itself
-
     def _start(self) -> None:
-        """Power came: heat of the motor stays, everything else begins anew."""
+        """Start with power: the motor keeps its heat, everything else is reset."""
         memory = self.memory
-        self.booted = self.heard = self._clock.now()
+        self.booted = self._clock.now()
+        self.heard = self.booted
         self.electrics.strain = 0.0
         self.shaft.powered = False
         self.shaft.stop()
@@ -401,7 +437,7 @@ class VirtualServo:
         self._stand()
 
     def _stand(self) -> None:
-        """Goals as after a start: Goal Position where it stands, the others at their limits or 0."""
+        """Set the goals as after a start: the present position, limits, or 0."""
         memory = self.memory
         memory.set("goal_position", self.shaft.position_register())
         memory.set("goal_velocity", 0)
@@ -410,7 +446,7 @@ class VirtualServo:
                 memory.set(goal, memory.values[limit])
 
     def update(self) -> None:
-        """Lets watchdog and motor act at the time when they do, however late anyone asks."""
+        """Bring watchdog and motor up to the present time."""
         now = self._clock.now()
         if self._values.get("bus_watchdog", 0) > 0:
             self.watch(now)
@@ -418,12 +454,12 @@ class VirtualServo:
             self._warm(now)
 
     def hear(self) -> None:
-        """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
+        """Note an instruction packet on the bus. It feeds a Bus Watchdog that has not tripped."""
         self.update()
         self.heard = self._clock.now()
 
     def watch(self, now: float) -> None:
-        """Lets the bus watchdog run out if it has by ``now``, s."""
+        """Trip the Bus Watchdog if its time was over by ``now`` in s."""
         limit = self._values.get("bus_watchdog", 0) if self._values["torque_enable"] else 0
         trip = self.heard + limit * (0.001 * WATCHDOG_UNIT_MS)
         if limit > 0 and now > trip:
@@ -433,10 +469,11 @@ class VirtualServo:
                 self.memory.set(name, 0)
 
     def _warm(self, now: float) -> None:
-        electrics, memory = self.electrics, self.memory
+        electrics = self.electrics
+        memory = self.memory
         shown = memory.values["present_temperature"]
         if shown != min(255, round(electrics.temperature)):
-            electrics.temperature = float(shown)  # somebody set it from outside
+            electrics.temperature = float(shown)  # a test or a fault has set it
         electrics.advance(now, self.shaft.torque(), self.shaft.volts)
         memory.set("present_temperature", min(255, round(electrics.temperature)))
         if electrics.strain >= 1.0:
@@ -445,17 +482,22 @@ class VirtualServo:
             self.inject_error("overheating")
 
     def inject_error(self, name: str) -> None:
-        """A hardware error, kept until a reboot: ``overload``, …  Shutdown says whether torque goes off."""
+        """Set a hardware error such as ``overload``, which lasts until a reboot.
+
+        Shutdown decides whether torque goes off.
+        """
         self.update()
         memory = self.memory
-        memory.set("hardware_error_status", memory.values["hardware_error_status"] | _ERROR_BITS[name])
+        memory.set(
+            "hardware_error_status", memory.values["hardware_error_status"] | _ERROR_BITS[name]
+        )
         if self._shut_down():
             self.shaft.stop()
             self.shaft.powered = False
             memory.set("torque_enable", 0)
 
     def _readings(self) -> dict[str, Callable[[], int]]:
-        """Registers that are measured, and how."""
+        """Return register -> function that measures it."""
         live = {
             **self.shaft.registers(),
             "realtime_tick": lambda: int((self._clock.now() - self.booted) * 1000.0) % 32768,
@@ -479,8 +521,6 @@ class VirtualServo:
         amount = self.electrics.milliamperes(self.shaft.torque(), self._duty()) / self._current_unit
         return self.shaft.sign * max(-32768, min(32767, round(amount)))
 
-    # ------------------------------------------------------------------- by its registers
-
     def _written(self, name: str, had_torque: bool) -> None:
         mode = self._values["operating_mode"]
         match name:
@@ -491,7 +531,7 @@ class VirtualServo:
             case "goal_velocity":
                 self._goal_written(mode == OperatingMode.VELOCITY)
             case "goal_current" | "goal_pwm":
-                # In the other modes it is a limit: what was too weak may be strong enough now.
+                # In the other modes it is a limit: a servo that was too weak may move now.
                 self._goal_written(bool(self._values["torque_enable"]) or mode in TORQUE_MODES)
             case "operating_mode":
                 for register in CONTROLLER:
@@ -502,13 +542,14 @@ class VirtualServo:
                 self._count_anew()
 
     def _torque_on(self) -> None:
-        """The motor takes over where the shaft stands."""
+        """Switch the motor on where the shaft stands."""
         self.memory.set("torque_enable", 1)
         self.shaft.powered = True
         self.shaft.stop()
 
     def _torque_written(self, had_torque: bool) -> None:
-        memory, shaft = self.memory, self.shaft
+        memory = self.memory
+        shaft = self.shaft
         if self._shut_down():
             memory.set("torque_enable", 0)
         if not memory.values["torque_enable"]:
@@ -525,7 +566,11 @@ class VirtualServo:
         if not of_this_mode or self.memory.drives(SLAVE):
             return
         values = self._values
-        if not values["torque_enable"] and self.memory.drives(TORQUE_BY_GOAL) and not self._shut_down():
+        if (
+            not values["torque_enable"]
+            and self.memory.drives(TORQUE_BY_GOAL)
+            and not self._shut_down()
+        ):
             self._torque_on()
         if values["torque_enable"]:
             self.shaft.go()
@@ -536,126 +581,3 @@ class VirtualServo:
 
     def _shut_down(self) -> bool:
         return bool(self.memory.values["hardware_error_status"] & self.memory.values["shutdown"])
-
-
-# ------------------------------------------------------------------------------------------
-# What is in the parameters of each instruction, and what one servo does with those meant for it alone.
-#
-# Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0", Instruction Details.
-
-
-Request = tuple[int, int, int]
-"""(servo id, address, length) of one part of a sync or bulk read."""
-Order = tuple[int, int, bytes]
-"""(servo id, address, data) of one part of a sync or bulk write."""
-
-
-def word(data: bytes, at: int) -> int:
-    """Two bytes, little-endian; missing ones count as 0."""
-    return int.from_bytes(data[at : at + 2], "little")
-
-
-def sync_requests(params: bytes) -> list[Request]:
-    """The reads of a sync read."""
-    address, length = word(params, 0), word(params, 2)
-    return [(id, address, length) for id in params[4:]]
-
-
-def bulk_requests(params: bytes) -> list[Request]:
-    """The reads of a bulk read."""
-    return [(params[k], word(params, k + 1), word(params, k + 3)) for k in range(0, len(params) - 4, 5)]
-
-
-def sync_writes(params: bytes) -> list[Order]:
-    """The writes of a sync write; nothing at all if the lengths do not add up."""
-    address, length, rest = word(params, 0), word(params, 2), params[4:]
-    if length == 0 or len(rest) % (length + 1):
-        return []
-    return [(rest[k], address, rest[k + 1 : k + 1 + length]) for k in range(0, len(rest), length + 1)]
-
-
-def bulk_writes(params: bytes) -> list[Order]:
-    """The writes of a bulk write; a part that breaks off is left out."""
-    found, at = [], 0
-    while at + 5 <= len(params):
-        length = word(params, at + 3)
-        data = params[at + 5 : at + 5 + length]
-        if len(data) == length:
-            found.append((params[at], word(params, at + 1), data))
-        at += 5 + length
-    return found
-
-
-READS: Mapping[int, Callable[[bytes], list[Request]]] = {
-    Instruction.SYNC_READ: sync_requests,
-    Instruction.FAST_SYNC_READ: sync_requests,
-    Instruction.BULK_READ: bulk_requests,
-    Instruction.FAST_BULK_READ: bulk_requests,
-}
-WRITES: Mapping[int, Callable[[bytes], list[Order]]] = {
-    Instruction.SYNC_WRITE: sync_writes,
-    Instruction.BULK_WRITE: bulk_writes,
-}
-"""Instructions to many servos -> what is in their parameters."""
-
-
-def execute(servo: VirtualServo, instruction: int, params: bytes, to: int) -> tuple[ErrorCode, bytes]:
-    """What ``servo`` does on an instruction to its id, its Secondary ID or to all: error and data."""
-    secondary = to == servo.secondary_id
-    error = ErrorCode.NONE
-    match instruction:
-        case Instruction.PING:
-            return error, servo.read(0, 2)[0] + servo.read(6, 1)[0]
-        case Instruction.READ if len(params) == 4:
-            data, error = servo.read(word(params, 0), word(params, 2))
-            return error, data
-        case Instruction.WRITE:
-            error = servo.write(word(params, 0), params[2:], secondary=secondary)
-        case Instruction.REG_WRITE:
-            error = servo.reg_write(word(params, 0), params[2:], secondary=secondary)
-        case Instruction.ACTION:
-            error = servo.action()
-        case Instruction.FACTORY_RESET if len(params) == 1:
-            guarded = to == BROADCAST and params == b"\xff" and "guarded_reset" in servo.table.abilities
-            error = ErrorCode.RESULT_FAIL if guarded or secondary else servo.factory_reset(params[0])
-        case Instruction.READ | Instruction.FACTORY_RESET:
-            error = ErrorCode.DATA_LENGTH
-        case Instruction.REBOOT:
-            servo.reboot()
-        case Instruction.CLEAR:
-            error = servo.clear(params)
-        case Instruction.CONTROL_TABLE_BACKUP:
-            error = ErrorCode.RESULT_FAIL if secondary else servo.control_table_backup(params)
-        case _:
-            error = ErrorCode.INSTRUCTION
-    return error, b""
-
-
-def responding(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo]]:
-    """Servos that answer reads, by id."""
-    found: dict[int, list[VirtualServo]] = {}
-    for servo in listeners:
-        if servo.memory.values["status_return_level"] >= RETURN_READ:
-            found.setdefault(servo.id, []).append(servo)
-    return found
-
-
-def fast_status_packets(requests: list[Request], able: Mapping[int, list[VirtualServo]]) -> list[bytes]:
-    """The packet in which those asked answer together, ended before the first that is not ``able`` (by id).
-
-    Nothing, one packet, or as many as there are servos with one id: they talk over each other.
-    """
-    expected = 8 + sum(length + 4 for _, _, length in requests)
-    if expected > MAX_PACKET:
-        return []
-    columns = []
-    for id, address, length in requests:
-        if id not in able:
-            break
-        column = []
-        for servo in able[id]:
-            data, error = servo.read(address, length)
-            column.append((servo.status_byte(error), id, data.ljust(length, b"\x00")))
-        columns.append(column)
-    deepest = max(map(len, columns), default=0)
-    return [build_fast_status([c[min(k, len(c) - 1)] for c in columns], expected) for k in range(deepest)]

@@ -41,8 +41,10 @@ from robot_ik.jobs.results import claimed
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.kinematic import PoseError
     from robot_ik.camera.calibration.observability import Unobservable
-    from robot_ik.jobs.arm_camera.handeye import ArmCameraReport, HandEyeReport, HandEyeRequest
+    from robot_ik.jobs.arm_camera.camera_and_board import HandEyeRequest
+    from robot_ik.jobs.arm_camera.handeye import HandEyeReport
     from robot_ik.jobs.arm_camera.samples import SampleSet
+    from robot_ik.jobs.arm_camera.stations import ArmCameraReport
     from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
     from robot_ik.ports import Array
 
@@ -112,7 +114,7 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
         file: Where the samples are saved.
         command: Command that goes on with them.
     """
-    from robot_ik.camera.calibration.handeye import LEAST_VIEWS
+    from robot_ik.camera.calibration.handeye import MIN_VIEWS
 
     views = 0
 
@@ -126,11 +128,11 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
             return job(keep=keep, progress=console.shares_on(bar, command))
     except KeyboardInterrupt:
         console.say(f"stopped after {console.count_of(views, 'view')}", "yellow")
-        if views >= LEAST_VIEWS:
+        if views >= MIN_VIEWS:
             console.say(f"they are kept; go on with them: robot-ik {command} --samples {file}")
         elif views:
             console.say(
-                f"they are kept in {file}, but {LEAST_VIEWS} are the least that determine anything"
+                f"they are kept in {file}, but {MIN_VIEWS} are the least that determine anything"
             )
         raise
 
@@ -214,7 +216,7 @@ def _handeye_request(options: CameraHandeyeOptions) -> HandEyeRequest:
         CameraError: The board is invalid.
         InvalidGoalError: A pose is invalid.
     """
-    from robot_ik.jobs.arm_camera.handeye import HandEyeRequest
+    from robot_ik.jobs.arm_camera.camera_and_board import HandEyeRequest
 
     return request_of(
         HandEyeRequest,
@@ -353,6 +355,7 @@ def run_verify(options: CameraVerifyOptions) -> int:
 
 def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
     from robot_ik.jobs.arm_camera import verify
+    from robot_ik.jobs.arm_camera.error_map import error_picture
     from robot_ik.jobs.arm_camera.samples import VerifySamples
 
     if options.samples:
@@ -370,7 +373,7 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
     if not options.json:
         _print_verified(report, options.allowed_mm)
     if options.picture:
-        write_atomically(options.picture, verify.error_picture(report))
+        write_atomically(options.picture, error_picture(report.error_maps()))
         console.say(f"wrote {options.picture}", "green")
     written = _keep_zeros(options, report)
     passed = report.passed(1e-3 * options.allowed_mm, corrected=written)
@@ -526,11 +529,11 @@ def _poses(report: VerifyReport) -> Any:
 def _doubt(report: VerifyReport, number: int) -> str:
     if report.fit is not None and number in report.fit.outliers:
         return "contradicts the others: does not count"
-    return "measured badly: does not count" if number in report.unsure else ""
+    return "measured badly: does not count" if number in report.excluded else ""
 
 
 def _regions(title: str, errors: Sequence[PoseError]) -> Any:
-    from robot_ik.jobs.arm_camera.verify import regions
+    from robot_ik.jobs.arm_camera.error_map import regions
 
     columns = ("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm")
     rows = [
@@ -558,7 +561,7 @@ def _offset_table(report: VerifyReport) -> Any:
         columns = ("joint", "ahead by: deg", "sigma", "true")
     rows = []
     for k, name in enumerate(fit.joints):
-        sigma = f"{math.degrees(fit.sigma[k]):.3f}" if name in fit.found else "held"
+        sigma = f"{math.degrees(fit.sigma[k]):.3f}" if name in fit.determined else "held"
         true = () if truth is None else (f"{math.degrees(truth[k]):z.3f}",)
         rows.append((name, f"{math.degrees(fit.offsets[k]):z.3f}", sigma, *true))
     return console.table(*columns, rows=rows, title="joint zeros")
@@ -566,7 +569,7 @@ def _offset_table(report: VerifyReport) -> Any:
 
 def _verify_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, Any]:
     """Return all values, in metres and rad. ``verdict`` is None for a dry run."""
-    from robot_ik.jobs.arm_camera.verify import regions
+    from robot_ik.jobs.arm_camera.error_map import regions
 
     found = planned_values(report, "verify")
     if verdict is None:
@@ -576,14 +579,14 @@ def _verify_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[s
     found["poses"] = [
         _error_json(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)
     ]
-    found["unsure"] = report.unsure
+    found["excluded"] = report.excluded
     found["regions"] = regions(report.judged(corrected=False))
     fit = report.fit
     if fit is not None:
         sigmas = zip(fit.joints, np.asarray(fit.sigma).tolist(), strict=True)
         found["fit"] = {
             "offsets_rad": fit.offsets,
-            "sigma_rad": [sigma if name in fit.found else None for name, sigma in sigmas],
+            "sigma_rad": [sigma if name in fit.determined else None for name, sigma in sigmas],
             "true_rad": report.samples.true_offsets,
             "held": [
                 {"joint": one.joint, "why": unobservable_text(one, report.samples.frame)}

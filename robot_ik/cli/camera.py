@@ -338,7 +338,7 @@ def run_locate(options: CameraLocateOptions) -> int:
 
 def _print_located(report: LocateReport, options: CameraLocateOptions) -> None:
     extrinsics = report.extrinsics
-    used = len(report.misses)
+    used = len(report.errors)
     if options.json:
         facts = {
             "schema": 1,

@@ -11,13 +11,11 @@ import contextlib
 import json
 import logging
 import os
-import signal
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
@@ -367,21 +365,6 @@ def show_error(error: BaseException, *, debug: bool = False) -> int:
     text = Text.assemble(("error: ", "bold red"), message, ("\n" + hint if hint else "", "cyan"))
     stderr_console().print(text, soft_wrap=True)
     return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
-
-
-# --------------------------------------------------------------------------------- signals and logs
-
-
-@contextlib.contextmanager
-def on_signals(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
-    """Calls ``handler`` for these signals while inside; only the main thread can."""
-    main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, handler) for number in numbers if main}
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
 
 
 class _ConsoleLogHandler(logging.Handler):

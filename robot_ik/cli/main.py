@@ -9,12 +9,12 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import FrameType
 from typing import Any
 
 try:
     from robot_ik.cli import console
     from robot_ik.errors import OutputError, RobotIkError, close_matches, unknown_name_text
+    from robot_ik.signals import raised_signals
 except KeyboardInterrupt:  # most of the first half second is spent here
     sys.stderr.write("interrupted\n")
     raise SystemExit(130) from None
@@ -49,6 +49,8 @@ ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
     "reach": ("reach", "see a marker, reach it, and let a camera judge: the whole product"),
     "solve": ("solve", "a goal in, joint angles out (JSON on stdout)"),
+    "reachability": ("reachability", "where an arm can reach: a map, slices and a point cloud"),
+    "plan": ("plan", "a motion around obstacles, proven free"),
     "robots": ("listing", "the robots that come along, or one in detail"),
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
@@ -136,10 +138,6 @@ def find_command(arguments: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
 _VERSION_FLAGS = ("--version", "-V", "version")
 
 
-class Terminated(BaseException):
-    """SIGTERM arrived; raised in the main thread so that every ``with`` block closes its arm or port."""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line (of the process if ``None``) and returns its exit code, see ``console``."""
     # Before a command imports NumPy: its matrices are small, OpenBLAS's threads would wait for each other.
@@ -160,13 +158,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         _silence_stdout()
         return 128 + signal.SIGPIPE if hasattr(signal, "SIGPIPE") else 1
     except SystemExit as stop:
+        if stop.code == console.TERMINATED:
+            console.say("terminated", "yellow")
         return stop.code if isinstance(stop.code, int) else (0 if stop.code is None else 2)
     except KeyboardInterrupt:
         console.say("interrupted", "yellow")
         return console.INTERRUPTED
-    except Terminated:
-        console.say("terminated", "yellow")
-        return console.TERMINATED
     except Exception as error:  # the last place where an error can become an exit code
         if _was_interrupted(error):
             console.say("interrupted", "yellow")
@@ -226,13 +223,9 @@ def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -
     options: Any = parse(getattr(module, command.options), f"robot-ik {name}", arguments)
     if command.mujoco:
         import_mujoco()
-    with console.logs_shown(debug=debug), console.on_signals(_terminate, signal.SIGTERM):
+    with console.logs_shown(debug=debug), raised_signals(signal.SIGTERM):
         code: int = getattr(module, command.run)(options)
     return code
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated
 
 
 def _silence_stdout() -> None:

@@ -97,6 +97,10 @@ class ReachOptions:
     speed: Speed = 1.0
     line: bool = False
     """Move the tool on a straight line."""
+    scene: Annotated[Path | None, single("FILE.xml", "none")] = None
+    """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
+    avoid: bool = False
+    """Plan a motion around the obstacles of --scene and the robot itself."""
     follow: bool = False
     """Then go on following the marker (the synthetic one is pushed about)."""
     seconds: Annotated[float, arg(metavar="S"), positive(what=" s")] = 10.0
@@ -177,6 +181,11 @@ def make_request(options: ReachOptions) -> ReachRequest:
 
     still = "it shows the way to a goal that stands still"
     require(not (options.film and options.follow), "--film", still, "without --follow")
+    streams = "following does not use the obstacles"
+    require(not ((options.scene or options.avoid) and options.follow), "--follow", streams, "without --scene")
+    require(
+        not (options.avoid and options.line), "--line", "a planned motion is not straight", "without --avoid"
+    )
     for name in ("intrinsics", "camera_pose", "camera_extrinsics") if options.camera == "synthetic" else ():
         knows = "the synthetic camera has the lens and the place of the robot's scene"
         require(not getattr(options, name), f"--{name.replace('_', '-')}", knows, "with a real --camera")
@@ -287,6 +296,8 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
             worst = int(run.tracking_error.argmax())
             error = math.degrees(float(run.tracking_error[worst]))
             text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
+        if report.trajectory is not None and report.trajectory.certified:
+            text += "; proven free of collisions"
         rows.append(("motion", text))
     if following is not None:
         text = f"{following.duration:.1f} s at {following.rate:.1f} Hz"

@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, Overwrite, Range, positive, require, several, single
-from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_serial_port
+from robot_ik.cli.connection import BusOptions, load_arm, open_servo_bus, served_or_serial_port
 from robot_ik.jobs.results import claimed
 
 if TYPE_CHECKING:
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ServoPortsOptions:
-    """Lists serial ports: which adapter, how late it answers, who uses it. Opens none of them.
+    """Lists serial ports: adapter, latency, and programs that use them. Opens none of them.
 
-    Exit code 1 when there is no port at all.
+    Exit code 1 if there is no port at all.
     """
 
     json: Json = False
 
 
 def run_ports(options: ServoPortsOptions) -> int:
-    """Prints the ports; 1 when there is none."""
+    """Print the ports; 1 if there is none."""
     from robot_ik.hardware.ports import port_row, serial_ports
 
     rows = [port_row(port) for port in serial_ports()]
@@ -44,11 +44,12 @@ def run_ports(options: ServoPortsOptions) -> int:
     elif rows:
         cells = []
         for row in rows:
-            late = "-" if row["latency_ms"] is None else f"{row['latency_ms']} ms"
+            latency = "-" if row["latency_ms"] is None else f"{row['latency_ms']} ms"
             state = f"used by {', '.join(row['used_by'])}" if row["used_by"] else row["status"]
             name = row["stable"] or row["port"]
-            cells.append((name, row["adapter"], row["usb"] or "-", late, state, row["do"]))
-        console.show(console.table("port", "adapter", "USB", "latency", "state", "what to do", rows=cells))
+            cells.append((name, row["adapter"], row["usb"] or "-", latency, state, row["do"]))
+        columns = ("port", "adapter", "USB", "latency", "state", "what to do")
+        console.show(console.table(*columns, rows=cells))
     else:
         console.refused(
             "there is no USB serial port on this machine",
@@ -59,9 +60,10 @@ def run_ports(options: ServoPortsOptions) -> int:
 
 @dataclass(frozen=True)
 class ServoScanOptions(BusOptions):
-    """Asks at every baud rate which servos are there: id, model, firmware, supply, errors. Writes nothing.
+    """Lists the servos at every baud rate: id, model, firmware, supply, errors.
 
-    Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 when none answers.
+    Writes nothing. Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 if
+    none answers.
     """
 
     baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
@@ -70,7 +72,7 @@ class ServoScanOptions(BusOptions):
 
 
 def run_scan(options: ServoScanOptions) -> int:
-    """Prints which servos answer; 1 when none does."""
+    """Print the servos that answer; 1 if there is none."""
     from robot_ik.hardware.discovery import LIKELY, no_reply_hint, scan, scan_notes
 
     bauds = checked_rates(options.baud) or LIKELY
@@ -89,7 +91,11 @@ def run_scan(options: ServoScanOptions) -> int:
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
-    """Rates from the command line; raises ``ConfigError`` for one that no servo has."""
+    """Return the rates of a command line, each once.
+
+    Raises:
+        ConfigError: No servo has such a rate.
+    """
     from robot_ik.hardware.models import BAUD_RATES
 
     allowed = ", ".join(map(str, BAUD_RATES))
@@ -98,30 +104,37 @@ def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     return tuple(dict.fromkeys(rates))
 
 
-def _state(servo: FoundServo) -> str:
+def print_found(found: Sequence[FoundServo]) -> None:
+    """Print a table of servos on stdout."""
+    columns = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
+    rows = [
+        (
+            servo.baud,
+            servo.id,
+            servo.model,
+            _number(servo.firmware, "", 0, "?"),
+            _number(servo.voltage, " V", 1, "?"),
+            _number(servo.temperature, " C", 0, "?"),
+            _number(servo.return_delay, " us", 0, "?"),
+            _on_off(servo.torque, "?"),
+            _errors(servo),
+        )
+        for servo in found
+    ]
+    console.show(console.table(*columns, rows=rows))
+
+
+def _errors(servo: FoundServo) -> str:
+    """Return the last cell of a servo's row."""
     if servo.shared:
         return "damaged replies"
     pings_only = servo.torque is None and servo.voltage is None
     return ", ".join(servo.errors) or ("answers pings only" if pings_only else "none")
 
 
-def print_found(found: Sequence[FoundServo]) -> None:
-    """The table of servos on stdout."""
-    names = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
-    rows = [
-        (
-            s.baud, s.id, s.model, _number(s.firmware, "", 0, "?"), _number(s.voltage, " V", 1, "?"),
-            _number(s.temperature, " C", 0, "?"), _number(s.return_delay, " us", 0, "?"),
-            _on_off(s.torque, "?"), _state(s),
-        )
-        for s in found
-    ]  # fmt: skip
-    console.show(console.table(*names, rows=rows))
-
-
 @dataclass(frozen=True)
 class ServoSetupOptions(BusOptions):
-    """Gives one servo its id and baud rate. Exactly one servo may be connected; it is found at any rate.
+    """Gives one servo its id and baud rate. Exactly one servo may be connected, at any rate.
 
         robot-ik servo setup --joint joint3    (id and rate of the arm file)
         robot-ik servo setup --id 3 --baud 1000000
@@ -140,11 +153,12 @@ class ServoSetupOptions(BusOptions):
 
 
 def run_setup(options: ServoSetupOptions) -> int:
-    """Finds the servo, writes, reads back."""
-    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, set_up
+    """Find the servo, write its address, and read it back."""
+    from robot_ik.hardware.discovery import LIKELY, no_reply_hint
+    from robot_ik.hardware.servo_setup import set_up
 
-    one = (options.id is None) != (not options.joint)
-    require(one, "--id", "which servo is it to be?", "either --id N or --joint JOINT")
+    given_once = (options.id is None) != (not options.joint)
+    require(given_once, "--id", "the servo is not named", "either --id N or --joint JOINT")
     config = load_arm(options.arm)
     joint = config.joint(options.joint) if options.joint else None
     id = joint.servo.id if joint else options.id
@@ -159,26 +173,27 @@ def run_setup(options: ServoSetupOptions) -> int:
     if servo is None:
         return console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
     print_found([servo])
-    console.result(f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done")
+    change = f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud"
+    console.result(f"{change}, return delay 0: read back, done")
     return console.DONE
 
 
 @dataclass(frozen=True)
 class ServoBackupOptions(BusOptions):
-    """Saves the whole control table of every servo of the arm as JSON. Writes nothing to any servo."""
+    """Saves the control table of every servo of the arm as JSON. Writes nothing to any servo."""
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
-    """Where to."""
+    """File to write."""
     overwrite: Overwrite = False
 
 
 def run_backup(options: ServoBackupOptions) -> int:
-    """Reads all registers, writes the file."""
+    """Read all registers and write the file."""
     from robot_ik.hardware.backup import read_tables, save_backup
 
     with claimed(options.file, overwrite=options.overwrite):
         config = load_arm(options.arm)
-        with opened(options, config) as bus:
+        with open_servo_bus(options, config) as bus:
             servos = read_tables(bus, config)
         save_backup(options.file, config.name, servos)
     count = sum(len(servo.registers) for servo in servos)
@@ -188,10 +203,10 @@ def run_backup(options: ServoBackupOptions) -> int:
 
 @dataclass(frozen=True)
 class ServoRestoreOptions(BusOptions):
-    """Puts the EEPROM of servos back as a backup has it: modes, limits, offsets, shutdown. Needs torque off.
+    """Restores the EEPROM of servos from a backup: modes, limits, offsets, shutdown.
 
-    Only what differs is written, and read back. Ids, baud rates and RAM stay as they are. Another model
-    than the file's is refused.
+    Needs torque off. Only what differs is written, and read back. Ids, baud rates and RAM stay.
+    Another model than the file's is refused.
     """
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
@@ -203,28 +218,32 @@ class ServoRestoreOptions(BusOptions):
 
 
 def run_restore(options: ServoRestoreOptions) -> int:
-    """Writes what differs; shows it."""
+    """Write what differs, and show it."""
     from robot_ik.hardware.backup import differences, load_backup, restore
 
     servos = load_backup(options.file)
     known = tuple(servo.joint for servo in servos)
     for name in options.joints:
         require(name in known, "JOINT", f"{name!r} is not in {options.file}", ", ".join(known))
-    servos = [servo for servo in servos if not options.joints or servo.joint in options.joints]
-    with opened(options, load_arm(options.arm)) as bus:
-        changes = (differences if options.dry_run else restore)(bus, servos)
-    verb = "would become" if options.dry_run else "is now"
-    rows = [(c.joint, c.id, c.register, c.present, c.saved) for c in changes]
-    shown = console.table("joint", "id", "register", "was", verb, rows=rows)
-    console.show(shown if rows else "nothing differs")
+    if options.joints:
+        servos = [servo for servo in servos if servo.joint in options.joints]
+    with open_servo_bus(options, load_arm(options.arm)) as bus:
+        changes = differences(bus, servos) if options.dry_run else restore(bus, servos)
+    if not changes:
+        console.show("nothing differs")
+        return console.DONE
+    after = "would become" if options.dry_run else "is now"
+    rows = [(row.joint, row.id, row.register, row.present, row.saved) for row in changes]
+    console.show(console.table("joint", "id", "register", "was", after, rows=rows))
     return console.DONE
 
 
 @dataclass(frozen=True)
 class ServoMonitorOptions(BusOptions):
-    """Watches the servos: position, velocity, current, voltage, temperature, torque, errors. Moves nothing.
+    """Watches the servos: position, velocity, current, voltage, temperature, torque, errors.
 
-    Runs until Ctrl-C, or --count samples. Exit code 1 when a servo did not answer in the last one.
+    Moves nothing. Runs until Ctrl-C, or --count samples. Exit code 1 if a servo did not answer in
+    the last one.
     """
 
     rate: Annotated[float, arg(metavar="HZ"), positive(200.0, " Hz")] = 10.0
@@ -236,20 +255,23 @@ class ServoMonitorOptions(BusOptions):
 
 
 def run_monitor(options: ServoMonitorOptions) -> int:
-    """Prints samples; 1 when somebody was silent in the last one."""
+    """Print samples; 1 if a servo did not answer in the last one."""
     from robot_ik.hardware.health import read_states
 
     config = load_arm(options.arm)
-    with opened(options, config) as bus, ExitStack() as stack:
-        begin, screen, live = bus.clock.now(), console.out(), None
+    with open_servo_bus(options, config) as bus, ExitStack() as stack:
+        begin = bus.clock.now()
+        screen = console.out()
+        live = None
         if screen.is_terminal and not options.json:
             live = stack.enter_context(Live(console=screen, auto_refresh=False))
         due = begin
         for k in itertools.count(1):
             states = read_states(bus, config.drives)
             if options.json:
+                passed = round(bus.clock.now() - begin, 6)
                 servos = [asdict(state) for state in states]
-                console.print_json_line({"time": round(bus.clock.now() - begin, 6), "servos": servos})
+                console.print_json_line({"time": passed, "servos": servos})
             elif live is None:
                 screen.print(states_table(states))
             else:
@@ -262,29 +284,54 @@ def run_monitor(options: ServoMonitorOptions) -> int:
 
 
 def states_table(states: Sequence[ServoState]) -> Table:
-    """One sample as a table."""
-    names = ("joint", "id", "position", "velocity", "current", "supply", "temp", "torque", "errors")
-    rows = []
-    for s in states:
-        slides = s.position_mm is not None or s.velocity_mm is not None
-        position = _number(s.position_mm, " mm", 2) if slides else _number(s.position_deg, "°", 2)
-        velocity = _number(s.velocity_mm, " mm/s", 1) if slides else _number(s.velocity_deg, " °/s", 1)
-        loaded = s.load_percent is not None
-        current = _number(s.load_percent, " % load", 0) if loaded else _number(s.current_ma, " mA", 0)
-        errors = ", ".join(s.errors) or ("none" if s.answered else "no answer")
-        style = "bold red" if s.errors or not s.answered else "green"
-        rows.append(
-            (
-                s.joint, s.id, position, velocity, current, _number(s.voltage, " V", 1),
-                _number(s.temperature, " C", 0), _on_off(s.torque), Text(errors, style=style),
-            )
-        )  # fmt: skip
-    return console.table(*names, rows=rows)
+    """Return one sample as a table."""
+    columns = (
+        "joint",
+        "id",
+        "position",
+        "velocity",
+        "current",
+        "supply",
+        "temp",
+        "torque",
+        "errors",
+    )
+    return console.table(*columns, rows=[_state_row(state) for state in states])
+
+
+def _state_row(state: ServoState) -> tuple[object, ...]:
+    """Return one servo of a sample."""
+    if state.position_mm is not None or state.velocity_mm is not None:  # a slide
+        position = _number(state.position_mm, " mm", 2)
+        velocity = _number(state.velocity_mm, " mm/s", 1)
+    else:
+        position = _number(state.position_deg, "°", 2)
+        velocity = _number(state.velocity_deg, " °/s", 1)
+    effort = _number(state.current_ma, " mA", 0)
+    if state.load_percent is not None:
+        effort = _number(state.load_percent, " % load", 0)
+    errors = ", ".join(state.errors) or ("none" if state.answered else "no answer")
+    style = "bold red" if state.errors or not state.answered else "green"
+    return (
+        state.joint,
+        state.id,
+        position,
+        velocity,
+        effort,
+        _number(state.voltage, " V", 1),
+        _number(state.temperature, " C", 0),
+        _on_off(state.torque),
+        Text(errors, style=style),
+    )
 
 
 def _on_off(torque: bool | None, unknown: str = "-") -> str:
-    return unknown if torque is None else "ON" if torque else "off"
+    """Return a cell about torque."""
+    if torque is None:
+        return unknown
+    return "ON" if torque else "off"
 
 
 def _number(value: float | None, unit: str, digits: int, unknown: str = "-") -> str:
+    """Return a cell with a number and its unit."""
     return unknown if value is None else f"{value:z.{digits}f}{unit}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
-from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, opened, require_model
+from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, open_servo_bus
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.config import is_number
 from robot_ik.errors import distinct_texts
@@ -21,52 +21,72 @@ from robot_ik.errors import distinct_texts
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.recovery import ServoReset
     from robot_ik.hardware.servo import Joint
-    from robot_ik.hardware.startup import ServoReset
+
+LIMIT_SLACK = 1e-9
+"""rad (m) by which a value may be outside its limits: rounding of degrees."""
 
 
 @dataclass(frozen=True)
 class ServoMoveOptions(BusOptions):
-    """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps of the arm file.
+    """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps.
 
         robot-ik servo move joint1=30 joint3=-45
         robot-ik servo move 0 90 -90 0 0 0       (all joints in order)
 
+    With [collisions] in the arm file all joints move together on a straight path, and a path that
+    would touch is refused.
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
     to: Positional[Annotated[tuple[str, ...], several("JOINT=DEG …|DEG")]]
-    """Where to go."""
+    """Target of each joint."""
     by: bool = False
-    """The angles are by how much, not where to."""
-    speed: Annotated[float, arg(metavar="SHARE"), positive(1.0, " is no share of the speed caps")] = 0.25
+    """The angles are relative to the present ones."""
+    speed: Annotated[
+        float, arg(metavar="SHARE"), positive(1.0, " is no share of the speed caps")
+    ] = 0.25
     """Share of the speed caps, above 0 and up to 1."""
     on_exit: OnExit = ""
 
 
 def run_move(options: ServoMoveOptions) -> int:
-    """Goes there; 1 when a joint did not arrive."""
+    """Move the joints; 1 if a joint did not arrive, or the path is blocked."""
+    from robot_ik.workcell.arm_guard import guard_of
+
     config = load_arm(options.arm).slowed(options.speed)
     angles = parse_angles(options.to, config)
     if not options.by:
         require_inside(angles, config)
+    guard = guard_of(config)
     arm = arm_on(options, config, options.on_exit)
     with driving(arm):
-        arm.enable()
+        if guard is None:
+            arm.enable()
         arm.read()
-        here = arm.positions()
-        goal = {name: q + here[name] for name, q in angles.items()} if options.by else angles
+        start = arm.positions()
+        goal = angles
+        if options.by:
+            goal = {name: start[name] + q for name, q in angles.items()}
         require_inside(goal, config)
-        travel = {name: abs(q - here[name]) for name, q in goal.items()}
-        takes = max((far / config.joint(name).velocity for name, far in travel.items()), default=0.0)
-        with console.busy("moving", takes):
+        if guard is not None:
+            from robot_ik.jobs.hand_guiding import play_straight
+
+            play_straight(arm, goal, guard, console.busy)
+        times = [abs(q - start[name]) / config.joint(name).velocity for name, q in goal.items()]
+        with console.busy("moving", max(times, default=0.0)):
             arm.move_to(goal)
-        _show(arm, here, goal)
+        _show(arm, start, goal)
     return console.DONE
 
 
 def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float]:
-    """Joint name -> rad (m) from ``joint1=30`` or from one number for every joint, in degrees (slides: mm).
+    """Return joint name -> rad (m) of ``joint1=30``, or of one number for every joint.
+
+    Args:
+        arguments: Numbers in degrees (slides: mm).
+        config: Arm file.
 
     Raises:
         ConfigError: Neither form, or no finite number.
@@ -76,7 +96,8 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
     pair = "JOINT=DEG|MM" if slides else "JOINT=DEG"
     named = ["=" in argument for argument in arguments]
     if named and all(named):
-        pairs = [(name, text) for name, _, text in (argument.partition("=") for argument in arguments)]
+        parts = (argument.partition("=") for argument in arguments)
+        pairs = [(name, text) for name, _, text in parts]
     elif len(arguments) == len(config.names) and not any(named):
         pairs = list(zip(config.names, arguments, strict=True))
     else:
@@ -86,35 +107,44 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
     for name, text in pairs:
         value = float(text) if is_number(text) else math.nan
         joint = config.joint(name)
-        require(math.isfinite(value), name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
+        allowed = f"{joint.unit}, e.g. 30 or -12.5"
+        require(math.isfinite(value), name, f"{text!r} is no number", allowed)
         require(name not in angles, name, "named twice", "every joint once")
         angles[name] = value * joint.per_unit
     return angles
 
 
-def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
-    """Raises ``ConfigError`` unless every value (rad, m) is within what the arm file and the servo allow."""
+def require_inside(angles: Mapping[str, float], config: ArmConfig) -> None:
+    """Check that joint values, rad (m), are inside the limits of arm file and servo mode.
+
+    Raises:
+        ConfigError: A value is outside.
+    """
     for name, q in angles.items():
         joint = config.joint(name)
         lower, upper = joint.limits
-        if not lower - 1e-9 <= q <= upper + 1e-9:
-            asked, low, high = distinct_texts(*(value / joint.per_unit for value in (q, lower, upper)))
+        if not lower - LIMIT_SLACK <= q <= upper + LIMIT_SLACK:
+            values = (value / joint.per_unit for value in (q, lower, upper))
+            given, lowest, highest = distinct_texts(*values)
             unit = joint.unit
-            raise wrong(name, f"{asked} {unit} is outside its limits", f"{low} to {high} {unit}")
+            raise wrong(
+                name, f"{given} {unit} is outside its limits", f"{lowest} to {highest} {unit}"
+            )
 
 
-def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
+def _show(arm: Arm, start: Mapping[str, float], goal: Mapping[str, float]) -> None:
+    """Print where every joint was, should be and is."""
     arm.read()
     rows = []
     for name, q in arm.positions().items():
         joint = arm.config.joint(name)
-        asked = shown_value(joint, goal[name]) if name in goal else "-"
-        rows.append((name, shown_value(joint, start[name]), asked, shown_value(joint, q)))
+        target = shown_value(joint, goal[name]) if name in goal else "-"
+        rows.append((name, shown_value(joint, start[name]), target, shown_value(joint, q)))
     console.show(console.table("joint", "was", "asked", "is", rows=rows))
 
 
 def shown_value(joint: Joint, q: float) -> str:
-    """A joint value for people: degrees, or mm of a slide."""
+    """Return a joint value as text: degrees, or mm of a slide."""
     if joint.slides:
         return joint.text(q, 2)
     return f"{math.degrees(q):z.2f}°"
@@ -122,10 +152,10 @@ def shown_value(joint: Joint, q: float) -> str:
 
 @dataclass(frozen=True)
 class ServoTorqueOptions(BusOptions):
-    """Switches torque on (every joint holds where it stands) or off (support the arm: it may fall).
+    """Switches torque on (every joint holds its pose) or off (support the arm: it may fall).
 
-    on checks the servos as any start of the arm does, and leaves them holding, with no watchdog armed.
-    off asks nothing first: it is for an arm in any state. Both are read back.
+    on checks the servos as any start of the arm does, and leaves them holding, with no watchdog
+    armed. off asks nothing first: it is for an arm in any state. Both are read back.
     """
 
     to: Positional[Annotated[Literal["on", "off"], arg(metavar="on|off")]]
@@ -133,25 +163,34 @@ class ServoTorqueOptions(BusOptions):
     joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints; all if none is named."""
     ids: Annotated[tuple[int, ...], several("N")] = ()
-    """For off: these servo ids, whatever the arm file says."""
+    """For off: these servo ids, also if they are not in the arm file."""
     baud: Annotated[int | None, single("RATE", "the arm file's")] = None
     """For --ids: the rate of these servos, bits/s."""
 
 
 def run_torque(options: ServoTorqueOptions) -> int:
-    """1 when a servo did not confirm it."""
-    off = not options.joints and options.to == "off"
-    only = "only for torque off, and not together with joints"
-    require(off or not options.ids, "--ids", only, "torque off --ids N …")
+    """Switch torque; 1 if a servo did not confirm it."""
+    all_off = not options.joints and options.to == "off"
+    problem = "only for torque off, and not together with joints"
+    require(all_off or not options.ids, "--ids", problem, "torque off --ids N …")
     config = load_arm(options.arm)
-    if options.to == "on":
-        require_model(config)  # of the joints that stay as they are, too
-        arm = arm_on(options, config.only(options.joints), "hold")
-        with driving(arm):
-            arm.enable()
-        return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
+    return _torque_on(options, config) if options.to == "on" else _torque_off(options, config)
+
+
+def _torque_on(options: ServoTorqueOptions, config: ArmConfig) -> int:
+    from robot_ik.hardware.model_check import check_own_model
+
+    check_own_model(config)  # also if only some joints of the model get torque
+    arm = arm_on(options, config.only(options.joints), "hold")
+    with driving(arm):
+        arm.enable()
+    report = arm.exit_report
+    return console.DONE if report is not None and report.ok else console.NOT_ACHIEVED
+
+
+def _torque_off(options: ServoTorqueOptions, config: ArmConfig) -> int:
+    from robot_ik.hardware.leaving import leave
     from robot_ik.hardware.models import require_id
-    from robot_ik.hardware.torque import leave
 
     servos = {drive.id: drive.name for drive in config.only(options.joints).drives}
     if options.ids:
@@ -160,9 +199,9 @@ def run_torque(options: ServoTorqueOptions) -> int:
         servos = {id: f"servo {id}" for id in options.ids}
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
-    with opened(options, config) as bus:
-        everyone = not options.ids and not options.joints
-        report = leave(bus, config, "torque_off", {}, servos=servos, everyone=everyone)
+    with open_servo_bus(options, config) as bus:
+        broadcast = not options.ids and not options.joints
+        report = leave(bus, config, "torque_off", {}, servos=servos, broadcast=broadcast)
     if not report.ok:
         console.say(f"error: {report.doubt}", "bold red")
     if report.verified:
@@ -172,10 +211,10 @@ def run_torque(options: ServoTorqueOptions) -> int:
 
 @dataclass(frozen=True)
 class ServoResetFaultOptions(BusOptions):
-    """Restarts servos that have shut down (overload, heat, voltage …) and looks at them again.
+    """Restarts servos that have shut down (overload, heat, voltage …) and checks them again.
 
-    Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched on.
-    Exit code 1 when an error is still there, or a servo has forgotten whole revolutions.
+    Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched
+    on. Exit code 1 if an error is still there, or a servo has forgotten whole revolutions.
     """
 
     joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
@@ -183,50 +222,54 @@ class ServoResetFaultOptions(BusOptions):
 
 
 def run_reset_fault(options: ServoResetFaultOptions) -> int:
-    """1 when something is still wrong."""
-    from robot_ik.hardware.startup import reset_servos
+    """Restart servos; 1 if something is still wrong."""
+    from robot_ik.hardware.recovery import reset_servos
 
     config = load_arm(options.arm).only(options.joints)
-    with opened(options, config) as bus:
+    with open_servo_bus(options, config) as bus:
         rows = reset_servos(bus, config)
     cells = []
     for row in rows:
-        now = "no answer" if row.after is None else ", ".join(row.after) or "healthy"
-        was = ", ".join(row.before) or ("healthy" if row.silence is None else "no answer")
-        cells.append((row.joint, row.id, was, now, _advice(row)))
+        before = ", ".join(row.before) or ("healthy" if row.silence is None else "no answer")
+        after = "no answer" if row.after is None else ", ".join(row.after) or "healthy"
+        cells.append((row.joint, row.id, before, after, _advice(row)))
     console.show(console.table("joint", "id", "was", "is", "what to do", rows=cells))
     return console.DONE if all(row.ok for row in rows) else console.NOT_ACHIEVED
 
 
 def _advice(row: ServoReset) -> str:
+    """Return what to do about a servo after its reset."""
     if row.ok:
         return "torque is off: robot-ik servo torque on" if row.before else ""
     if row.after is None:
         return "check power, cable, id and baud rate"
     if row.after:
         return "the cause is still there: load, heat, supply?"
-    return f"its reading changed by {row.turned} ticks: it forgot whole revolutions; turn the joint by hand"
+    return (
+        f"its reading changed by {row.turned} ticks: it forgot whole revolutions; "
+        "turn the joint by hand"
+    )
 
 
 @dataclass(frozen=True)
 class StopOptions:
-    """Stops arms that other programs drive: they hold where they are, with torque on.
+    """Stops arms that other programs drive: they hold their pose, with torque on.
 
-    Needs neither the port nor the program's terminal. Exit code 0 only when every servo confirmed it;
-    1 when one did not, when no arm runs, or without an answer for 3 s. Then the request stays: the arm stops
-    when its program goes on. It is no substitute for a switch in the servos' supply.
+    Needs neither the port nor the program's terminal. Exit code 0 only if every servo confirmed
+    it; 1 if one did not, if no arm runs, or without an answer for 3 s. Then the request stays: the
+    arm stops when its program goes on. It is no substitute for a switch in the servos' supply.
     """
 
     bus: Annotated[str, single("PORT", "every arm of this user")] = ""
     """Only the arm on this port."""
     torque_off: bool = False
-    """Let go instead: the arm may fall. Asks first."""
+    """Switch torque off instead: the arm may fall. Asks first."""
     yes: bool = False
     """With --torque-off: do not ask."""
 
 
 def run_stop(options: StopOptions) -> int:
-    """1 when an arm did not confirm it, or none runs."""
+    """Stop the arms; 1 if an arm did not confirm it, or none runs."""
     from robot_ik.hardware.stop_file import running_arms
 
     arms = running_arms(os.path.expanduser(options.bus) or None)
@@ -234,17 +277,21 @@ def run_stop(options: StopOptions) -> int:
         console.say("no arm runs" + (f" on {options.bus}" if options.bus else ""), "yellow")
         if options.torque_off:
             port = options.bus or "PORT"
-            console.say(f"servos may hold without a program: robot-ik servo torque off --bus {port}", "cyan")
+            command = f"robot-ik servo torque off --bus {port}"
+            console.say(f"servos may hold without a program: {command}", "cyan")
         return console.NOT_ACHIEVED
     if options.torque_off and not options.yes:
-        require(sys.stdin.isatty(), "--torque-off", "there is no terminal to ask at", "--torque-off --yes")
+        problem = "there is no terminal to ask at"
+        require(sys.stdin.isatty(), "--torque-off", problem, "--torque-off --yes")
         names = ", ".join(arm.name for arm in arms)
-        if not console.confirm(f"{names}: without torque an arm falls. Support it. Torque off?"):
+        question = f"{names}: without torque an arm falls. Support it. Torque off?"
+        if not console.confirm(question):
             console.say("nothing was done", "dim")
             return console.NOT_ACHIEVED
     stopped = 0
     for arm in arms:
         ok, text = arm.stop("torque_off" if options.torque_off else "hold")
         stopped += ok
-        console.say(f"{arm.name} on {arm.port} (process {arm.pid}): {text}", "" if ok else "bold red")
+        line = f"{arm.name} on {arm.port} (process {arm.pid}): {text}"
+        console.say(line, "" if ok else "bold red")
     return console.DONE if stopped == len(arms) else console.NOT_ACHIEVED

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,8 +14,8 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import ArmName, Range, joint_degrees, several, single, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.hardware.virtual.faults import FAULTS
-from robot_ik.hardware.watchdogs import SIGNALS
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
+from robot_ik.signals import deferred_signals
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -91,10 +90,9 @@ def run(options: SimBusOptions) -> int:
         World(load_robot(robot_named_in(config)).model, config, bus)
     bus.inject(*(file.faults if file else ()))
     served = make_port(bus, options.link, match_baud=options.match_baud, wire_baud=options.wire_baud)
-    ended = threading.Event()
-    with console.on_signals(lambda number, frame: ended.set(), *SIGNALS), served as port:
+    with deferred_signals() as signals, served as port:
         _announce(options.arm, config, port)
-        ended.wait()
+        signals.wait()
     console.say("closed", "dim")
     return console.DONE
 

@@ -7,23 +7,20 @@ solution = solve(robot, goal, collisions=avoid)
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.collision import DEFAULT_MARGIN, LARGEST_MARGIN
 from robot_ik.collision.distances import PairTables
-from robot_ik.collision.pairs import chosen_pairs
-from robot_ik.collision.scene import Clearance, Scene, free_postures
+from robot_ik.collision.pairs import Ints, chosen_pairs
+from robot_ik.collision.scene import Clearance, Scene, Touching, always_near, free_postures
 from robot_ik.errors import OptionError
 from robot_ik.geometry import is_real
 from robot_ik.kernels.block import Block
 from robot_ik.robot import Robot
-
-LARGEST_MARGIN = 10.0
-"""m."""
-
-DEFAULT_MARGIN = 0.005
-"""m. More than the error of a calibrated small arm."""
 
 
 class CollisionAvoidance:
@@ -67,12 +64,37 @@ class CollisionAvoidance:
         self.ignore = tuple(tuple(pair) for pair in ignore)
         chosen = chosen_pairs(scene.model, scene.pairs, self.pairs, self.ignore)
         self.tables: PairTables = scene.pair_tables(chosen)
+        self._left_out: Ints = np.zeros((0, 2), dtype=np.int64)
 
     def __repr__(self) -> str:
         return f"CollisionAvoidance({self.scene!r}, margin={self.margin:g})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return CollisionAvoidance, (self.scene, self.margin, self.pairs, self.ignore)
+        given = self.scene, self.margin, self.pairs, self.ignore
+        return _rebuilt, (*given, self._left_out)
+
+    @cached_property
+    def always_near(self) -> tuple[Touching, ...]:
+        """Parts that are nearer than the margin in all of many random postures, deepest first.
+
+        They leave no posture free. ``ignore`` leaves them out.
+        """
+        return always_near(self.scene, self.tables.geoms, self.margin)
+
+    def without(self, geoms: Ints) -> CollisionAvoidance:
+        """Return the same condition without pairs (p, 2) of ids of geoms."""
+        keys = np.sort(self.tables.geoms, axis=1) @ (self.scene.model.ngeom, 1)
+        left_out = np.sort(geoms, axis=1) @ (self.scene.model.ngeom, 1)
+        rest = CollisionAvoidance(self.scene, self.margin, self.pairs, self.ignore)
+        rest.tables = self.scene.pair_tables(self.tables.geoms[~np.isin(keys, left_out)])
+        rest._left_out = np.concatenate([self._left_out, geoms])
+        return rest
+
+    def near(self, q: ArrayLike) -> Ints:
+        """Return the pairs (p, 2) of ids of geoms nearer than the margin at ``q``, by MuJoCo."""
+        geoms = self.tables.geoms
+        distances = self.scene.pair_distances(q, geoms, self.margin)
+        return geoms[distances < self.margin]
 
     def clearance(self, q: ArrayLike) -> Clearance:
         """Return the nearest of the chosen pairs at ``q`` (nq,), by MuJoCo."""
@@ -85,6 +107,18 @@ class CollisionAvoidance:
     def memory(self) -> Block:
         """Return memory for one compiled check at a time (``collision.RUN``)."""
         return self.scene.memory(self.tables)
+
+
+def _rebuilt(
+    scene: Scene,
+    margin: float,
+    pairs: Iterable[Sequence[str]] | None,
+    ignore: Iterable[Sequence[str]],
+    left_out: Ints,
+) -> CollisionAvoidance:
+    """Return the copy of a condition."""
+    condition = CollisionAvoidance(scene, margin, pairs, ignore)
+    return condition.without(left_out) if len(left_out) else condition
 
 
 def require_same_robot(robot: Robot, collisions: CollisionAvoidance) -> None:

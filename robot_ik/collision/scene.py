@@ -42,6 +42,9 @@ from robot_ik.robot import Robot, load_robot, require_robot
 FARTHEST = 1e10
 """m. MuJoCo measures distances up to this."""
 
+SMALLEST_REACH = 1e-9
+"""m. MuJoCo measures no depth of a contact if it shall measure distances up to 0 only."""
+
 TOUCHING_SAMPLES = 64
 """Random postures. Parts that touch in all of them touch by construction."""
 
@@ -78,7 +81,7 @@ class Touching:
 
     Attributes:
         pair: Names of the two parts.
-        depth: Smallest depth of their contact, m.
+        depth: Smallest depth of their contact, m. Negative: their largest distance.
         exclude: The line for the ``<contact>`` element of the model, or what to do without it.
     """
 
@@ -283,6 +286,26 @@ class Scene:
             normal / length if length > 0.0 else np.full(3, np.nan),
         )
 
+    def pair_distances(self, q: ArrayLike, pairs: Ints, reach: float) -> Array:
+        """Return the distance (p,) of each of some pairs at ``q``, by MuJoCo.
+
+        Args:
+            q: Joint angles (nq,).
+            pairs: (p, 2) ids of geoms.
+            reach: Larger distances are returned as ``reach``, m.
+        """
+        data = self.data_at(q)
+        distances = np.full(len(pairs), reach)
+        segment = np.zeros(6)
+        for lower, pair in _by_lower_bound(self.model, data, pairs):
+            if lower > reach:
+                break
+            a, b = pairs[pair].tolist()
+            farthest = max(reach, SMALLEST_REACH)
+            distance = mujoco.mj_geomDistance(self.model, data, a, b, farthest, segment)
+            distances[pair] = min(distance, reach)
+        return distances
+
     def _outer_first(self, a: int, b: int) -> tuple[int, int]:
         """Return two geoms with the one that is farther along the robot first."""
         nodes = [self._bodies[self.model.geom_bodyid[geom]][0] for geom in (a, b)]
@@ -296,31 +319,7 @@ class Scene:
         collision. Paste the lines ``exclude`` into the ``<contact>`` element of the model, or give
         the pairs as ``ignore`` to ``CollisionAvoidance``.
         """
-        rng = np.random.default_rng(0)
-        postures = [self.robot.home]
-        postures += [self.robot.sample(rng) for _ in range(TOUCHING_SAMPLES)]
-        names = [tuple(part_name(self.model, g) for g in pair) for pair in self.pairs.tolist()]
-        candidates = list(range(len(self.pairs)))
-        depths: dict[tuple[str, ...], float] = {}
-        bodies: dict[tuple[str, ...], list[int]] = {}
-        segment = np.zeros(6)
-        for k, q in enumerate(postures):
-            data = self.data_at(q)
-            deepest: dict[tuple[str, ...], float] = {}
-            for i in candidates:
-                a, b = self.pairs[i].tolist()
-                distance = mujoco.mj_geomDistance(self.model, data, a, b, 1e-9, segment)
-                if distance < 0.0 and (k == 0 or names[i] in depths):
-                    deepest[names[i]] = max(deepest.get(names[i], 0.0), -distance)
-                    bodies[names[i]] = self.model.geom_bodyid[[a, b]].tolist()
-            depths = {pair: min(d, depths.get(pair, d)) for pair, d in deepest.items()}
-            # Other geoms of the same two parts may touch in the next posture.
-            candidates = [i for i in candidates if names[i] in depths]
-        contacts = [
-            Touching((pair[0], pair[1]), depth, _exclude_line(self.model, bodies[pair]))
-            for pair, depth in depths.items()
-        ]
-        return tuple(sorted(contacts, key=lambda item: -item.depth))
+        return always_near(self, self.pairs, 0.0)
 
     # Compiled checks
 
@@ -369,6 +368,47 @@ class Scene:
         memory = self.memory(self._all_pairs)
         collision.smallest_distances(memory.address, rows, float(reach), distances, nearest)
         return distances if np.ndim(q) == 2 else distances[0]
+
+
+def always_near(scene: Scene, pairs: Ints, margin: float) -> tuple[Touching, ...]:
+    """Return the parts that are nearer than a margin in all of many random postures.
+
+    Args:
+        scene: The scene.
+        pairs: (p, 2) ids of geoms.
+        margin: m.
+
+    Returns:
+        The deepest first.
+    """
+    robot = scene.robot
+    model = scene.model
+    rng = np.random.default_rng(0)
+    postures = [robot.home]
+    postures += [robot.sample(rng) for _ in range(TOUCHING_SAMPLES)]
+    names = [tuple(part_name(model, g) for g in pair) for pair in pairs.tolist()]
+    candidates = list(range(len(pairs)))
+    depths: dict[tuple[str, ...], float] = {}
+    bodies: dict[tuple[str, ...], list[int]] = {}
+    segment = np.zeros(6)
+    for k, q in enumerate(postures):
+        data = scene.data_at(q)
+        deepest: dict[tuple[str, ...], float] = {}
+        for i in candidates:
+            a, b = pairs[i].tolist()
+            reach = margin + SMALLEST_REACH
+            distance = mujoco.mj_geomDistance(model, data, a, b, reach, segment)
+            if distance < margin and (k == 0 or names[i] in depths):
+                deepest[names[i]] = max(deepest.get(names[i], -margin), -distance)
+                bodies[names[i]] = model.geom_bodyid[[a, b]].tolist()
+        depths = {pair: min(d, depths.get(pair, d)) for pair, d in deepest.items()}
+        # Other geoms of the same two parts may touch in the next posture.
+        candidates = [i for i in candidates if names[i] in depths]
+    contacts = [
+        Touching((pair[0], pair[1]), depth, _exclude_line(model, bodies[pair]))
+        for pair, depth in depths.items()
+    ]
+    return tuple(sorted(contacts, key=lambda item: -item.depth))
 
 
 def free_postures(

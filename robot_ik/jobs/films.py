@@ -8,8 +8,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-import signal
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
@@ -22,6 +20,7 @@ from robot_ik.camera.image import write_image
 from robot_ik.errors import MissingExtraError, OutputError
 from robot_ik.jobs.results import claimed, claimed_folder
 from robot_ik.ports import Image
+from robot_ik.signals import deferred_signals
 
 FILMS = (".mp4", ".mkv", ".mov", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -44,22 +43,6 @@ class PictureSink(ABC):
         """Ends the file; gives what was written, None for nothing."""
 
 
-@contextlib.contextmanager
-def _unbroken() -> Iterator[None]:
-    """Ctrl-C waits for the end of the block: half a picture would spoil those after it in a film."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
-
-
 class Film(PictureSink):
     """A film, H.264, or a GIF, each picture in 256 colours of its own; shown at the time it was taken."""
 
@@ -76,7 +59,7 @@ class Film(PictureSink):
     def write(self, image: Image, time: float) -> None:
         import av
 
-        with _unbroken():
+        with deferred_signals():  # half a picture would spoil those after it
             if self._container is None:
                 self._open(image)
                 self._first, self._last = round(time * _TICKS), -1

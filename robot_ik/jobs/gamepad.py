@@ -1,6 +1,6 @@
-"""A gamepad leads an arm: how far its sticks are pushed is how fast joints, or the hand, go.
+"""A gamepad leads an arm: the deflection of a stick is the speed of joints or of the hand.
 
-Read by SDL (pygame-ce, extra ``gamepad``), which knows the layouts of some hundred gamepads.
+SDL reads it (pygame-ce, extra ``gamepad``), with the layouts of some hundred gamepads.
 """
 
 from __future__ import annotations
@@ -15,23 +15,53 @@ import numpy as np
 
 from robot_ik.errors import HardwareError, MissingExtraError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.teleop import Angles, Jog
+from robot_ik.hardware.servo import GRIPPER
+from robot_ik.jobs.jog import Jog
+from robot_ik.jobs.operator import Angles
 from robot_ik.ports import Array, Closing
 
 DEAD_ZONE = 0.15
-"""Share of a stick's range: one that is let go may rest within it."""
-_SPEED, _ANGULAR_SPEED = 0.12, np.radians(45.0)  # m/s and rad/s (joints, rotations) of a stick at its end
-_LONGEST = 0.1  # s: after a pause a stick counts for no more
-_FULL = 32767.0  # SDL's number for a stick at its end
-_POLL = 0.2  # s
+"""Share of a stick's range in which a released stick may rest."""
+
+SPEED = 0.12
+"""m/s of a stick at its end."""
+
+ANGULAR_SPEED = np.radians(45.0)
+"""rad/s (joints, rotations) of a stick at its end."""
+
+LONGEST_STEP = 0.1
+"""s for which a stick counts at most after a pause."""
+
+FULL_DEFLECTION = 32767.0
+"""SDL's number for a stick at its end."""
+
+POLL_PERIOD = 0.2
+"""s between two looks for a gamepad."""
+
+LOOK_HINT = "look at its cable or its battery"
+
+BUTTONS = {
+    "a": "A",
+    "b": "B",
+    "x": "X",
+    "y": "Y",
+    "back": "BACK",
+    "start": "START",
+    "left_shoulder": "LEFTSHOULDER",
+    "right_shoulder": "RIGHTSHOULDER",
+    "up": "DPAD_UP",
+    "down": "DPAD_DOWN",
+}
+"""Name of a button -> its name in SDL."""
 
 
 @dataclass(frozen=True)
 class PadState:
-    """What is pushed and pressed.
+    """Positions of sticks and triggers, and pressed buttons.
 
     Attributes:
-        left, right: Sticks: to the right and forwards, -1 to 1.
+        left: Left stick: to the right and forwards, -1 to 1.
+        right: Right stick, the same.
         triggers: Left and right, 0 to 1.
         pressed: Buttons that are down: ``a b x y back start left_shoulder right_shoulder up down``.
     """
@@ -42,11 +72,11 @@ class PadState:
     pressed: frozenset[str] = frozenset()
 
     def axes(self) -> Array:
-        """(6,) x, y, z, and about x, y, z: or the first six joints."""
+        """Return (6,) shares of full speed: along and about x, y, z, or of the first six joints."""
         shoulders = ("right_shoulder" in self.pressed) - ("left_shoulder" in self.pressed)
         pushed = (self.left[1], -self.left[0], self.triggers[1] - self.triggers[0])
         axes = np.array((*pushed, float(shoulders), self.right[1], -self.right[0]))
-        # Without the dead zone; fine near its edge, for the square of what is left.
+        # Beyond the dead zone, squared: slow near its edge.
         share = np.clip((np.abs(axes) - DEAD_ZONE) / (1.0 - DEAD_ZONE), 0.0, 1.0)
         return np.asarray(np.sign(axes) * share**2)
 
@@ -54,8 +84,14 @@ class PadState:
 class Gamepad(Jog):
     """Sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
 
-    B stops and holds (``stop``), Y changes between joints and hand, up and down move the gripper, Start ends
-    (``over``).  ``read`` raises ``HardwareError`` where the gamepad is gone; ``recover`` waits for it, s.
+    B stops and holds, Y changes between joints and hand, up and down move the gripper, Start ends.
+
+    Args:
+        config: Arm file of the follower.
+        read: Gives the state of the gamepad.  Raises ``HardwareError`` if it is disconnected.
+        recover: Waits for the gamepad, s.
+        stop: Makes the follower hold.
+        hand: Move the hand instead of joints.
     """
 
     def __init__(
@@ -63,13 +99,13 @@ class Gamepad(Jog):
         config: ArmConfig,
         read: Callable[[], PadState],
         *,
-        recover: Callable[[float], None] = lambda timeout: None,
+        recover: Callable[[float], None] = lambda _timeout: None,
         stop: Callable[[], object] = lambda: None,
         hand: bool = True,
     ) -> None:
         super().__init__(config, read, stop=stop, hand=hand)
         self._wait = recover
-        self._grippers = [k for k, joint in enumerate(self.joints) if joint.name not in config.names]
+        self._grippers = [k for k, joint in enumerate(self.joints) if joint.group == GRIPPER]
         self._down: frozenset[str] = frozenset()
         self._last: float | None = None
 
@@ -79,24 +115,25 @@ class Gamepad(Jog):
 
     def command(self, now: float) -> Angles:
         state = self._read()
-        fresh, self._down = state.pressed - self._down, state.pressed
+        fresh = state.pressed - self._down
+        self._down = state.pressed
         if "b" in fresh:
             self.stop()
         if "y" in fresh:
             self.change()
         self.over |= "start" in fresh
-        passed = 0.0 if self._last is None else min(now - self._last, _LONGEST)
+        passed = 0.0 if self._last is None else min(now - self._last, LONGEST_STEP)
         self._last = now
         axes = passed * state.axes()
         if not self.hand:
             for number, share in enumerate(axes.tolist()):
                 if number not in self._grippers:
-                    self.move_joint(number, share * _ANGULAR_SPEED, share * _SPEED)
+                    self.move_joint(number, share * ANGULAR_SPEED, share * SPEED)
         elif axes.any():
-            self.move_hand(_SPEED * axes[:3], _ANGULAR_SPEED * axes[3:])
+            self.move_hand(SPEED * axes[:3], ANGULAR_SPEED * axes[3:])
         grip = passed * (("up" in state.pressed) - ("down" in state.pressed))
         for number in self._grippers[:1]:
-            self.move_joint(number, grip * _ANGULAR_SPEED, grip * _SPEED)
+            self.move_joint(number, grip * ANGULAR_SPEED, grip * SPEED)
         return dict(self.angles)
 
     def recover(self, timeout: float) -> None:
@@ -107,12 +144,12 @@ class PadDevice(Closing):
     """The first gamepad of this machine; a context manager.
 
     Raises:
-        MissingExtraError: Without pygame-ce.
-        HardwareError: There is none.
+        MissingExtraError: pygame-ce is not installed.
+        HardwareError: There is no gamepad.
     """
 
     def __init__(self) -> None:
-        # SDL wants a display and the focus, and takes SIGTERM for its own, unless it is told otherwise.
+        # By default SDL needs a display and the focus, and handles SIGTERM itself.
         for name in ("SDL_JOYSTICK_ALLOW_BACKGROUND_EVENTS", "SDL_NO_SIGNAL_HANDLERS"):
             os.environ.setdefault(name, "1")
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
@@ -122,7 +159,8 @@ class PadDevice(Closing):
             from pygame._sdl2 import controller
         except ImportError:
             raise MissingExtraError("pygame-ce", "gamepad", "a gamepad") from None
-        self._pygame, self._controllers = pygame, controller
+        self._pygame = pygame
+        self._controllers = controller
         self._pad: Any = None
         pygame.display.init()
         controller.init()
@@ -135,6 +173,7 @@ class PadDevice(Closing):
 
     @property
     def name(self) -> str:
+        """Name of the gamepad."""
         return str(self._pad.name)
 
     def _find(self) -> bool:
@@ -145,30 +184,47 @@ class PadDevice(Closing):
         return self._pad is not None
 
     def read(self) -> PadState:
-        """What is pushed and pressed now; HardwareError: it is gone."""
-        pygame, pad = self._pygame, self._pad
+        """Return the present state.
+
+        Raises:
+            HardwareError: The gamepad is disconnected.
+        """
+        pygame = self._pygame
+        pad = self._pad
         pygame.event.pump()
         if pad is None or not pad.attached():
-            raise HardwareError("the gamepad is gone", hint="look at its cable or its battery")
+            raise HardwareError("the gamepad is disconnected", hint=LOOK_HINT)
 
         def axis(name: str) -> float:
-            return max(-1.0, float(pad.get_axis(getattr(pygame, f"CONTROLLER_AXIS_{name}"))) / _FULL)
+            value = float(pad.get_axis(getattr(pygame, f"CONTROLLER_AXIS_{name}")))
+            return max(-1.0, value / FULL_DEFLECTION)
 
-        buttons = "A B X Y BACK START LEFTSHOULDER RIGHTSHOULDER DPAD_UP DPAD_DOWN"
-        down = {one for one in buttons.split() if pad.get_button(getattr(pygame, f"CONTROLLER_BUTTON_{one}"))}
-        names = {one.lower().removeprefix("dpad_").replace("shoulder", "_shoulder") for one in down}
+        pressed = {
+            name
+            for name, button in BUTTONS.items()
+            if pad.get_button(getattr(pygame, f"CONTROLLER_BUTTON_{button}"))
+        }
         return PadState(
-            (axis("LEFTX"), -axis("LEFTY")), (axis("RIGHTX"), -axis("RIGHTY")),
-            (max(0.0, axis("TRIGGERLEFT")), max(0.0, axis("TRIGGERRIGHT"))), frozenset(names),
-        )  # fmt: skip
+            (axis("LEFTX"), -axis("LEFTY")),
+            (axis("RIGHTX"), -axis("RIGHTY")),
+            (max(0.0, axis("TRIGGERLEFT")), max(0.0, axis("TRIGGERRIGHT"))),
+            frozenset(pressed),
+        )
 
     def recover(self, timeout: float) -> None:
-        """Waits until one is connected again; HardwareError: none was within ``timeout`` s."""
+        """Wait until a gamepad is connected again.
+
+        Args:
+            timeout: s to wait.
+
+        Raises:
+            HardwareError: None was connected in time.
+        """
         end = time.monotonic() + timeout
         while not self._find():
             if time.monotonic() > end:
-                raise HardwareError("the gamepad did not come back", hint="look at its cable or its battery")
-            time.sleep(_POLL)
+                raise HardwareError("the gamepad did not come back", hint=LOOK_HINT)
+            time.sleep(POLL_PERIOD)
 
     def close(self) -> None:
         self._pad = None

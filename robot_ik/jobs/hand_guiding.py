@@ -19,7 +19,7 @@ from robot_ik.errors import ArmStateError, ConfigError, HardwareError
 from robot_ik.execution import execute
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.arm_part import ArmPart
-from robot_ik.hardware.bus import read_all, shared_register
+from robot_ik.hardware.arm_registers import read_all, shared_register
 from robot_ik.hardware.calibration import (
     ASKED_WIGGLE,
     STILL_TICKS,
@@ -36,8 +36,9 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.lerobot_calibration import save_lerobot
 from robot_ik.hardware.servo import Joint, Sign
 from robot_ik.motion.trajectory import Trajectory
-from robot_ik.ports import JointSink
-from robot_ik.workcell.guided_motion import approach, playable
+from robot_ik.ports import Array, JointSink
+from robot_ik.workcell.arm_guard import ArmGuard
+from robot_ik.workcell.guided_motion import APPROACH, approach, playable
 
 STILL_SAMPLES = 10
 """At 20 Hz: a hand that only passes through the pose is noticed."""
@@ -276,18 +277,24 @@ def play_motion(
     motion: Trajectory,
     sinks: Sequence[JointSink],
     busy: Callable[[str, float], AbstractContextManager[None]],
+    guard: ArmGuard | None = None,
 ) -> PlayReport:
     """Goes slowly to where a motion of ``load_playable`` begins, then plays it; torque is switched on.
 
     ``sinks`` get every command as well; ``busy`` shows what goes on, and for how many seconds, while inside.
+    ``guard`` refuses a motion that would touch before torque comes on.
 
     Raises:
         HardwareError: A servo failed.
+        MotionBlockedError: The motion, or the way to its start, would touch.
     """
-    arm.enable()
     part = ArmPart(arm, motion.joints)
+    if guard is not None:
+        _checked_approach(arm, part, motion.q[0], guard)
+        guard.checked(motion, arm.positions())
+    arm.enable()
     targets: list[JointSink] = [part, *sinks]
-    first = approach(part.read().q, motion.q[0], part.config)
+    first = _checked_approach(arm, part, motion.q[0], guard)
     with busy("going to where it begins", first.duration):
         execute(first, targets, source=part, clock=arm.clock, settle=0.2)
     arm.clock.sleep_until(arm.clock.now() + 1.0 / arm.config.rate_hz)  # a recording has each time once
@@ -303,3 +310,38 @@ def play_motion(
     late, worst = int(np.argmax(share * done.tracking_error)), int(np.argmax(share * error))
     final_error = float(free[worst] * error[worst])
     return PlayReport(joints[late], float(done.tracking_error[late]), joints[worst], final_error)
+
+
+def play_straight(
+    arm: Arm,
+    goal: Mapping[str, float],
+    guard: ArmGuard,
+    busy: Callable[[str, float], AbstractContextManager[None]],
+) -> None:
+    """Move all joints together on a straight path at the caps. Torque is switched on.
+
+    Args:
+        arm: Connected.
+        goal: Joint -> rad (m of a slide). The other joints stay.
+        guard: Refuses a path that would touch before torque comes on.
+        busy: Shows what goes on, and for how many seconds.
+
+    Raises:
+        HardwareError: A servo failed.
+        MotionBlockedError: The path would touch.
+    """
+    part = ArmPart(arm, list(goal))
+    end = np.array(list(goal.values()))
+    _checked_approach(arm, part, end, guard, share=1.0)
+    arm.enable()
+    path = _checked_approach(arm, part, end, guard, share=1.0)
+    with busy("moving", path.duration):
+        execute(path, [part], source=part, clock=arm.clock)
+
+
+def _checked_approach(
+    arm: Arm, part: ArmPart, end: Array, guard: ArmGuard | None, share: float = APPROACH
+) -> Trajectory:
+    """Return the straight motion of a part of an arm to ``end`` (n,), if it is allowed."""
+    path = approach(part.read().q, end, part.config, share)
+    return path if guard is None else guard.checked(path, arm.positions())

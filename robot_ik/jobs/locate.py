@@ -1,4 +1,4 @@
-"""Where a camera stands, from pictures of a board whose pose is known."""
+"""Locate a camera from pictures of a board whose pose is known."""
 
 from __future__ import annotations
 
@@ -22,20 +22,23 @@ from robot_ik.jobs import Progress
 from robot_ik.jobs.pictures import GUESSED_FROM, frames_of, hint_of_other_markers
 from robot_ik.ports import Image
 
-# Corners of a good calibration and a flat board miss by a few tenths of a pixel.
+# A picture is doubtful if the median error of its corners is larger, px. With a good calibration
+# and a flat board it is a few tenths.
 _DOUBTFUL_PX = 1.0
 
 
 @dataclass(frozen=True)
 class LocateRequest:
-    """A camera and a board; neither moves.
+    """A resting camera and a resting board.
 
     Attributes:
-        source: As for ``open_source``.
-        intrinsics: The camera's calibration file.
-        board: As for ``parse_target``; ``dictionary`` of its markers, empty: the usual one.
-        pose_parent_board: Where the board's frame is, seen from the frame that is called ``parent``.
-        pictures: No more than so many are looked at.
+        source: Source of the pictures, see ``open_source``.
+        intrinsics: Calibration file of the camera.
+        board: Name of the board, see ``parse_target``.
+        dictionary: Dictionary of its markers. Empty: the default one.
+        pose_parent_board: Pose of the board, seen from the frame ``parent``.
+        parent: Name of that frame.
+        pictures: Largest number of pictures that are read.
     """
 
     source: str
@@ -49,60 +52,66 @@ class LocateRequest:
 
 @dataclass(frozen=True, eq=False)
 class LocateReport:
-    """What came out.
+    """Result of ``run_locate``.
 
     Attributes:
-        extrinsics: The camera's pose by all pictures that show the board.
-        searched: How many pictures were looked at.
-        misses: Of each picture that shows the board: the median distance of its corners from where they
-            would be by that pose, px.
+        extrinsics: Pose of the camera by all pictures that show the board.
+        searched: Number of pictures that were read.
+        errors: Median reprojection error of the corners at that pose, px. One for each picture that
+            shows the board.
     """
 
     extrinsics: CameraExtrinsics
     searched: int
-    misses: Sequence[float]
+    errors: Sequence[float]
 
     @property
-    def _doubtful(self) -> int:
-        return sum(miss > _DOUBTFUL_PX for miss in self.misses)
+    def _doubtful_count(self) -> int:
+        return sum(error > _DOUBTFUL_PX for error in self.errors)
 
     @property
     def believed(self) -> bool:
-        """Whether a picture agrees with all together; else the pose is of no use."""
-        return self._doubtful < len(self.misses)
+        """Whether at least one picture agrees with the pose. Otherwise the pose is useless."""
+        return self._doubtful_count < len(self.errors)
 
     @property
     def doubt(self) -> str:
-        """What may be wrong where a picture has the board elsewhere; empty: none has."""
-        if not self._doubtful:
+        """Possible causes if pictures contradict the pose. Empty if none does."""
+        if not self._doubtful_count:
             return ""
-        count, most = len(self.misses), max(self.misses)
+        count = len(self.errors)
         moved = "camera or board moved, or " if count > 1 else ""
         return (
-            f"in {self._doubtful} of {count} pictures the board is elsewhere, by up to {most:.1f} px: {moved}"
-            f"the board is not flat or not of this size, or the calibration is of another camera"
+            f"in {self._doubtful_count} of {count} pictures the board is elsewhere, by up to "
+            f"{max(self.errors):.1f} px: {moved}the board is not flat or not of this size, or the "
+            "calibration is of another camera"
         )
 
 
 def run_locate(
     request: LocateRequest,
     *,
-    progress: Progress = lambda phase, share: None,
-    left_out: Callable[[str], None] = lambda why: None,
+    progress: Progress = lambda _phase, _share: None,
+    left_out: Callable[[str], None] = lambda _why: None,
 ) -> LocateReport:
-    """Looks for the board, and finds the camera by all pictures that show it.
+    """Find the board in the pictures, and the camera by all pictures that show it.
 
-    ``left_out`` is given why a file cannot be used.
+    Args:
+        request: Camera and board.
+        progress: Called with the phase and its finished share.
+        left_out: Called with the reason if a file cannot be used.
 
     Raises:
-        MarkerNotFoundError: No picture shows the board; the hint says what may be wrong.
-        RobotIkError: Wrong input or environment, or board or camera moved between the pictures.
+        MarkerNotFoundError: No picture shows the board. The hint names possible causes.
+        RobotIkError: The input or the environment is wrong, or board or camera moved between the
+            pictures.
     """
     board = parse_target(request.board, request.dictionary)
     intrinsics = CameraIntrinsics.load(request.intrinsics)
     views: list[Observation] = []
-    searched, blank = 0, deque[Image](maxlen=GUESSED_FROM)
-    # A camera may give no more.
+    searched = 0
+    without_board: deque[Image] = deque(maxlen=GUESSED_FROM)
+    # A source that stops early is no error: the pictures read so far are used.
     with open_source(request.source) as source, contextlib.suppress(FrameTimeoutError):
         for frame in frames_of(source):
             if isinstance(frame, CameraNotFoundError):
@@ -111,30 +120,44 @@ def run_locate(
             searched += 1
             view = board.find(frame, intrinsics)
             if view is None:
-                blank.append(frame.image)
+                without_board.append(frame.image)
             else:
                 views.append(view)
             progress("looking", searched / request.pictures)
             if searched == request.pictures:
                 break
+
     if not views:
         pictures = f"{searched} picture{'' if searched == 1 else 's'}"
         raise MarkerNotFoundError(
-            f"no board {request.board} in {pictures} of {request.source}", hint=_unseen_hint(board, blank)
+            f"no board {request.board} in {pictures} of {request.source}",
+            hint=_not_found_hint(board, without_board),
         )
     extrinsics = locate_camera(views, request.pose_parent_board, intrinsics, parent=request.parent)
     pose_camera_board = extrinsics.pose_parent_camera.inverse() @ request.pose_parent_board
-    return LocateReport(extrinsics, searched, [_miss(view, pose_camera_board, intrinsics) for view in views])
+    errors = [_median_error(view, pose_camera_board, intrinsics) for view in views]
+    return LocateReport(extrinsics, searched, errors)
 
 
-def _miss(view: Observation, pose_camera_board: Pose, intrinsics: CameraIntrinsics) -> float:
+def _median_error(
+    view: Observation, pose_camera_board: Pose, intrinsics: CameraIntrinsics
+) -> float:
+    """Return the median reprojection error of the corners, px."""
     expected = intrinsics.project(pose_camera_board.apply(view.points))
     return float(np.median(np.linalg.norm(expected - view.pixels, axis=1)))
 
 
-def _unseen_hint(board: Target, blank: Sequence[Image]) -> str:
-    """What may be wrong when no picture shows the board: markers of another dictionary are named."""
-    dictionary, hint = getattr(getattr(board, "pattern", board), "dictionary", ""), ""
-    if dictionary and not any(MarkerDetector(dictionary, strict=True).detect(image) for image in blank):
-        hint = hint_of_other_markers(dictionary, blank)
-    return hint or "check its sizes and dictionary, light and focus; the whole board should be in view"
+def _not_found_hint(board: Target, pictures: Sequence[Image]) -> str:
+    """Return possible causes why no picture shows the board.
+
+    Markers of other dictionaries in the pictures are named.
+    """
+    dictionary = getattr(getattr(board, "pattern", board), "dictionary", "")
+    hint = ""
+    if dictionary:
+        detector = MarkerDetector(dictionary, strict=True)
+        if not any(detector.detect(image) for image in pictures):
+            hint = hint_of_other_markers(dictionary, pictures)
+    return hint or (
+        "check its sizes and dictionary, light and focus; the whole board should be in view"
+    )

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,9 +41,12 @@ from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
-from robot_ik.solution import Solution
+from robot_ik.solution import COLLIDING, Solution
 from robot_ik.solvers import solver_name
 from robot_ik.testbed.frontends.window import Solid, WindowSink
+
+if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
 
 # ------------------------------------------------------------------------------------------
 # What a reach shall do.
@@ -64,6 +67,8 @@ class ReachRequest(ArmRequest):
         when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many s without it.
         lead: Seconds to predict the marker beyond each tick.
         record: File of all commands and measurements, .csv or .mcap.
+        scene: MJCF file of obstacles that the arm must not touch on its way to the goal.
+        avoid: Plan a motion around the obstacles and the robot itself.
     """
 
     solver: str = ""
@@ -81,6 +86,8 @@ class ReachRequest(ArmRequest):
     lost_after: float = 2.0
     lead: float = 0.0
     record: Path | None = None
+    scene: Path | None = None
+    avoid: bool = False
 
 
 # ------------------------------------------------------------------------------------------
@@ -206,9 +213,10 @@ def run_reach(
         vision = open_vision(request, setup, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
+        collisions = _collisions(request, setup.robot)  # a wrong file is refused before anything moves
         with setup.connected():
             try:
-                _Reach(report, window, method, progress).run(compiling)
+                _Reach(report, window, method, progress, collisions).run(compiling)
             except NOT_ACHIEVED_ERRORS as problem:
                 report.problem = problem
             report.counters = setup.counters()
@@ -216,6 +224,16 @@ def run_reach(
         if window is not None:
             window.wait()
     return report
+
+
+def _collisions(request: ReachRequest, robot: Robot) -> CollisionAvoidance | None:
+    """Return the condition on the motion to the goal; None if the request has none."""
+    if request.scene is None and not request.avoid:
+        return None
+    # Here, because it loads the kernels of collision checks, 50 ms.
+    from robot_ik.jobs.obstacles import condition_among
+
+    return condition_among(robot, request.scene)
 
 
 def _window(
@@ -240,6 +258,7 @@ class _Reach:
     window: Any
     method: str
     progress: Progress
+    collisions: CollisionAvoidance | None = None
 
     @property
     def camera(self) -> Vision:
@@ -261,6 +280,8 @@ class _Reach:
             self.window.show_goal(goal.target)
         solution = self.solve(goal)
         report.tolerance = self.accept(solution)
+        if report.setup.guard is not None:
+            self.plan(goal, solution)  # a blocked motion is refused before torque comes on
         report.setup.enable_torque()
         self.move(self.plan(goal, solution))
         goal_sigma = EXACT
@@ -294,7 +315,12 @@ class _Reach:
         report.q_start = q = report.setup.q.copy()
         self.progress("solving", 0.0)
         problem = Problem(
-            report.robot, goal, solver=self.method, tolerance=SOLVE_TOLERANCE, seed=report.request.seed
+            report.robot,
+            goal,
+            solver=self.method,
+            tolerance=SOLVE_TOLERANCE,
+            seed=report.request.seed,
+            collisions=report.setup.collisions,
         )
         report.solution = problem.solve(q)
         report.microseconds = 1e6 * problem.solve(q).seconds  # the caches are warm now
@@ -308,7 +334,8 @@ class _Reach:
         Raises:
             NotConvergedError: It misses both.
         """
-        if self.report.seen is not None and not solution.converged:
+        blocked = solution.status in COLLIDING
+        if self.report.seen is not None and not solution.converged and not blocked:
             known, error = self.known(), solution.error
             if error.position <= SIGMAS * known.position and error.angle <= SIGMAS * known.angle:
                 return Tolerance(
@@ -329,6 +356,14 @@ class _Reach:
         report, setup = self.report, self.report.setup
         report.q_start = start = setup.q.copy()
         caps = setup.caps(report.request.speed)
+        if self.collisions is not None:
+            caps["collisions"] = self.collisions
+        if report.request.avoid:
+            # Here, because it loads the kernels of collision checks, 50 ms.
+            from robot_ik.motion.plan import plan
+
+            report.trajectory = plan(report.robot, start, solution.q, **caps).require()
+            return report.trajectory
         if report.request.line:
             target = goal.target
             asks_angle = goal.weights[1] > 0.0
@@ -336,9 +371,10 @@ class _Reach:
                 # Of the rotation nothing is said: the tool keeps its own; or in part: as the solution has it.
                 q = solution.q if asks_angle else start
                 target = Pose(target.position, report.robot.forward(q, report.frame).wxyz)
-            report.trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
+            trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
         else:
-            report.trajectory = joint_move(report.robot, start, solution.q, **caps)
+            trajectory = joint_move(report.robot, start, solution.q, **caps)
+        report.trajectory = setup.checked(trajectory)
         return report.trajectory
 
     def move(self, trajectory: Trajectory) -> None:
@@ -375,9 +411,9 @@ class _Reach:
 
         with self.camera.following(setup.clock, request.follow) as goals:
             report.following = follow(
-                report.robot, goals, sinks=setup.sinks, solver=self.method, rate=setup.rate,
+                report.robot, goals, sinks=setup.begin_stream(), solver=self.method, rate=setup.rate,
                 clock=setup.clock, duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
-                speed=request.speed, source=setup.opened, on_tick=show,
+                speed=request.speed, source=setup.opened, on_tick=show, collisions=setup.collisions,
             )  # fmt: skip
         setup.repeat(_SETTLE_SECONDS)
         report.behind = (float(np.median(behind)), max(behind)) if behind else None

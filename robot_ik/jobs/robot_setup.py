@@ -17,12 +17,16 @@ from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
-from robot_ik.robot_arm import RobotArm, open_robot, robot_of_arm
+from robot_ik.robot_arm import RobotArm, arm_collisions, open_robot, robot_of_arm
 from robot_ik.robot_file import find_robot
+from robot_ik.workcell.arm_guard import guard_of
 
 if TYPE_CHECKING:
+    from robot_ik.collision.avoidance import CollisionAvoidance
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.motion.trajectory import Trajectory
+    from robot_ik.workcell.arm_guard import ArmGuard
 
 
 _log = logging.getLogger(__name__)
@@ -101,6 +105,8 @@ class RobotSetup:
         robot: Inside the intersection of model, servo mode and joint map.
         frame: What shall be moved.
         limits: How that intersection came about.
+        guard: Checks the motions of the arm; None if its file has no table ``[collisions]``.
+        collisions: The condition of that table, for solutions; None without the table.
         opened: Robot and arm; None without a bus.
         clock: Of the run; virtual where nothing real waits.
         dof: How many joints move the frame.
@@ -114,6 +120,8 @@ class RobotSetup:
     limits: list[JointLimits]
     opened: RobotArm | None
     clock: Clock
+    guard: ArmGuard | None = None
+    collisions: CollisionAvoidance | None = None
 
     def __post_init__(self) -> None:
         self.dof = len(joints_that_move(self.robot, self.frame))
@@ -145,6 +153,13 @@ class RobotSetup:
     def sinks(self) -> list[JointSink]:
         """Who takes commands; the setup itself keeps the last one."""
         return [*([] if self.opened is None else [self.opened]), self, *self.recorder]
+
+    def begin_stream(self) -> list[JointSink]:
+        """Return sinks for a stream of commands, which stop the arm before parts touch."""
+        if self.guard is None or self.arm is None:
+            return self.sinks
+        self.guard.begin(self.arm.positions())
+        return [_GuardedSink(self, self.guard, self.arm)]
 
     def send(self, q: Array, now: float) -> None:
         """Keeps ``q`` (nq,) as what was sent last."""
@@ -182,6 +197,21 @@ class RobotSetup:
             "acceleration_limits": self.config.acceleration,
             **shared,
         }
+
+    def checked(self, trajectory: Trajectory) -> Trajectory:
+        """Return a trajectory that the arm may play.
+
+        Without the table ``[collisions]`` of an arm file each one is allowed.
+
+        Raises:
+            MotionBlockedError: It would bring parts nearer than the margin.
+        """
+        if self.guard is None:
+            return trajectory
+        positions = dict(zip(self.robot.joints, self.commanded.tolist(), strict=True))
+        if self.arm is not None:
+            positions = self.arm.positions()
+        return self.guard.checked(trajectory, positions)
 
     @property
     def rate(self) -> float:
@@ -237,6 +267,23 @@ class RobotSetup:
         return found
 
 
+@dataclass(frozen=True)
+class _GuardedSink:
+    """Sends what the guard allows; recorder and setup get what was really sent."""
+
+    setup: RobotSetup
+    guard: ArmGuard
+    arm: Arm
+
+    def send(self, q: Array, now: float) -> None:
+        """Send joint angles (nq,) of the robot."""
+        joints = self.setup.robot.joints
+        sent = self.guard.send(self.arm, dict(zip(joints, q.tolist(), strict=True)))
+        command = np.array([sent[joint] for joint in joints])
+        for sink in (self.setup, *self.setup.recorder):
+            sink.send(command, now)
+
+
 def prepare_robot(request: ArmRequest) -> RobotSetup:
     """Robot and arm of a request; nothing is opened yet.
 
@@ -260,7 +307,8 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     if without_bus:
         chain = config.only(robot.joints)
         limited = robot.with_limits(chain.lower, chain.upper)
-        return RobotSetup(limited, frame, _joint_limits(robot, limited, chain), None, clock)
+        condition = guard_of(chain, request.robot), arm_collisions(chain, limited)
+        return RobotSetup(limited, frame, _joint_limits(robot, limited, chain), None, clock, *condition)
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     opened = open_robot(robot, config, request.bus)
@@ -271,7 +319,8 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
             *(Fault("stuck", config.joint(name).servo.id) for name in rehearsal.stuck),
         )
     limits = _joint_limits(robot, opened.robot, opened.chain)
-    return RobotSetup(opened.robot, frame, limits, opened, opened.clock)
+    condition = guard_of(opened.config, request.robot), opened.collisions
+    return RobotSetup(opened.robot, frame, limits, opened, opened.clock, *condition)
 
 
 def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:

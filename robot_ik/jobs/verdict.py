@@ -1,8 +1,8 @@
-"""Did the arm reach its goal?  Two measurements that know nothing of each other, and one decision.
+"""Verdict on a reach: two independent measurements and one decision.
 
-The servos' registers say where the joints are (through MuJoCo's forward pass); a camera says where the
-tool really is.  A servo with a slipped horn passes the first and fails the second.  ``decide`` makes the
-verdict of both; text and exit code are its.
+The servos' registers give the joint angles, and MuJoCo's forward kinematics the pose of the tool. A
+camera measures the pose of the tool itself. A servo with a slipped horn passes the first and fails
+the second. ``decide`` combines both. Text and exit code follow from its result.
 """
 
 from __future__ import annotations
@@ -19,30 +19,39 @@ from robot_ik.goals import Goal, Tolerance, frame_error
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
-# However uncertain the camera, a larger error than this is no success.
-LARGEST_MISS = 0.005  # metres
+#: Largest position error of a reached goal, however uncertain the camera is, metres.
+LARGEST_ERROR = 0.005
+#: Largest angle error, likewise, rad.
 LARGEST_ANGLE = np.deg2rad(1.0)
-# A solve is asked for far more than the servos can do, so that its error does not count.
+#: Tolerance of the solve. It is far below the resolution of servos, so its error does not count.
 SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
-# Standard deviations within which a measurement is believed.
+#: Number of standard deviations by which a measurement may be wrong.
 SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Largest error that is explained, or a standard deviation: metres and radians."""
+    """A largest error, or a standard deviation.
+
+    Attributes:
+        position: Metres.
+        angle: Rad.
+    """
 
     position: float
     angle: float
 
     def combined(self, other: Bound) -> Bound:
-        """The standard deviation of the sum of two that are independent."""
+        """Return the standard deviation of the sum of two independent errors."""
         return Bound(math.hypot(self.position, other.position), math.hypot(self.angle, other.angle))
 
     def widened(self, sigma: Bound) -> Bound:
-        """With three standard deviations of a measurement, which take it to 5 mm and 1 degree at most."""
+        """Return the bound plus three standard deviations of a measurement.
+
+        They widen it to at most ``LARGEST_ERROR`` and ``LARGEST_ANGLE``.
+        """
         return Bound(
-            max(self.position, min(LARGEST_MISS, self.position + SIGMAS * sigma.position)),
+            max(self.position, min(LARGEST_ERROR, self.position + SIGMAS * sigma.position)),
             max(self.angle, min(LARGEST_ANGLE, self.angle + SIGMAS * sigma.angle)),
         )
 
@@ -52,10 +61,14 @@ EXACT = Bound(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Judgement:
-    """A measured error and what was allowed, metres and radians; 0 for the part that the goal leaves free.
+    """A measured error and its limit.
 
-    ``sigma`` is the standard deviation of the measurement, zeros where it is exact; ``pose``: where the tool
-    was measured, in the world.
+    Attributes:
+        position: Position error, metres. 0 if the goal leaves the position free.
+        angle: Angle error, rad. 0 if the goal leaves the orientation free.
+        allowed: Largest accepted error.
+        sigma: Standard deviation of the measurement. Zeros for an exact one.
+        pose: Measured pose of the tool in the world.
     """
 
     position: float
@@ -66,15 +79,25 @@ class Judgement:
 
     @property
     def passed(self) -> bool:
+        """Whether both errors are within the limit."""
         return bool(self.position <= self.allowed.position and self.angle <= self.allowed.angle)
 
 
-def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, tolerance: Tolerance) -> Bound:
-    """How far the tool may be off although every servo is right to a tick.
+def quantisation(
+    robot: Robot, q: Array, resolution: Array, frame: str, tolerance: Tolerance
+) -> Bound:
+    """Return the largest error of a frame if every servo is right to a tick.
 
-    Half a tick of each joint for rounding the command, half for rounding what is read back, all in the
-    worst direction at once: Σ ‖J_j‖ · tick_j at ``q`` (nq,), plus the tolerance of the solve.
-    ``resolution`` (nv,) are rad per tick of each joint, zeros without servos.
+    The command is rounded by up to half a tick of each joint, and so is the reading. The bound
+    assumes that all errors have their worst sign: sum of |J_j| tick_j, plus the tolerance of the
+    solve.
+
+    Args:
+        robot: The robot.
+        q: (nq,) joint angles.
+        resolution: (nv,) rad per tick of each joint. Zeros without servos.
+        frame: The frame.
+        tolerance: Tolerance of the solve.
     """
     jacobian = robot.jacobian(q, frame)
     return Bound(
@@ -86,14 +109,20 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
 def judge_read_back(
     robot: Robot, q: Array, goal: Goal, frame: str, bound: Bound, goal_sigma: Bound = EXACT
 ) -> Judgement:
-    """The error of ``frame`` at the joint angles read back (nq,), by MuJoCo's own forward pass.
+    """Return the error of a frame at the joint angles read back, by MuJoCo's forward kinematics.
 
-    ``bound`` comes from ``quantisation``; ``goal_sigma`` says how well the goal is known beside where the arm
-    was sent, zeros where both are one.
+    Args:
+        robot: The robot.
+        q: (nq,) joint angles read back.
+        goal: The goal.
+        frame: The frame that should reach it.
+        bound: Result of ``quantisation``.
+        goal_sigma: Standard deviation of the goal relative to the pose to which the arm was sent.
+            Zeros if both are the same.
     """
     pose = robot.measure(q, frame)
-    metres, radians = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
-    return Judgement(metres, radians, bound.widened(goal_sigma), goal_sigma, pose)
+    position, angle = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
+    return Judgement(position, angle, bound.widened(goal_sigma), goal_sigma, pose)
 
 
 def judge_by_camera(
@@ -105,20 +134,29 @@ def judge_by_camera(
     bound: Bound,
     goal_sigma: Bound = EXACT,
 ) -> Judgement:
-    """The error as a camera sees it: the tool carries the marker body that was ``seen``.
+    """Return the error of the tool measured by a camera.
 
-    Allowed is three standard deviations of the measurement plus the quantisation of the servos (``bound``),
-    and never more than 5 mm and 1 degree; ``goal_sigma`` as in ``judge_read_back``.
+    The limit is three standard deviations of the measurement plus the quantisation of the servos,
+    and at most ``LARGEST_ERROR`` and ``LARGEST_ANGLE``.
+
+    Args:
+        robot: The robot.
+        seen: Observation of the markers on the tool.
+        pose_world_camera: Pose of the camera.
+        pose_body_tool: Pose of the tool in the frame of the markers.
+        goal: The goal.
+        bound: Result of ``quantisation``.
+        goal_sigma: See ``judge_read_back``.
     """
     pose = pose_world_camera.compose(seen.pose).compose(pose_body_tool)
-    metres, radians = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
+    position, angle = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
     lever = seen.pose.rotation @ pose_body_tool.position
     sigma = Bound(*worst_sigmas(seen.covariance, lever)).combined(goal_sigma)
     allowed = Bound(
-        min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
+        min(LARGEST_ERROR, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
     )
-    return Judgement(metres, radians, allowed, sigma, pose)
+    return Judgement(position, angle, allowed, sigma, pose)
 
 
 def decide(
@@ -131,35 +169,42 @@ def decide(
     stopped_short: str = "",
     followed: bool = False,
 ) -> tuple[bool, str]:
-    """The one decision of a reach: whether the goal is reached, and why so in one sentence.
+    """Decide whether the goal is reached.
 
-    Without servos the joint angles are known, so a camera that sees no gripper leaves nothing unproven.
+    Without servos the joint angles are known, so a camera that does not see the gripper leaves
+    nothing unproven.
 
     Args:
-        read_back: By the joint angles.
-        by_camera: None: no picture shows where the tool is.
-        servos: There are any, so the registers may be wrong about the arm.
-        blind: Why no camera looked at the arm; empty: one looked.
-        seen_goal: The goal is a marker, so a camera is at hand.
-        stopped_short: What servo is how far from its command; empty: none is.
-        followed: The goal moved.
+        read_back: Error by the joint angles.
+        by_camera: Error by the camera. None if no picture shows the tool.
+        servos: Whether there are servos. Their registers may disagree with the arm.
+        blind: Why no camera was used. Empty if one was used.
+        seen_goal: Whether the goal is a marker, so that a camera is available.
+        stopped_short: Which servo is how far from its command. Empty if none is.
+        followed: Whether the goal moved.
+
+    Returns:
+        Whether the goal is reached, and the reason in one sentence.
     """
-    account = "by the servos' own account" if servos else "by the model's joint angles"
+    source = "by the servos' own account" if servos else "by the model's joint angles"
     explained = ("the servos' ticks" if servos else "the solver's tolerance") + " and the camera"
     if not read_back.passed:
         if stopped_short:
             return False, stopped_short
-        off = f"the tool is {1e3 * read_back.position:.2f} mm from the goal {account}"
-        why = "the marker moved on, or the arm is too slow" if followed else "the solution was not kept to"
-        return False, f"{off}: {why}"
+        reason = "the solution was not kept to"
+        if followed:
+            reason = "the marker moved on, or the arm is too slow"
+        distance = f"the tool is {1e3 * read_back.position:.2f} mm from the goal {source}"
+        return False, f"{distance}: {reason}"
     if by_camera is not None:
         if by_camera.passed:
             return True, f"within what {explained} explain"
-        hint = "check zeros, horns and limits" if servos else "check the camera's calibration and place"
+        hint = "check the camera's calibration and place"
+        if servos:
+            hint = "check zeros, horns and limits"
         return False, f"farther off than {explained} can explain: {hint}"
     if blind:
-        return True, f"{account}: {blind}"
+        return True, f"{source}: {blind}"
     if servos and seen_goal:
-        missing = "no marker of the gripper is in view, so where the tool is remains unproven"
-        return False, missing
-    return True, f"{account}: no marker of the gripper is in view"
+        return False, "no marker of the gripper is in view, so where the tool is remains unproven"
+    return True, f"{source}: no marker of the gripper is in view"

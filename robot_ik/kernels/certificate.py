@@ -13,6 +13,8 @@ From the link towards that node each joint adds to the bound d
 where the lever is the largest distance of the link's capsule from the axis or centre, at the
 middle: during the half interval no point of the link comes farther from it than lever + d. If a
 pair fails, the interval is halved. Pairs before it are proven for both halves.
+
+A coupled joint moves as its leader determines. Its largest slope on the line bounds its motion.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -31,7 +33,7 @@ from robot_ik.kernels.collision import (
 )
 from robot_ik.kernels.collision import RUN as COLLISION
 from robot_ik.kernels.jit import inlined, kernel, outlined
-from robot_ik.kernels.kinematics import integrate
+from robot_ik.kernels.kinematics import follow, integrate, steepest_slope
 from robot_ik.kernels.tree import BALL, HINGE, SLIDE
 
 # m. A pair that moves less than this in an interval and is not proven free cannot be proven.
@@ -50,7 +52,8 @@ PROOF = Layout(
     share="float",  # and share of the segment
     pair="int",  # the pair of geoms that is not proven free there
     q="floats nq",
-    step="floats nv",  # share of dq
+    change="floats nv",  # change along the whole line; of a coupled joint a bound of it
+    step="floats nv",  # share of the change
     stack="table h 3",  # intervals: middle, half their length, pairs of links that are proven
     travel="table l n",  # bound of the motion of a link relative to the parent of a node
     collision=COLLISION,
@@ -72,7 +75,23 @@ def lever_of(tree, check, radius, link, node):
 
 
 @outlined
-def bound_motion(proof, dq, half):
+def write_change(proof, start, dq):
+    """Write proof.change of the line from ``start`` (nq,) along ``dq`` (nv,)."""
+    tree = proof.collision.tree
+    for v in range(dq.shape[0]):
+        proof.change[v] = dq[v]
+    for c in range(tree.coupled.shape[0]):
+        leader = tree.coupled[c, 1]
+        travel = 0.0
+        if leader >= 0:
+            first = start[tree.qadr[leader]]
+            turn = dq[tree.vadr[leader]]
+            travel = steepest_slope(tree, c, first, first + turn) * abs(turn)
+        proof.change[tree.vadr[tree.coupled[c, 0]]] = travel
+
+
+@outlined
+def bound_motion(proof, half):
     """Write for each pair of links how far it may approach in half an interval of length ``half``.
 
     The collision check must have placed the links at the middle of the interval.
@@ -81,6 +100,7 @@ def bound_motion(proof, dq, half):
     tree = run.tree
     check = run.check
     shapes = run.shapes
+    dq = proof.change
     for link in range(shapes.node.shape[0]):
         node = shapes.node[link]
         bound = 0.0
@@ -123,6 +143,7 @@ def prove_segment(proof, start, dq, margin):
     stack[0, 1] = 0.5
     stack[0, 2] = -1.0
     top = 1
+    write_change(proof, start, dq)
     while top > 0:
         top -= 1
         middle = stack[top, 0]
@@ -133,8 +154,9 @@ def prove_segment(proof, start, dq, margin):
         for v in range(dq.shape[0]):
             proof.step[v] = middle * dq[v]
         integrate(run.tree, run.tree.every, proof.q, proof.step)
+        follow(run.tree, proof.q)
         begin_check(run, proof.q)
-        bound_motion(proof, dq, half)
+        bound_motion(proof, half)
         restart_scan(check, proven)
         proof.checks += 1
         while True:
@@ -183,7 +205,16 @@ def prove_path(address, starts, changes, margin):
 
 @kernel
 def bound_of_motion(address, q, dq, half):
-    """Write check.motion for half an interval with its middle at ``q`` (nq,)."""
+    """Write check.motion for half an interval with its middle at ``q`` (nq,).
+
+    The whole line is along ``dq`` (nv,), with its middle at ``q`` too.
+    """
     proof = open_proof(address)
+    for i in range(q.shape[0]):
+        proof.q[i] = q[i]
+    for v in range(dq.shape[0]):
+        proof.step[v] = -0.5 * dq[v]
+    integrate(proof.collision.tree, proof.collision.tree.every, proof.q, proof.step)
+    write_change(proof, proof.q, dq)
     begin_check(proof.collision, q)
-    bound_motion(proof, dq, half)
+    bound_motion(proof, half)

@@ -81,7 +81,7 @@ _OPTIONS: dict[str, Any] = {
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Packages with compiled code.
-_WITH_COMPILED_CODE = ("kernels", "solvers", "camera")
+_WITH_COMPILED_CODE = ("kernels", "solvers", "camera", "reachability")
 # Imports at the margin only, because compiled code cannot use imports inside functions.
 _IMPORT = re.compile(
     r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE

@@ -84,6 +84,16 @@ def slope_of(tree, c, q):
 
 
 @inlined
+def steepest_slope(tree, c, first, last):
+    """Return a bound of the slope of coupling ``c`` between two values of its leader."""
+    law = tree.law
+    x = max(abs(first - law[c, 1]), abs(last - law[c, 1]))
+    return abs(law[c, 3]) + x * (
+        2.0 * abs(law[c, 4]) + x * (3.0 * abs(law[c, 5]) + x * 4.0 * abs(law[c, 6]))
+    )
+
+
+@inlined
 def write_quat_rotation(q, a, out, o):
     """Write the rotation matrix of the quaternion q[a : a + 4], of any length, to out[o, 3:12]."""
     rotation = so3.to_rotation((q[a], q[a + 1], q[a + 2], q[a + 3]))

@@ -4,7 +4,9 @@
     and for each near pair    g · d ≥ −gain (distance − margin)
 
 g is the change of the pair's distance per unit of d (Faverjon & Tournassoud 1987). A pair that is
-nearer than the margin must not come nearer. If the joints allow it, the step moves it apart.
+nearer than the margin is led out. If that is impossible for all such pairs at once, none of them
+must come nearer. If that leaves no step, because they push in different directions, each of them is
+a weighted residual instead of a constraint: the deepest contact must not become deeper.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -32,6 +34,8 @@ MOVED, AT_GOAL, BLOCKED, NOT_FINITE = range(4)
 
 # A step that leads below this share of the margin is shortened, unless it leads out.
 _KEPT_SHARE = 0.9
+# Weight of the way out of a pair, 1/m², if it is no constraint. The goals weigh about 1.
+_PUSH = 1e3
 # m. A pair that touches may come nearer by this in a step, through rounding.
 _ROUNDING = 1e-6
 _MAX_HALVINGS = 6
@@ -61,7 +65,7 @@ RUN = Layout(
 open_run = RUN.open
 
 
-@inlined
+@outlined
 def write_rows(run, way_out):
     """Write the rows of all near pairs; ``way_out`` is how far touching pairs must be led out."""
     check = run.collision.check
@@ -69,14 +73,41 @@ def write_rows(run, way_out):
     program = step.program
     program.row_count = check.near_count
     for c in range(check.near_count):
-        room = check.near_distance[c] - step.margin
-        if room >= 0.0:
-            program.bounds[c] = -step.gain * room
-        else:
-            program.bounds[c] = min(-step.gain * room, way_out)
-        for u in range(run.goals.dofs.shape[0]):
-            rate = check.near_rows[c, run.goals.dofs[u]]
-            program.rows[c, u] = run.goals.joint_scale[u] * rate
+        write_row(run, c, c)
+        bound = -step.gain * (check.near_distance[c] - step.margin)
+        program.bounds[c] = min(bound, way_out) if bound > 0.0 else bound
+
+
+@inlined
+def write_row(run, near, row):
+    """Write the gradient of a near pair to a row of the program."""
+    for u in range(run.goals.dofs.shape[0]):
+        rate = run.collision.check.near_rows[near, run.goals.dofs[u]]
+        run.step.program.rows[row, u] = run.goals.joint_scale[u] * rate
+
+
+@outlined
+def push_out(run):
+    """Add the ways out of touching pairs to the objective; only the other pairs keep their rows."""
+    check = run.collision.check
+    step = run.step
+    program = step.program
+    columns = run.goals.dofs.shape[0]
+    count = 0
+    for c in range(check.near_count):
+        bound = -step.gain * (check.near_distance[c] - step.margin)
+        write_row(run, c, count)
+        if bound <= 0.0:
+            program.bounds[count] = bound
+            count += 1
+            continue
+        way = min(bound, step.way_out)
+        for i in range(columns):
+            rate = program.rows[count, i]
+            program.gradient[i] += _PUSH * way * rate
+            for j in range(columns):
+                program.hessian[i, j] += _PUSH * rate * program.rows[count, j]
+    program.row_count = count
 
 
 @outlined
@@ -101,6 +132,15 @@ def write_objective(run):
         longest = step.largest[u] / run.goals.joint_scale[u]
         program.lower[u] = max(program.lower[u], -longest)
         program.upper[u] = min(program.upper[u], longest)
+
+
+@inlined
+def square_norm(a):
+    """Return the sum of the squares of a vector."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * a[i]
+    return total
 
 
 @kernel
@@ -133,6 +173,9 @@ def limited_step(address):
     if not possible:
         write_rows(run, 0.0)
         possible = solve_program(step.program)
+        if not possible or square_norm(step.program.solution) < _NO_STEP * _NO_STEP:
+            push_out(run)
+            possible = solve_program(step.program)
     if not possible:
         return BLOCKED
     for a in range(step.program.active):
@@ -152,10 +195,8 @@ def limited_step(address):
             copy(search.q, search.best)
             if within and check.nearest_distance >= step.margin:
                 return AT_GOAL
-            square = 0.0
-            for u in range(search.step.shape[0]):
-                square += search.step[u] * search.step[u]
-            return MOVED if square > _NO_STEP * _NO_STEP or step.pressed == 0 else BLOCKED
+            has_moved = square_norm(search.step) > _NO_STEP * _NO_STEP
+            return MOVED if has_moved or step.pressed == 0 else BLOCKED
         copy(step.before, search.q)
         for u in range(search.step.shape[0]):
             search.step[u] *= 0.5

@@ -13,6 +13,7 @@ from robot_ik.collision.scene import posture_rows
 from robot_ik.errors import MotionBlockedError
 from robot_ik.geometry import Array
 from robot_ik.kernels import certificate, collision, jit
+from robot_ik.kernels.block import Block
 from robot_ik.robot import Robot
 
 Ints = NDArray[np.int64]
@@ -54,7 +55,7 @@ def certify(
     """Prove that straight lines between postures keep the margin.
 
     It works for every joint: balls rotate the shortest way, and a free base moves straight and
-    rotates the shortest way. Coupled joints move on a straight line, too.
+    rotates the shortest way. Coupled joints follow their leaders.
 
     Args:
         q: Postures (n, nq).
@@ -67,9 +68,26 @@ def certify(
     """
     robot = collisions.scene.robot
     rows = posture_rows(robot, q)
+    if len(robot.tree.coupled):
+        rows = np.array([robot.apply_couplings(row) for row in rows])
     seconds = np.arange(len(rows), dtype=float) if times is None else np.asarray(times, dtype=float)
     corners = straight_corners(robot, rows)
     changes = changes_between(robot, rows[corners])
+    proof = proof_memory(collisions)
+    starts = np.ascontiguousarray(rows[corners[:-1]] if len(changes) else rows[:1])
+    verdict = certificate.prove_path(proof.address, starts, changes, collisions.margin)
+    if verdict == collision.FREE:
+        return Certificate(True, collisions.margin, proof["checks"])
+    posture = proof.arrays["q"].copy()
+    if collisions.clearance(posture).distance < collisions.margin:
+        at = _time_of(rows, seconds, corners, proof["segment"], proof["share"])
+        raise _blocked(rows, seconds, posture, at, collisions)
+    return Certificate(False, float("nan"), proof["checks"])
+
+
+def proof_memory(collisions: CollisionAvoidance) -> Block:
+    """Return memory for one proof at a time (``certificate.PROOF``)."""
+    robot = collisions.scene.robot
     memory = collisions.memory()
     sizes = {
         "nq": robot.nq,
@@ -81,15 +99,7 @@ def certify(
     proof = certificate.PROOF.allocate(sizes, {"collision": memory})
     proof["max_checks"] = MAX_CHECKS
     jit.announce(certificate.prove_path, "proofs of motions")
-    starts = np.ascontiguousarray(rows[corners[:-1]] if len(changes) else rows[:1])
-    verdict = certificate.prove_path(proof.address, starts, changes, collisions.margin)
-    if verdict == collision.FREE:
-        return Certificate(True, collisions.margin, proof["checks"])
-    posture = proof.arrays["q"].copy()
-    if collisions.clearance(posture).distance < collisions.margin:
-        at = _time_of(rows, seconds, corners, proof["segment"], proof["share"])
-        raise _blocked(rows, seconds, posture, at, collisions)
-    return Certificate(False, float("nan"), proof["checks"])
+    return proof
 
 
 def straight_corners(robot: Robot, rows: Array) -> Ints:

@@ -393,7 +393,7 @@ def joint_move(
     """
     first = joint_vector(robot, start, "start")
     last = joint_vector(robot, goal_q, "goal")
-    _require_inside(robot, last)
+    require_inside(robot, last)
     limits = motion_limits(robot, speed, velocity_limits, acceleration_limits)
     require_positive("rate", rate, "Hz")
     if str(profile) not in PROFILES:
@@ -445,7 +445,7 @@ def certified_trajectory(
     )
 
 
-def _require_inside(robot: Robot, q: Array) -> None:
+def require_inside(robot: Robot, q: Array) -> None:
     """Raise ``TrajectoryError`` for a goal (nq,) outside the joint limits."""
     outside = np.maximum(robot.lower - q, q - robot.upper)
     k = int(np.argmax(outside))

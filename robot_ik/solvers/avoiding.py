@@ -3,16 +3,19 @@
 The method solves without regard to collisions. If its solution touches, another one is searched:
 
     closed form      the nearest free branch. If none is free or singular, that is a proof.
-    other methods    the same method from other starts, first near the start, then anywhere
+    seven hinges     first of all a closed form for each angle of the last joint, see ``swept.py``
+    other methods    the same method from other starts, first near the start, then anywhere;
+                     from time to time limited steps lead a solution out of its collisions
 
 Only a solution that keeps the margin is CONVERGED. The compiled check decides. If it
-cannot, MuJoCo does.
+cannot, MuJoCo does. If none is found, limited steps lead to a free posture near the goal,
+``Solution.nearest_free``.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +26,13 @@ from robot_ik.geometry import Array
 from robot_ik.kernels import collision, jit
 from robot_ik.model import random_q
 from robot_ik.robot import Robot
-from robot_ik.solution import Solution, Status
+from robot_ik.solution import COLLIDING, Solution, Status
 from robot_ik.solvers.analytic import Analytic, PreparedClosedForm
 from robot_ik.solvers.analytic.branch import listed_branches
 from robot_ik.solvers.analytic.five_joint import PreparedFiveJoint
-from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared
+from robot_ik.solvers.analytic.swept import PreparedSwept, last_joint_of
+from robot_ik.solvers.base import BatchResult, FoundBranch, Prepared, run_each
+from robot_ik.solvers.limited_step import LimitedStep
 
 if TYPE_CHECKING:
     from robot_ik.budget import Budget
@@ -39,10 +44,26 @@ _MAX_STARTS = 200
 _SHARE_STEP = 0.25
 # Random restarts of the method from each start.
 _RESTARTS_EACH = 10
+# Limited steps lead every so many touching solutions out: restarts cost less, but fail where nearly
+# all solutions touch.
+_RESTARTS_PER_LEAD = 10
+# Limited steps of one way out.
+_MOST_STEPS = 80
+# Largest change of a joint in a limited step, rad or m.
+_LARGEST_STEP = 0.2
+# m. A limited step leads touching parts out by this at most.
+_WAY_OUT = 0.02
+# Limited steps keep this share of their margin at least, see ``kernels.limited_step``.
+_HELD_SHARE = 0.9
+# m. Margin of limited steps beyond that of the condition: parts that touch are not free.
+_EXTRA_MARGIN = 1e-5
+# A cost that falls by a smaller share in a limited step does not fall any more.
+_LEAST_GAIN = 1e-3
 # Below this smallest singular value of its Jacobian a branch is one of a continuum.
 _SINGULAR = 1e-6
 # Methods whose solution may be replaced by another branch.
-_WITH_BRANCHES = ("auto", "analytic")
+_AUTO = "auto"
+_WITH_BRANCHES = (_AUTO, "analytic")
 
 
 class PreparedAvoiding:
@@ -64,12 +85,17 @@ class PreparedAvoiding:
             self._closed_form = Analytic().prepare(problem)
         self._memory = collisions.memory()
         self._address = self._memory.address
+        self._swept: PreparedSwept | None = None
+        last = last_joint_of(problem) if problem.solver.name == _AUTO else None
+        if last is not None:
+            self._swept = PreparedSwept(last, problem, self._memory, collisions.margin)
         announce()
         example = np.zeros(problem.robot.nq)
         arguments = self._address, example, collisions.margin
         self._verdict = jit.entry(collision.posture_verdict, *arguments)
         self._start = problem.search.arrays["start"]
         self._rows = moved_numbers(problem)
+        self._step: LimitedStep | None = None
 
     def is_free(self, q: Array) -> bool:
         """Return whether ``q`` (nq,) keeps the margin."""
@@ -80,6 +106,11 @@ class PreparedAvoiding:
 
     def run(self, problem: Problem, budget: Budget) -> Solution:
         """Solve, and look for a free solution if the first one touches."""
+        if self._swept is not None:
+            swept = self._swept.run(problem, budget)
+            if swept is not None:
+                swept.avoidance = self.collisions
+                return swept
         solution = self.method.run(problem, budget)
         solution.avoidance = self.collisions
         if solution.status is not Status.CONVERGED or self.is_free(solution.q):
@@ -89,8 +120,11 @@ class PreparedAvoiding:
         seed = problem.seed
         try:
             best = self._free_branch(problem, solution, start)
+            search = _Search(problem, solution, budget, began, start)
             if best is None:
-                best = self._from_other_starts(problem, solution, budget, start, began)
+                best = self._from_other_starts(search)
+            if best.status in COLLIDING:
+                best = self._lead_out(search, best.q) or self._lead_out(search, start) or best
         finally:
             self._start[...] = start
             problem.seed = seed
@@ -107,6 +141,9 @@ class PreparedAvoiding:
         budget: Budget,
     ) -> None:
         """Solve all rows, then look for free solutions of the rows that touch."""
+        if self._swept is not None:
+            run_each(self, problem, targets, starts, results, budget)
+            return
         self.method.run_many(problem, targets, starts, results, budget)
         converged = np.flatnonzero(results.status == Status.CONVERGED)
         free = self.collisions.free(results.q[converged].reshape(-1, problem.robot.nq))
@@ -157,40 +194,85 @@ class PreparedAvoiding:
         values = np.linalg.svd(moving, compute_uv=False)
         return bool(values[: moving.shape[1]].min(initial=np.inf) < _SINGULAR)
 
-    def _from_other_starts(
-        self, problem: Problem, first: Solution, budget: Budget, start: Array, began: float
-    ) -> Solution:
-        """Return a free solution from another start, else ``first`` as BLOCKED_BY_COLLISION."""
+    def _from_other_starts(self, search: _Search) -> Solution:
+        """Return a free solution from another start, else the first as BLOCKED_BY_COLLISION."""
+        problem = search.problem
+        first = search.first
         rng = np.random.default_rng(problem.seed)
+        budget = search.budget
         max_starts = (
             _MAX_STARTS if budget.restarts is None else max(0, budget.restarts - first.restarts)
         )
+        touching = first.q
         for attempt in range(max_starts):
-            seconds = None
-            if budget.seconds is not None:
-                seconds = budget.seconds - (time.perf_counter() - began)
-            if first.iterations >= budget.iterations or (seconds is not None and seconds <= 0.0):
+            if search.is_over:
                 break
+            if attempt % _RESTARTS_PER_LEAD == _RESTARTS_PER_LEAD - 1:
+                free = self._lead_out(search, touching)
+                if free is not None:
+                    return free
             problem.seed = int(rng.integers(1 << 31))
             share = min(1.0, _SHARE_STEP * (attempt + 1))
-            self._start[...] = self._between(problem.robot, start, share, rng)
-            rest = replace(
-                budget,
-                iterations=budget.iterations - first.iterations,
-                seconds=seconds,
-                restarts=min(_RESTARTS_EACH, max_starts - attempt - 1),
+            self._start[...] = self._between(problem.robot, search.start, share, rng)
+            solution = self.method.run(
+                problem, search.rest(min(_RESTARTS_EACH, max_starts - attempt - 1))
             )
-            solution = self.method.run(problem, rest)
-            first.iterations += solution.iterations
-            first.restarts += 1 + solution.restarts
+            first.restarts += 1
+            search.count(solution)
             if solution.converged and self.is_free(solution.q):
-                solution.iterations = first.iterations
-                solution.restarts = first.restarts
-                return solution
+                return search.found(solution)
+            if solution.converged:
+                touching = solution.q
             if budget.restarts is not None and first.restarts >= budget.restarts:
                 break
         first.status = Status.BLOCKED_BY_COLLISION
         return first
+
+    def _lead_out(self, search: _Search, q: Array) -> Solution | None:
+        """Lead a posture (nq,) out of its collisions and towards the goals by limited steps.
+
+        Returns:
+            A free solution, or None. Then a free posture with the smallest cost so far is
+            ``nearest_free`` of the first solution.
+        """
+        problem = search.problem
+        step = self._limited_step(problem)
+        posture = q
+        cost = np.inf
+        status = Status.ITERATION_LIMIT
+        for _ in range(_MOST_STEPS):
+            if search.is_over or status is not Status.ITERATION_LIMIT:
+                break
+            before = posture
+            status = step.advance(posture)
+            search.first.iterations += 1
+            is_slow = step.cost > (1.0 - _LEAST_GAIN) * cost
+            posture = step.posture
+            cost = step.cost
+            if np.array_equal(before, posture) or (is_slow and self.is_free(posture)):
+                break
+        if not np.isfinite(posture).all() or not self.is_free(posture):
+            return None
+        if cost < search.nearest_cost:
+            search.nearest_cost = cost
+            nearest = search.first.at(posture, Status.BLOCKED_BY_COLLISION)
+            search.first.nearest_free = nearest
+        # The method decides whether the goals are met, and removes what is left of their errors.
+        self._start[...] = posture
+        solution = self.method.run(problem, search.rest(0))
+        search.count(solution)
+        if solution.converged and self.is_free(solution.q):
+            return search.found(solution)
+        return None
+
+    def _limited_step(self, problem: Problem) -> LimitedStep:
+        """Return the limited steps of the problem, made on first use."""
+        if self._step is None:
+            margin = self.collisions.margin / _HELD_SHARE + _EXTRA_MARGIN
+            self._step = LimitedStep(
+                problem, self.collisions, _LARGEST_STEP, margin=margin, way_out=_WAY_OUT
+            )
+        return self._step
 
     def _between(self, robot: Robot, start: Array, share: float, rng: np.random.Generator) -> Array:
         """Return a posture on the way from ``start`` to a random one; only joints that matter move.
@@ -203,6 +285,62 @@ class PreparedAvoiding:
         moved = start + share * (drawn - start) if single else drawn
         q[self._rows] = moved[self._rows]
         return robot.apply_couplings(robot.clip(q))
+
+
+@dataclass
+class _Search:
+    """A search for a free solution.
+
+    Attributes:
+        problem: The problem.
+        first: The first solution, which touches. It counts the iterations and restarts of all.
+        budget: Budget of the whole search.
+        began: When the search began, on ``time.perf_counter``.
+        start: Start (nq,) of the problem.
+        nearest_cost: Cost of the nearest free posture so far.
+    """
+
+    problem: Problem
+    first: Solution
+    budget: Budget
+    began: float
+    start: Array
+    nearest_cost: float = np.inf
+
+    @property
+    def seconds(self) -> float | None:
+        """Seconds that are left; None without a limit."""
+        if self.budget.seconds is None:
+            return None
+        return self.budget.seconds - (time.perf_counter() - self.began)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the budget is used up."""
+        seconds = self.seconds
+        is_late = seconds is not None and seconds <= 0.0
+        return is_late or self.first.iterations >= self.budget.iterations
+
+    def rest(self, restarts: int) -> Budget:
+        """Return what is left of the budget, with a number of restarts."""
+        seconds = self.seconds
+        return replace(
+            self.budget,
+            iterations=max(0, self.budget.iterations - self.first.iterations),
+            seconds=None if seconds is None else max(0.0, seconds),
+            restarts=restarts,
+        )
+
+    def count(self, solution: Solution) -> None:
+        """Count the steps of one more solve."""
+        self.first.iterations += solution.iterations
+        self.first.restarts += solution.restarts
+
+    def found(self, solution: Solution) -> Solution:
+        """Return a free solution with the steps of the whole search."""
+        solution.iterations = self.first.iterations
+        solution.restarts = self.first.restarts
+        return solution
 
 
 def moved_numbers(problem: Problem) -> Array:

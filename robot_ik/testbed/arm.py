@@ -13,15 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
+from robot_ik.errors import ArmStateError, HardwareError, MotionBlockedError, RobotIkError
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.health import ServoState, read_states
-from robot_ik.hardware.watchdogs import ExitGuard
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 from robot_ik.robot_arm import RobotArm
+from robot_ik.signals import ExitGuard
 from robot_ik.testbed.commands import ArmMode
+from robot_ik.workcell.arm_guard import guard_of
 from robot_ik.workcell.guided_motion import approach, playable
 
 STALE = 0.5
@@ -104,6 +105,8 @@ class ArmLink:
         self._recorder = RecorderSink(opened.robot.joints)
         self.recording: Trajectory | None = None
         self._plan: Iterator[Array] | None = None
+        self._collision_guard = guard_of(opened.config, robot.path)
+        self._streaming = False  # whether the last cycle sent what the session wants
         self._guard = ExitGuard(self.close)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._drive, name="testbed-arm", daemon=True)
@@ -229,7 +232,7 @@ class ArmLink:
                     self._servos = read_states(self._arm.bus, self._arm.config.drives)
             except RobotIkError as error:
                 self._message = str(error).splitlines()[0]
-                if isinstance(error, ArmStateError | HardwareError):
+                if isinstance(error, ArmStateError | HardwareError | MotionBlockedError):
                     self._mode = "hold"
             due += period
             if (rest := due - time.monotonic()) > 0.0:
@@ -249,6 +252,8 @@ class ArmLink:
             self._end_recording()
         if mode != "replay":
             self._plan = None
+        was_streaming = self._streaming
+        self._streaming = False
         fresh = self._running and time.monotonic() - self._alive < STALE
         if mode in ("release", "teach"):
             if arm.state is not ArmState.CONNECTED:
@@ -257,7 +262,7 @@ class ArmLink:
             if mode in ("follow", "replay"):
                 arm.enable()
         elif mode == "follow" and fresh and self._wanted is not None:
-            self._opened.send(self._wanted[0], arm.clock.now())
+            self._follow(self._wanted[0], was_streaming)
         elif mode == "replay" and fresh:
             self._replay()
         elif arm.state is ArmState.ENABLED:
@@ -265,6 +270,26 @@ class ArmLink:
         self._measured = self._opened.read().q
         if mode == "teach" and arm.state is ArmState.CONNECTED:
             self._record(self._measured)
+
+    def _follow(self, q: Array, goes_on: bool) -> None:
+        """Send joint angles (n,) of the session, or hold where the next step would touch.
+
+        Args:
+            q: What the session wants.
+            goes_on: Whether the last cycle followed the session too.
+        """
+        self._streaming = True
+        guard = self._collision_guard
+        if guard is None:
+            self._opened.send(q, self._arm.clock.now())
+            return
+        if not goes_on:
+            guard.begin(self._arm.positions())
+        before = guard.contact
+        wanted = dict(zip(self._opened.robot.joints, q.tolist(), strict=True))
+        guard.send(self._arm, wanted)
+        if guard.contact or before:
+            self._message = f"the arm holds: {guard.contact}" if guard.contact else ""
 
     def _replay(self) -> None:
         """Send the next sample of the recording, after a slow approach to its start. Then hold."""
@@ -277,6 +302,9 @@ class ArmLink:
             chain = self._opened.chain
             motion, _ = playable(shown, chain, 1.0)
             path = approach(self._opened.read().q, motion.q[0], chain)
+            if self._collision_guard is not None:
+                for part in (path, motion):
+                    self._collision_guard.checked(part, arm.positions())
             rest = np.repeat(motion.q[-1:], round(_SETTLE * arm.config.rate_hz), axis=0)
             self._plan = iter([*path.q, *motion.q, *rest])
         q = next(self._plan, None)

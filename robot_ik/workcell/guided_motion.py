@@ -25,6 +25,8 @@ SMOOTHING = 0.1
 def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Trajectory, float]:
     """Return a motion within limits and velocity caps, at the rate of the arm, and its stretch.
 
+    With a table ``[collisions]`` the motion is within the acceleration caps too.
+
     Args:
         motion: The recording.
         caps: Limits, velocity caps and rate of the arm.
@@ -35,8 +37,12 @@ def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Traject
     """
     smooth = smoothed(motion, caps.rate_hz)
     q = np.clip(smooth.q, caps.lower, caps.upper)
-    peak_velocity = Trajectory(smooth.times, q, motion.joints).peak_velocity
-    stretch = max(1.0 / speed, float((peak_velocity / caps.velocity).max()))
+    clipped = Trajectory(smooth.times, q, motion.joints)
+    stretch = max(1.0 / speed, float((clipped.peak_velocity / caps.velocity).max()))
+    if caps.collisions is not None:
+        # The limiter would leave the path that is checked if it had to cap an acceleration.
+        excess = float((clipped.peak_acceleration / caps.acceleration).max())
+        stretch = max(stretch, math.sqrt(excess))
     stretched = Trajectory(stretch * smooth.times, q, motion.joints)
     return stretched.resampled(caps.rate_hz), stretch
 
@@ -51,20 +57,20 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
     return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 
 
-def approach_profile(distance: Array, caps: ArmConfig) -> Profile:
-    """Return a quintic over the distances (n,) at ``APPROACH`` of the caps.
+def approach_profile(distance: Array, caps: ArmConfig, share: float = APPROACH) -> Profile:
+    """Return a quintic over the distances (n,) at a share of the caps.
 
     Its duration is zero if all distances are zero.
     """
-    limits = APPROACH * np.array([caps.velocity, caps.acceleration])
+    limits = share * np.array([caps.velocity, caps.acceleration])
     with np.errstate(divide="ignore"):  # a joint with no distance needs no time
         velocity, acceleration = np.min(limits / np.abs(distance), axis=1)
     return quintic(float(velocity), float(acceleration))
 
 
-def approach(start: Array, end: Array, caps: ArmConfig) -> Trajectory:
-    """Return the motion from rest to rest by a quintic, at ``APPROACH`` of the caps."""
-    profile = approach_profile(end - start, caps)
+def approach(start: Array, end: Array, caps: ArmConfig, share: float = APPROACH) -> Trajectory:
+    """Return the straight motion from rest to rest by a quintic, at a share of the caps."""
+    profile = approach_profile(end - start, caps, share)
     seconds = max(profile.duration, 2.0 / caps.rate_hz)
     times = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
     q = start + np.outer(profile.progress(times / seconds), end - start)

@@ -18,7 +18,7 @@ STRAIGHT = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
 
 
 def outward(error: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(n, 4) part of the errors that points away from the marker's centre."""
+    """Return the component (n, 4) of the errors away from the centre of the marker."""
     way = corners - corners.mean(axis=1, keepdims=True)
     return (error * way).sum(axis=2) / np.linalg.norm(way, axis=2)
 
@@ -29,7 +29,7 @@ def test_corners_of_the_standard_set_meet_the_target(standard: dict) -> None:
     assert all(m.seen.sigma < 0.3 for rows in standard.values() for m in rows)
     assert np.sqrt((errors**2).sum(axis=2).mean()) <= 0.10
     assert np.abs(errors.mean(axis=(0, 1))).max() <= 0.03
-    # The bias that matters shrinks or swells the marker: it becomes an error in depth.
+    # A bias of the size of the marker becomes an error of its depth.
     assert abs(outward(errors, truth).mean()) <= 0.03
 
 
@@ -41,8 +41,9 @@ def test_the_stated_sigma_is_honest(standard: dict) -> None:
 
 
 def test_it_beats_opencvs_corner_operator(standard: dict) -> None:
-    """The reason why this module exists: SUBPIX pulls corners inwards."""
-    mine, theirs = [], []
+    """SUBPIX moves corners inwards. The fit of the print does not."""
+    mine = []
+    theirs = []
     for m in standard[0.6]:
         rough = MarkerDetector("DICT_4X4_50").detect(m.view.image)[0].corners.astype(np.float32)
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
@@ -91,7 +92,7 @@ def test_other_dictionaries_are_as_good(dictionary: str) -> None:
 
 
 def crisp(x0: int, y0: int, cell: int = 16) -> np.ndarray:
-    """A marker along the pixel grid: its edges lie exactly between pixels."""
+    """Return a marker along the pixel grid. Its edges lie exactly between pixels."""
     image = np.full((480, 640), 200, np.uint8)
     bits = np.kron(marker_bits("DICT_4X4_50", 7) // 255 * 170 + 30, np.ones((cell, cell))).astype(
         np.uint8
@@ -101,15 +102,16 @@ def crisp(x0: int, y0: int, cell: int = 16) -> np.ndarray:
 
 
 def refined(image: np.ndarray, rough: object) -> Corners:
-    """The corners of ``crisp``."""
+    """Return the corners of ``crisp``."""
     (found,) = refine_markers(image, [rough], [7], "DICT_4X4_50", STRAIGHT)  # type: ignore[list-item]
     return found
 
 
 def test_the_half_pixel_is_right() -> None:
     image = cv2.GaussianBlur(crisp(200, 120), (0, 0), 0.8)
-    # The first dark pixel is column 200; its left edge is at 199.5 where centres are whole numbers.
-    low, high = np.array([199.5, 119.5]), np.array([295.5, 215.5])
+    # The first dark pixel is column 200. Its left edge is at 199.5, since centres are integers.
+    low = np.array([199.5, 119.5])
+    high = np.array([295.5, 215.5])
     truth = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     rough = truth + np.array([[0.8, -1.0], [1.0, 0.6], [-0.7, 0.9], [0.5, 0.5]])
     found = refined(image, rough)
@@ -194,7 +196,7 @@ def test_nothing_given_is_changed() -> None:
 
 
 def test_a_strong_lens_is_undone() -> None:
-    """Edges that bow by several pixels: a straight line in the picture would miss by more than a pixel."""
+    """The edges are curved by several pixels. A straight line would be wrong by more than one."""
     camera = CameraIntrinsics(640, 480, 420.0, 420.0, 319.5, 239.5, (-0.3, 0.09, 0.0, 0.0, 0.0))
     errors = []
     for view in standard_set(0.09, 4, seed=4, camera=camera, tilt_deg=(0, 25)):

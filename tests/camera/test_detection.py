@@ -1,4 +1,4 @@
-"""Detection: right ids, right corner order, nothing invented."""
+"""Detection: ids, order of corners, no false detections."""
 
 from __future__ import annotations
 
@@ -16,27 +16,37 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.jobs.pictures import MarkerFinder
 
-FACING = np.array([0.0, 1.0, 0.0, 0.0])  # marker z towards the camera, marker x along camera x
+#: Marker z towards the camera, marker x along camera x.
+FACING = np.array([0.0, 1.0, 0.0, 0.0])
 
 
-def sheet(ids: list[int], dictionary: str = "DICT_5X5_50", cell: int = 9, gap: int = 40) -> np.ndarray:
-    """Markers side by side on white paper, seen squarely."""
+def sheet(
+    ids: list[int], dictionary: str = "DICT_5X5_50", cell: int = 9, gap: int = 40
+) -> np.ndarray:
+    """Return a picture of markers side by side on white paper, facing the camera."""
     tiles = [
         cv2.copyMakeBorder(
             np.kron(marker_bits(dictionary, i), np.ones((cell, cell), np.uint8)),
-            gap, gap, gap, gap, cv2.BORDER_CONSTANT, value=255,
+            gap,
+            gap,
+            gap,
+            gap,
+            cv2.BORDER_CONSTANT,
+            value=255,
         )
         for i in ids
-    ]  # fmt: skip
+    ]
     return np.hstack(tiles)
 
 
 def photographed(image: np.ndarray, rng: np.random.Generator, quality: int = 60) -> np.ndarray:
-    """Blurred, noisy, in colour and saved as JPEG."""
+    """Return a picture that is blurred, noisy, in colour and JPEG-compressed."""
     soft = cv2.GaussianBlur(image, (0, 0), 1.0).astype(float) * 0.8 + 20
     soft += rng.normal(0, 5, soft.shape)
     colour = np.stack([soft * 0.9, soft, soft * 0.95], axis=2)
-    data = cv2.imencode(".jpg", np.clip(colour, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    data = cv2.imencode(
+        ".jpg", np.clip(colour, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality]
+    )
     return np.asarray(cv2.imdecode(data[1], cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
@@ -52,7 +62,9 @@ def test_corners_start_at_the_printed_upper_left(roll_deg: float) -> None:
     assert found.corners == pytest.approx(truth, abs=2.0)
 
 
-@pytest.mark.parametrize("dictionary", ["DICT_4X4_50", "DICT_5X5_50", "DICT_6X6_250", "DICT_APRILTAG_36H11"])
+@pytest.mark.parametrize(
+    "dictionary", ["DICT_4X4_50", "DICT_5X5_50", "DICT_6X6_250", "DICT_APRILTAG_36H11"]
+)
 def test_ids_survive_a_bad_photograph(dictionary: str) -> None:
     rng = np.random.default_rng(1)
     ids = [3, 11, 17, 42]
@@ -78,25 +90,30 @@ def test_grey_and_colour_give_the_same_corners() -> None:
 
 
 def test_nothing_is_found_in_clutter() -> None:
-    """Neither strictly nor, of what has nearly the code of a marker, where the print is asked for too."""
+    """Strict detection rejects them, and the fit of the print rejects the rest."""
     rng = np.random.default_rng(7)
-    strict, finder, nearly = MarkerDetector("DICT_5X5_50", strict=True), MarkerFinder("DICT_5X5_50"), 0
+    strict = MarkerDetector("DICT_5X5_50", strict=True)
+    finder = MarkerFinder("DICT_5X5_50")
+    nearly = 0
     for _ in range(12):
         image = rng.integers(90, 200, (480, 640)).astype(np.uint8)
         image = cv2.GaussianBlur(image, (0, 0), 3)
         for _ in range(25):
-            # Squares full of random bits: everything a marker has but the code.
-            cells, cell = int(rng.integers(5, 9)), int(rng.integers(3, 9))
+            # Squares with random bits look like markers, but their code is wrong.
+            cells = int(rng.integers(5, 9))
+            cell = int(rng.integers(3, 9))
             bits = np.zeros((cells + 2, cells + 2), np.uint8)
             bits[1:-1, 1:-1] = 255 * rng.integers(0, 2, (cells, cells))
             tile = np.pad(np.kron(bits, np.ones((cell, cell), np.uint8)), cell, constant_values=255)
             h, w = tile.shape
-            y, x = rng.integers(0, 480 - h), rng.integers(0, 640 - w)
+            y = rng.integers(0, 480 - h)
+            x = rng.integers(0, 640 - w)
             image[y : y + h, x : x + w] = tile
         assert strict.detect(image) == []
         nearly += len(MarkerDetector("DICT_5X5_50").detect(image))
         assert finder.observe(Frame(image, 0.0, 0)).markers == []
-    assert nearly > 0  # or this asks nothing of the print
+    # Otherwise the test does not exercise the fit of the print.
+    assert nearly > 0
 
 
 def test_a_blank_picture_is_empty() -> None:
@@ -140,7 +157,7 @@ def test_marker_bits_have_a_black_border() -> None:
 def test_what_is_printed_is_the_same_with_every_opencv(
     dictionary: str, marker_id: int, rows: tuple[int, ...]
 ) -> None:
-    """A sheet printed with one release must be read by the next: these are the bits of 4.14."""
+    """The next release of OpenCV must read sheets of the last one. These are the bits of 4.14."""
     inner = marker_bits(dictionary, marker_id)[1:-1, 1:-1] > 127
     assert tuple(int("".join("01"[int(b)] for b in row), 2) for row in inner) == rows
 

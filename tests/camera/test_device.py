@@ -1,4 +1,4 @@
-"""Cameras: what the machine lists, what is asked of them, and how they go away and come back."""
+"""Cameras: the list of the machine, their settings, and reconnection."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ linux_only = pytest.mark.skipif(not device_list.CAN_LIST, reason="cameras are on
 
 @pytest.fixture
 def machine(tmp_path: Path) -> tuple[str, str]:
-    """Folders as /dev and /sys of a machine with two cameras, one of them with a node for metadata."""
-    dev, sysfs = tmp_path / "dev", tmp_path / "sys"
+    """Return /dev and /sys of a machine with two cameras, one with a metadata node."""
+    dev = tmp_path / "dev"
+    sysfs = tmp_path / "sys"
     (dev / "v4l/by-id").mkdir(parents=True)
     for number, name, index in (
         (0, "HD Webcam C920\n", "0\n"),
@@ -60,7 +61,7 @@ def test_where_cameras_cannot_be_listed_the_list_is_empty(
 
 
 class FilmCapture:
-    """A ``cv2.VideoCapture`` of a real film that starts again at its end, until the plug is pulled."""
+    """A ``cv2.VideoCapture`` that repeats a film until it is unplugged."""
 
     def __init__(self, path: Path) -> None:
         self.capture = cv2.VideoCapture(str(path))
@@ -102,7 +103,7 @@ def film(tmp_path: Path) -> Path:
 def camera(
     machine: tuple[str, str], film: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[list[FilmCapture]]:
-    """Camera 0 of that machine, through the same calls as a real one; the list gets each opened capture."""
+    """Provide camera 0 of that machine. The list receives each opened capture."""
     opened: list[FilmCapture] = []
 
     def open_capture(device: object, *rest: object) -> FilmCapture:
@@ -118,10 +119,11 @@ def camera(
 
 
 class _Switch:
-    """Numbers open the pretended camera, everything else what OpenCV opens."""
+    """Opens the simulated camera for numbers, and OpenCV's capture otherwise."""
 
     def __init__(self, real: type, pretended: object) -> None:
-        self.real, self.pretended = real, pretended
+        self.real = real
+        self.pretended = pretended
 
     def __call__(self, what: object, *rest: object) -> object:
         return self.pretended(what, *rest) if isinstance(what, int) else self.real(what, *rest)  # type: ignore[operator]
@@ -138,7 +140,7 @@ def test_an_unplugged_camera_is_named_and_opens_again(camera: list[FilmCapture])
             while True:
                 source.read()
         assert "Plug it in" in caught.value.hint
-    # The same process, the same number: a new source works, and counts from the start.
+    # A new source of the same camera in the same process works and counts from 0.
     with DeviceSource(0, timeout=LONG) as again:
         assert again.read().sequence >= 0
         assert len(camera) == 2

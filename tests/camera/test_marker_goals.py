@@ -1,4 +1,4 @@
-"""From pictures to goals."""
+"""Goals from the pictures of a camera."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import PoseGoal
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])
-# Camera 0.6 m above the table, looking down; its picture's up is the world's y.
+# Camera 0.6 m above the table, looking down. The picture's up is the world's y.
 CAMERA_IN_WORLD = Pose((0.3, 0.1, 0.6), FACING)
-HOVER = Pose((0.0, 0.0, 0.12), FACING)  # tool z down onto the marker
+#: The tool is above the marker, its z axis towards it.
+HOVER = Pose((0.0, 0.0, 0.12), FACING)
 LEAN = rotation_exp([np.deg2rad(35), 0, 0])
 
 
 class Poison:
-    """Truth that must not be looked at."""
+    """A truth that raises an error on every access."""
 
     def __getattribute__(self, name: str) -> object:
         raise AssertionError("truth was read")
@@ -32,7 +33,7 @@ class Poison:
 
 @dataclass
 class ListSource(FrameSource):
-    """Frames from a list; counts how often it was asked."""
+    """Returns frames from a list and counts the calls."""
 
     frames: list[Frame]
     live: bool = True
@@ -47,7 +48,7 @@ class ListSource(FrameSource):
 
 @dataclass
 class PatientSource(ListSource):
-    """A camera with a thread: has a new frame only when told."""
+    """A camera that has a new frame only when the test provides one."""
 
     ready: list[Frame] = field(default_factory=list)
 
@@ -56,9 +57,14 @@ class PatientSource(ListSource):
 
 
 def frame(
-    poses: dict[int, Pose], number: int = 0, *, time: float | None = None, size: float = 0.05, seed: int = 0
+    poses: dict[int, Pose],
+    number: int = 0,
+    *,
+    time: float | None = None,
+    size: float = 0.05,
+    seed: int = 0,
 ) -> Frame:
-    """Markers on one wall: rendered one by one and joined by the darker pixel where both show paper."""
+    """Return a picture of several markers: the darker pixel of the pictures of each."""
     image = None
     for marker_id, pose in poses.items():
         rng = np.random.default_rng(seed)
@@ -132,8 +138,11 @@ def test_a_lost_marker_means_hold_and_a_found_one_means_go() -> None:
 
 
 def test_the_goal_moves_with_the_marker() -> None:
-    goals = source_for(frame({7: marker_at(0.0, 0.0, 0.4)}, 0), frame({7: marker_at(0.05, 0.0, 0.4)}, 1))
-    first, second = goals.poll(0.0), goals.poll(0.03)
+    goals = source_for(
+        frame({7: marker_at(0.0, 0.0, 0.4)}, 0), frame({7: marker_at(0.05, 0.0, 0.4)}, 1)
+    )
+    first = goals.poll(0.0)
+    second = goals.poll(0.03)
     assert isinstance(first, PoseGoal)
     assert isinstance(second, PoseGoal)
     assert np.subtract(second.position, first.position) == pytest.approx([0.05, 0.0, 0.0], abs=1e-3)

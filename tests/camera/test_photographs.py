@@ -1,4 +1,7 @@
-"""Real photographs: OpenCV's samples, whose content is known.  See ``tests/data/opencv/README.md``."""
+"""Real photographs: OpenCV's samples with known content.
+
+See ``tests/data/opencv/README.md``.
+"""
 
 from __future__ import annotations
 
@@ -60,17 +63,19 @@ def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[Calibrat
     theirs = opencv_rms([(gray_of(view.name), view.found) for view in chessboards])
     mine = calibrate(chessboards, (640, 480))
     assert mine.intrinsics.rms < min(0.2, 0.6 * theirs)
-    assert mine.intrinsics.fx == pytest.approx(535.9, rel=0.01)  # left_intrinsics.yml
+    # OpenCV's left_intrinsics.yml has 535.9 px.
+    assert mine.intrinsics.fx == pytest.approx(535.9, rel=0.01)
 
 
 def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
-    """A ChArUco board: its markers' corners are near to the saddles' prediction."""
-    gray, lens = gray_of("choriginal.jpg"), CameraIntrinsics.load(FOLDER / "tutorial_camera_charuco.yml")
+    """The corners of the markers are near the positions that the chess corners predict."""
+    gray = gray_of("choriginal.jpg")
+    lens = CameraIntrinsics.load(FOLDER / "tutorial_camera_charuco.yml")
     board = CHARUCOS[0]
     corners = unique(find_corners(frame_of(gray), lens, board.dictionary))
     fitted = {marker_id: c.pixels for marker_id, c in corners.items()}
     off = outward_of_saddles(gray, lens, board, fitted)
-    # The picture is decimated, its blur narrower than a pixel: a hundredth cannot be asked of it.
+    # The picture is decimated. Its blur is narrower than a pixel, which limits the accuracy.
     assert len(off) >= 10 and abs(np.mean(off)) < 0.15
     assert np.std(off) < 0.12
 

@@ -80,22 +80,22 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
 
 
 def test_spheres_are_where_opencv_projects_them() -> None:
-    misses = self_test.projection_misses(DISTORTED)
-    assert misses.count > 100
-    assert misses.rms <= 0.08
-    assert misses.worst <= 0.20
-    assert misses.bias <= 0.02
+    errors = self_test.projection_errors(DISTORTED)
+    assert errors.count > 100
+    assert errors.rms <= 0.08
+    assert errors.worst <= 0.20
+    assert errors.bias <= 0.02
 
 
 def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
-    misses = self_test.overlay_misses(0.8, 6)
-    assert misses.count > 400
-    assert misses.rms <= 0.3
-    assert misses.worst <= 1.0
+    errors = self_test.overlay_errors(0.8, 6)
+    assert errors.count > 400
+    assert errors.rms <= 0.3
+    assert errors.worst <= 1.0
 
 
 def test_each_remedy_makes_a_delay_smaller() -> None:
-    found = self_test.latency_misses(0.066, 1.1)
+    found = self_test.latency_errors(0.066, 1.1)
     assert found["delayed video"].rms < 0.3
     assert found["nothing"].rms > 5.0
     assert found["less delay (half)"].rms < 0.6 * found["nothing"].rms

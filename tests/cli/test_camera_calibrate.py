@@ -1,4 +1,4 @@
-"""``robot-ik camera calibrate`` on pictures, on a moving board, interrupted, and on nothing of use."""
+"""``robot-ik camera calibrate``: pictures, a moving board, an interruption, useless input."""
 
 from __future__ import annotations
 
@@ -24,21 +24,25 @@ from robot_ik.errors import FrameTimeoutError
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of seven views of the usual ChArUco board."""
+    """Return a folder with seven views of the default ChArUco board."""
     folder = tmp_path_factory.mktemp("views")
     for frame in open_moving("synthetic:charuco?frames=19&seed=7"):
-        if frame.sequence % 3 == 0:  # it is held for three pictures
+        # Each pose is held for three pictures.
+        if frame.sequence % 3 == 0:
             cv2.imwrite(str(folder / f"view{frame.sequence}.png"), frame.image)
     (folder / "view7.png").write_text("no picture")
     return folder
 
 
-def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tmp_path: Path) -> None:
+def test_a_folder_of_pictures_becomes_a_camera(
+    robot_ik: Any, pictures: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "desk.yaml"
     run = robot_ik("camera", "calibrate", pictures, "--out", out, "--name", "desk", "--json")
     assert run.code == 0, run.err
     assert "left out:" in run.err and "view7.png is not a picture" in run.err
-    said, camera = json.loads(run.out), CameraIntrinsics.load(out)
+    said = json.loads(run.out)
+    camera = CameraIntrinsics.load(out)
     assert said["digest"] == camera.digest and said["f"] == [camera.fx, camera.fy]
     assert camera.fx == pytest.approx(STANDARD_CAMERA.fx, rel=0.005)
     assert (camera.name, camera.views) == ("desk", 7) and camera.date.startswith("20")
@@ -47,14 +51,22 @@ def test_a_folder_of_pictures_becomes_a_camera(robot_ik: Any, pictures: Path, tm
 
 
 def test_a_chessboard_becomes_a_camera(robot_ik: Any, tmp_path: Path) -> None:
-    arguments = ("--pattern", "chessboard", "--views", "6", "--out", tmp_path / "chess.yaml", "--json")
+    arguments = (
+        "--pattern",
+        "chessboard",
+        "--views",
+        "6",
+        "--out",
+        tmp_path / "chess.yaml",
+        "--json",
+    )
     run = robot_ik("camera", "calibrate", "synthetic:chessboard?frames=22&seed=3", *arguments)
     assert run.code == 0, run.err
     assert json.loads(run.out)["rms_px"] < 0.2
 
 
 class LiveBoard(DeviceSource):
-    """A board before a camera, until somebody presses Ctrl-C."""
+    """A board in front of a camera. Ctrl-C ends the run."""
 
     live = True
 
@@ -97,7 +109,9 @@ def test_ctrl_c_while_calibrating_says_where_the_views_are(
     assert f"robot-ik camera calibrate {tmp_path / 'camera-views'} 0" in " ".join(run.err.split())
 
 
-def test_ctrl_c_keeps_what_there_is(robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_keeps_what_there_is(
+    robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(KeyboardInterrupt()))
     out = tmp_path / "camera.yaml"
     run = robot_ik("camera", "calibrate", "0", "--out", out)
@@ -133,7 +147,8 @@ def test_views_are_added_to_those_that_are_given_and_to_no_others(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sources, "open_source", lambda text, **_: opened(text, KeyboardInterrupt()))
-    views, out = tmp_path / "camera-views", ("--out", tmp_path / "camera.yaml")
+    views = tmp_path / "camera-views"
+    out = ("--out", tmp_path / "camera.yaml")
     views.mkdir()
     grey = np.full((480, 640), 128, np.uint8)
     for name in ("view01.png", "view04.png"):
@@ -141,17 +156,24 @@ def test_views_are_added_to_those_that_are_given_and_to_no_others(
     robot_ik("camera", "calibrate", views, "0", *out)
     assert sorted(p.name for p in views.iterdir()) == [f"view0{k}.png" for k in (1, 4, 5, 6)]
     assert (cv2.imread(str(views / "view04.png")) == 128).all()
-    robot_ik("camera", "calibrate", "0", *out)  # a fresh start, perhaps with another focus
-    assert len(list(views.iterdir())) == 4 and len(list((tmp_path / "camera-views-2").iterdir())) == 2
+    # A new run starts without the earlier views, since the focus may differ.
+    robot_ik("camera", "calibrate", "0", *out)
+    assert (
+        len(list(views.iterdir())) == 4 and len(list((tmp_path / "camera-views-2").iterdir())) == 2
+    )
 
 
-def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_camera_that_gives_nothing_is_an_error(
+    robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     silent = LiveBoard(
         FrameTimeoutError("no new picture from camera 0 for 2 s", hint="check the cable"), frames=0
     )
     monkeypatch.setattr(sources, "open_source", lambda *_, **__: silent)
     run = robot_ik("camera", "calibrate", "0")
-    assert run.code == 2 and "no new picture from camera 0" in run.err and "check the cable" in run.err
+    assert (
+        run.code == 2 and "no new picture from camera 0" in run.err and "check the cable" in run.err
+    )
 
 
 @pytest.mark.parametrize(
@@ -166,7 +188,10 @@ def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pyt
             "of 0.03 mm is not possible give 1 to 1000 mm: is 30 mm meant?",
         ),
         (["grey.png", "--pattern", "chess"], "--pattern"),
-        (["grey.png", "--pattern", "chessboard", "--marker-mm", "20"], "a chessboard has no markers"),
+        (
+            ["grey.png", "--pattern", "chessboard", "--marker-mm", "20"],
+            "a chessboard has no markers",
+        ),
         ([], "nothing to calibrate from"),
     ],
 )

@@ -1,4 +1,4 @@
-"""``robot-ik camera handeye`` as a user meets it; the job itself is tested in tests/jobs."""
+"""``robot-ik camera handeye``: output and errors. tests/jobs tests the job."""
 
 from __future__ import annotations
 
@@ -26,9 +26,19 @@ POINTS = marker_points(0.12)
 
 
 def seen_from_the_gripper(turned: tuple[float, ...], count: int) -> SampleSet:
-    """What a camera there would see of a large marker, the joints turned by up to so much; one is spoilt."""
-    robot, rng = load_robot("puma560"), np.random.default_rng(0)
-    board = robot.forward(robot.home, "gripper").compose(CAMERA).compose(Pose((0, 0, 0.6), (0, 1, 0, 0)))
+    """Return samples of a carried camera that sees a large marker. The seventh is wrong.
+
+    Args:
+        turned: Largest deviation of each joint from home, rad.
+        count: Number of samples.
+    """
+    robot = load_robot("puma560")
+    rng = np.random.default_rng(0)
+    board = (
+        robot.forward(robot.home, "gripper")
+        .compose(CAMERA)
+        .compose(Pose((0, 0, 0.6), (0, 1, 0, 0)))
+    )
     made = SampleSet("puma560", robot.joints, "gripper", "eye_in_hand", STANDARD_CAMERA)
     truth = Mount(CAMERA, board, "eye_in_hand")
     while len(made) < count:
@@ -47,7 +57,7 @@ def seen_from_the_gripper(turned: tuple[float, ...], count: int) -> SampleSet:
 
 @pytest.fixture
 def samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SampleSet:
-    """In a folder of its own, from views in which the wrist is turned."""
+    """Return samples in which the wrist is turned, saved in an empty folder."""
     monkeypatch.chdir(tmp_path)
     made = seen_from_the_gripper((0.05, 0.05, 0.05, 0.5, 0.4, 1.0), 10)
     made.save(Path("some.samples.json"))
@@ -58,9 +68,15 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
     run = robot_ik("camera", "handeye", "--samples", "some.samples.json")
     assert run.code == 0, run
     assert run.out.count("contradicts the others") == 1
-    for words in ("camera seen from gripper", "board seen from world", "stated uncertainty", "left out"):
+    for words in (
+        "camera seen from gripper",
+        "board seen from world",
+        "stated uncertainty",
+        "left out",
+    ):
         assert words in run.out
-    assert "true error" not in run.out  # nobody knows it
+    # The true error of real samples is unknown.
+    assert "true error" not in run.out
     place = CameraExtrinsics.load("place.toml", STANDARD_CAMERA)
     assert place.parent == "gripper"
     position, angle = place.pose_parent_camera.distance(CAMERA)
@@ -76,7 +92,8 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
 def test_an_arm_whose_zero_is_off_is_reported(
     robot_ik: Any, samples: SampleSet, caplog: pytest.LogCaptureFixture
 ) -> None:
-    rng, tick = np.random.default_rng(0), 2.0 * np.pi / 4096
+    rng = np.random.default_rng(0)
+    tick = 2.0 * np.pi / 4096
     for q in samples.q:
         q += rng.uniform(-0.5, 0.5, 6) * tick
     assert handeye.handeye_from_samples(samples).doubt == "", "ticks alone are a sound arm's"
@@ -87,7 +104,7 @@ def test_an_arm_whose_zero_is_off_is_reported(
     assert run.code == 0 and "the arm contradicts itself" in run.err, run
     doubt = json.loads(run.out)["doubt"]
     assert "robot-ik camera verify --fit" in doubt
-    # Whoever uses the file later is told, too.
+    # Loading the file logs the doubt.
     with caplog.at_level("WARNING", "robot_ik.camera"):
         assert CameraExtrinsics.load("place.toml").doubt == doubt
     assert f"place.toml: {doubt}" in caplog.text
@@ -102,7 +119,9 @@ def test_a_zero_that_is_off_by_half_a_degree_is_named() -> None:
     assert "the zero of joint3 seems to be off by 0.5" in doubt and "camera verify --fit" in doubt
 
 
-def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_says_how_to_go_on(
+    robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(request: Any, *, keep: Any, **rest: Any) -> None:
         keep(samples)
         os.kill(os.getpid(), signal.SIGINT)

@@ -1,4 +1,4 @@
-"""A recording is never a live camera: no arm moves before it, and the wire to its servos stays silent."""
+"""A recording is no live camera: no arm moves, and nothing is sent to its servos."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robot_ik.geometry import Pose
 
 @dataclass
 class Wire:
-    """A serial line at whose other end nobody answers, and all that was sent over it."""
+    """A serial line without servos. It records the sent bytes."""
 
     port: str
     sent: bytearray = field(default_factory=bytearray)
@@ -29,7 +29,7 @@ class Wire:
 
 @pytest.fixture
 def wire() -> Iterator[Wire]:
-    """The line; its bytes are complete once the command has ended, since a pty does not delay them."""
+    """Provide the line. A pty has no delay, so the bytes are complete after the command."""
     master, slave = os.openpty()
     tty.setraw(slave)
     found = Wire(os.ttyname(slave))
@@ -54,7 +54,7 @@ def wire() -> Iterator[Wire]:
 
 @pytest.fixture
 def recordings(tmp_path: Path) -> dict[str, str]:
-    """The same pictures as a photograph, a folder, a film, and a film named by its URL."""
+    """Return the same pictures as a photograph, a folder, a film, and the URL of a film."""
     picture = np.full((480, 640, 3), 90, np.uint8)
     folder = tmp_path / "pictures"
     folder.mkdir()
@@ -79,16 +79,36 @@ def recordings(tmp_path: Path) -> dict[str, str]:
 def test_a_recording_is_refused_while_the_bus_stays_silent(
     robot_ik: Any, tmp_path: Path, wire: Wire, recordings: dict[str, str], command: str, kind: str
 ) -> None:
-    lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
+    lens = tmp_path / "camera.yaml"
+    place = tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
     CameraExtrinsics(
-        Pose((0.5, 0.0, 0.8)), "world", 1e-6 * np.eye(6), 0.1, 0.1, "2026-01-01", STANDARD_CAMERA.digest
+        Pose((0.5, 0.0, 0.8)),
+        "world",
+        1e-6 * np.eye(6),
+        0.1,
+        0.1,
+        "2026-01-01",
+        STANDARD_CAMERA.digest,
     ).save(place)
     rest = ["--camera-extrinsics", place] if command == "verify" else []
     run = robot_ik(
-        "camera", command, "--robot", "tabletop_puma", "--bus", wire.port, "--camera", recordings[kind],
-        "--intrinsics", lens, "--board", "marker:7:50", "--out", tmp_path / "result.json", *rest,
-    )  # fmt: skip
+        "camera",
+        command,
+        "--robot",
+        "tabletop_puma",
+        "--bus",
+        wire.port,
+        "--camera",
+        recordings[kind],
+        "--intrinsics",
+        lens,
+        "--board",
+        "marker:7:50",
+        "--out",
+        tmp_path / "result.json",
+        *rest,
+    )
     run.assert_one_screen_error()
     assert "recorded pictures do not show this arm" in run.err and "--samples" in run.err
     assert bytes(wire.sent) == b""

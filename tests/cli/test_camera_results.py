@@ -1,4 +1,4 @@
-"""No result of a camera command is lost: places are checked before the work, nothing is replaced unasked."""
+"""Camera commands check their output paths first and replace files only with --overwrite."""
 
 from __future__ import annotations
 
@@ -34,16 +34,18 @@ COMMANDS = [
     (("camera", "verify", "--out", "other.json"), "--picture", "mine.png", ()),
     (("ar",), "--out", "mine.png", ()),
 ]
-RESULTS = [(words, option, name) for words, option, first, rest in COMMANDS for name in (first, *rest)]
+RESULTS = [
+    (words, option, name) for words, option, first, rest in COMMANDS for name in (first, *rest)
+]
 
 
 class Began(AssertionError):
-    """The work began."""
+    """Raised when the work begins."""
 
 
 @pytest.fixture(autouse=True)
 def _desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A photograph of marker 7, its lens, and work that must not begin."""
+    """Write a photograph of marker 7 and its calibration into an empty folder."""
     monkeypatch.chdir(tmp_path)
     cv2.imwrite("photo.png", picture())
     STANDARD_CAMERA.save("lens.yaml")
@@ -104,7 +106,9 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work_begins(
     assert not list(Path(name).iterdir())
 
 
-def test_folders_are_made_before_the_work_and_what_stays_empty_is_taken_back(tmp_path: Path) -> None:
+def test_folders_are_made_before_the_work_and_what_stays_empty_is_taken_back(
+    tmp_path: Path,
+) -> None:
     place = tmp_path / "a" / "b" / "place.toml"
     with claimed(place):
         assert place.parent.is_dir()
@@ -116,7 +120,8 @@ def test_folders_are_made_before_the_work_and_what_stays_empty_is_taken_back(tmp
 
 def test_why_nothing_can_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "photo.png").touch()
-    file, missing = tmp_path / "photo.png", tmp_path / "no"
+    file = tmp_path / "photo.png"
+    missing = tmp_path / "no"
     for make, place, why in (
         (make_folder, file, f"{file} is a file, not a folder"),
         (make_folder, file / "in", f"{file} is a file, not a folder"),
@@ -137,7 +142,10 @@ def test_two_runs_do_not_write_one_file(tmp_path: Path) -> None:
     with claimed(place, tmp_path / "beside.json"):
         with pytest.raises(OutputError, match="another run is writing"), claimed(place):
             pass
-        with pytest.raises(OutputError, match="another run is writing"), claimed(place, overwrite=True):
+        with (
+            pytest.raises(OutputError, match="another run is writing"),
+            claimed(place, overwrite=True),
+        ):
             pass
         assert not place.exists()
     with claimed(place):

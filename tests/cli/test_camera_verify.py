@@ -1,4 +1,4 @@
-"""``robot-ik camera verify`` as a user meets it; the job itself is tested in tests/jobs."""
+"""``robot-ik camera verify``: output, files and errors. tests/jobs tests the job."""
 
 from __future__ import annotations
 
@@ -33,20 +33,28 @@ HIDDEN = np.deg2rad([2.0, -1.5, 1.0, -2.0, 2.5, -3.0])
 
 @pytest.fixture
 def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An arm file of one's own, whose arm has wrong zeros; a job that needs no pictures."""
+    """Return the file of an arm with wrong zeros. The job is replaced by one without pictures."""
     monkeypatch.chdir(tmp_path)
     robot = load_robot("tabletop_puma")
     assert robot.arm_file is not None
     path = tmp_path / "mine.toml"
     path.write_bytes(robot.arm_file.read_bytes())
-    config, rng = ArmConfig.load(path), np.random.default_rng(0)
+    config = ArmConfig.load(path)
+    rng = np.random.default_rng(0)
     names = [joint.name for joint in config.joints if joint.group == "arm"]
     robot = load_robot("tabletop_puma", joints=names)
     exact = KnownPose.within(Pose(), 1e-4, 1e-4)
     samples = VerifySamples(
-        "tabletop_puma", robot.joints, "flange", "eye_to_hand", STANDARD_CAMERA,
-        camera=KnownPose.within(CAMERA, 1e-4, 1e-4), board=exact, by_arm=False, true_offsets=HIDDEN,
-    )  # fmt: skip
+        "tabletop_puma",
+        robot.joints,
+        "flange",
+        "eye_to_hand",
+        STANDARD_CAMERA,
+        camera=KnownPose.within(CAMERA, 1e-4, 1e-4),
+        board=exact,
+        by_arm=False,
+        true_offsets=HIDDEN,
+    )
     for _ in range(8):
         q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
         seen = CAMERA.inverse().compose(robot.forward(q + HIDDEN, "flange"))
@@ -74,14 +82,18 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik: Any, arm: Path) -> None:
+def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(
+    robot_ik: Any, arm: Path
+) -> None:
     interrupted = ("camera", "verify", "--fit", "--seed", INTERRUPTED, "--out", "some.json")
     run = robot_ik(*interrupted, "--views", "7")
     assert run.code == 130 and run.out == "", run
-    assert "after 7 views" in run.err and "robot-ik camera verify --fit --samples some.json" in run.err
+    assert (
+        "after 7 views" in run.err and "robot-ik camera verify --fit --samples some.json" in run.err
+    )
     kept = json.loads(Path("some.json").read_text())
     assert len(kept["samples"]) == 7 and kept["job"] == "verify"
-    # the same fit, and the question whether to write: nothing of it moves an arm
+    # The same fit, and the question whether to write. Nothing moves.
     again = ("camera", "verify", "--fit", "--samples", "some.json")
     run = robot_ik(*again, "--json")
     said = json.loads(run.out)
@@ -91,11 +103,11 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik
     assert "joint6 is held" in robot_ik(*again, "--board-sigma", "1", "3").out
     run = robot_ik(*again, "--arm", arm, "--yes")
     assert run.code == 0 and "zero_ticks: joint1 2048 -> 2025" in run.err, run
-    # with the new zeros the joint angles of the samples mean something else
+    # With the new zeros the joint angles of the samples have another meaning.
     run = robot_ik(*again, "--arm", arm, "--yes")
     run.assert_one_screen_error()
     assert "joint 'joint1' has been changed since the arm was measured" in run.err
-    # its camera's pose was found with these intrinsics
+    # The pose of the camera was found with these intrinsics.
     replace(STANDARD_CAMERA, fx=810.0).save("other.yaml")
     run = robot_ik(*again, "--intrinsics", "other.yaml")
     run.assert_one_screen_error()
@@ -103,7 +115,9 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik
 
 
 def test_samples_of_something_else_are_reported(robot_ik: Any, arm: Path) -> None:
-    SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(Path("hand.json"))
+    SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(
+        Path("hand.json")
+    )
     run = robot_ik("camera", "verify", "--samples", "hand.json")
     run.assert_one_screen_error()
     assert "which does not know the camera's pose" in run.err
@@ -126,8 +140,12 @@ def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> No
         assert words in run.out
     assert "ahead by" not in run.out
     poses = run.out.split("the arm as it is")[0].splitlines()
-    numbers = [int(line.split()[0]) for line in poses if line.split()[:1] and line.split()[0].isdigit()]
-    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], "rows are numbered as the stations that were planned"
+    numbers = [
+        int(line.split()[0]) for line in poses if line.split()[:1] and line.split()[0].isdigit()
+    ]
+    assert numbers == [1, 2, 3, 5, 6, 7, 8, 9], (
+        "rows are numbered as the stations that were planned"
+    )
     assert robot_ik("camera", "verify", "--allowed-mm", "60").code == 0
     said = json.loads(robot_ik("camera", "verify", "--json").out)
     assert said["passed"] is False and "fit" not in said
@@ -141,7 +159,8 @@ def test_zeros_are_written_after_a_yes_and_only_then(
     robot_ik: Any, arm: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = arm.read_bytes()
-    for named in ((), ("--arm", "puma560")):  # a robot's arm file is none of the user's
+    # The arm file of a bundled robot is not the user's.
+    for named in ((), ("--arm", "puma560")):
         run = robot_ik("camera", "verify", "--fit", *named)
         assert run.code == 1 and "give your arm file with --arm" in run.err
     for answer in ("n", "", None):
@@ -155,7 +174,8 @@ def test_zeros_are_written_after_a_yes_and_only_then(
     assert "zero_ticks: joint1 2048 -> 2025" in run.err
     assert "joint zeros" in run.out and "with these zeros" in run.out
     assert (arm.parent / "mine.toml.1.bak").read_bytes() == before
-    old, new = ArmConfig.parse(before.decode()), ArmConfig.load(arm)
+    old = ArmConfig.parse(before.decode())
+    new = ArmConfig.load(arm)
     pairs = zip(old.joints, new.joints, strict=True)
     moved = [b.value(2000) - a.value(2000) for a, b in pairs if a.group == "arm"]
     np.testing.assert_allclose(moved, HIDDEN, atol=np.deg2rad(0.1))
@@ -183,7 +203,10 @@ def test_zeros_that_explain_nothing_new_are_not_written(
 
 def test_what_is_held_is_said(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--fit", "--board-sigma", "1", "3")
-    assert "the offset of joint6 and the rotation of the board about z of flange look the same" in run.out
+    assert (
+        "the offset of joint6 and the rotation of the board about z of flange look the same"
+        in run.out
+    )
     assert "joint6 is held" in run.out and "joint6" not in run.err
 
 

@@ -137,8 +137,7 @@ HEAVY = ["mujoco", "numba", "cv2", "serial", "dynamixel_sdk", "matplotlib", "vis
     [
         (["--help", "--version"], [*HEAVY, "numpy", "tyro"]),
         ([f"{name} --help" for name in ("reach", "solve", "run", "view", "servo move")], [*HEAVY, "numpy"]),
-        # sim-bus lists the faults, and their packets are built by dynamixel_sdk, which needs serial.
-        ([f"{name} --help" for name in LEAVES], [*HEAVY[:3], *HEAVY[5:]]),
+        ([f"{name} --help" for name in LEAVES], HEAVY),
     ],
 )
 def test_help_imports_nothing_heavy(lines: list[str], heavy: list[str]) -> None:

@@ -184,7 +184,7 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
 
 
 def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
-    from robot_ik.cli.servo_hand import Prompts
+    from robot_ik.cli.prompts import Prompts
     from robot_ik.ports import RealClock
 
     reader, writer = os.pipe()
@@ -213,7 +213,7 @@ def test_without_anybody_to_press_enter_no_servo_is_asked(
 
 
 def test_steps_that_take_a_time() -> None:
-    from robot_ik.cli.servo_hand import Prompts
+    from robot_ik.cli.prompts import Prompts
     from robot_ik.ports import VirtualClock
 
     clock, seen = VirtualClock(), []

@@ -65,7 +65,7 @@ def memory(name: str, value: int) -> Callable[[Any], object]:
             "no XL430-W250 answers",
             "cable",
         ),
-        (memory("baud_rate", 1), checks.PROBLEM, "talks at 57600", "setup --joint joint2"),
+        (memory("baud_rate", 1), checks.PROBLEM, "baud rate is 57600", "setup --joint joint2"),
         (memory("model_number", 1020), checks.PROBLEM, "says XL430-W250", "arm file"),
         (lambda d: d.servo(2).set_supply(5.0), checks.PROBLEM, "6.0 to 14.0 V", "power supply"),
         (lambda d: d.servo(2).inject_error("overload"), checks.PROBLEM, "overload", "reset-fault"),

@@ -212,3 +212,105 @@ def test_conditions_on_other_robots_are_refused():
     other = rik.CollisionAvoidance(rik.Scene(rik.load_robot("ur5e")))
     with pytest.raises(OptionError):
         rik.joint_move(robot, robot.home, robot.home, collisions=other)
+
+
+CRANK = """<mujoco><compiler angle="radian"/><worldbody>
+  <geom name="gate" type="box" size=".002 .05 .05" pos="{gate} .3 0"/>
+  <body name="crank"><joint name="lead" range="-2 2" axis="0 0 1"/>
+    <geom type="capsule" size=".01" fromto="0 0 0 .08 0 0"/></body>
+  <body name="sled" pos="0 .3 0"><joint name="ride" type="slide" axis="1 0 0" range="-1 1"/>
+    <geom size=".02"/></body>
+</worldbody><equality>
+  <joint joint1="ride" joint2="lead" polycoef="{law}"/>
+</equality></mujoco>"""
+"""A joint that turns and a sled that follows it by a polynomial."""
+
+
+@pytest.mark.parametrize(
+    ("law", "gate", "turn", "blocked"),
+    [
+        ("0 .2 0 0 0", 0.15, 1.5, True),
+        ("0 .2 0 0 0", 0.35, 1.5, False),
+        ("0 0 .2 0 0", 0.3, 1.5, True),
+        ("0 0 .2 0 0", 0.5, 1.5, False),
+        # The sled is at the same place at both ends, and passes the gate between them.
+        ("0 .6 -.3 0 0", 0.2, 2.0, True),
+        ("0 .6 -.3 0 0", 0.33, 2.0, False),
+    ],
+)
+def test_a_coupled_joint_moves_as_its_leader_determines(law, gate, turn, blocked):
+    robot = rik.load_robot(CRANK.format(law=law, gate=gate))
+    scene = rik.Scene(robot)
+    avoid = rik.CollisionAvoidance(scene, margin=0.002)
+    first = robot.apply_couplings(np.zeros(2))
+    last = robot.apply_couplings([turn, 0.0])
+    leads = np.linspace(0.0, turn, 2000)
+    way = np.array([robot.apply_couplings([lead, 0.0]) for lead in leads])
+    least = min(scene.clearance(q).distance for q in way)
+    assert (least < avoid.margin) == blocked
+    if blocked:
+        with pytest.raises(MotionBlockedError, match="gate") as caught:
+            certify([first, last], avoid)
+        assert scene.clearance(caught.value.q).distance < avoid.margin
+        with pytest.raises(MotionBlockedError, match="gate"):
+            rik.joint_move(robot, first, last, collisions=avoid)
+    else:
+        certificate = certify([first, last], avoid)
+        assert certificate.certified
+        assert least >= certificate.clearance
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_random_couplings_are_certified_or_refuted_rightly(seed):
+    rng = np.random.default_rng(seed)
+    law = " ".join(f"{value:.3f}" for value in rng.normal(size=5) * (0.1, 0.3, 0.2, 0.1, 0.05))
+    try:
+        robot = rik.load_robot(CRANK.format(law=law, gate=rng.uniform(-0.6, 0.6)))
+    except rik.RobotIkError:
+        return  # the sled has no range left
+    scene = rik.Scene(robot)
+    avoid = rik.CollisionAvoidance(scene, margin=0.001)
+    lead = robot.lower[0], robot.upper[0]
+    first = robot.apply_couplings([rng.uniform(*lead), 0.0])
+    last = robot.apply_couplings([rng.uniform(*lead), 0.0])
+    leads = np.linspace(first[0], last[0], 1000)
+    least = min(scene.clearance(robot.apply_couplings([lead, 0.0])).distance for lead in leads)
+    try:
+        certificate = certify([first, last], avoid)
+    except MotionBlockedError as error:
+        assert scene.clearance(error.q).distance < avoid.margin
+        return
+    if certificate.certified:
+        assert least >= avoid.margin - 1e-9
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_free_base_with_an_arm_is_certified_rightly(seed):
+    """A floating base that turns and moves with an arm, past a post."""
+    text = """<mujoco><worldbody>
+      <geom name="post" type="capsule" size=".03" fromto="1 0 -1 1 0 1"/>
+      <body name="a"><freejoint/><geom type="box" size=".2 .1 .05"/>
+        <body name="b" pos=".2 0 .1"><joint name="i" axis="0 0 1" range="-2 2"/>
+          <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0"/>
+          <body name="c" pos=".3 0 0"><joint name="j" axis="0 1 0" range="-2 2"/>
+            <geom type="capsule" size=".02" fromto="0 0 0 .2 0 0"/></body></body></body>
+      </worldbody></mujoco>"""
+    rng = np.random.default_rng(seed)
+    robot = rik.load_robot(text)
+    scene = rik.Scene(robot)
+    avoid = rik.CollisionAvoidance(scene, margin=0.001)
+    first = robot.home.copy()
+    first[:3] = rng.uniform((0.0, -0.8, -0.3), (1.2, 0.8, 0.3))
+    first = robot.integrate(first, rng.normal(size=robot.nv) * 0.4)
+    last = robot.integrate(first, rng.normal(size=robot.nv) * 0.3)
+    postures = dense(robot, first, last)
+    least = min(scene.clearance(q).distance for q in postures)
+    try:
+        certificate = certify([first, last], avoid)
+    except MotionBlockedError as error:
+        assert scene.clearance(error.q).distance < avoid.margin
+        return
+    if certificate.certified:
+        assert least >= avoid.margin - 1e-9
+    else:
+        assert least < avoid.margin + 1e-4

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.kernels import collision, quadratic_program
-from robot_ik.motion.limited_step import LimitedStep
 from robot_ik.motion.trajectory import RecorderSink
+from robot_ik.solvers.limited_step import LimitedStep
 
 READY = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
 
@@ -155,7 +155,7 @@ def test_a_start_in_collision_gets_out(name):
         posture = start
         before = scene.clearance(start).distance
         for _ in range(60):
-            posture = step.solve(posture).q
+            posture = step.solve(problem, posture).q
             distance = scene.clearance(posture).distance
             assert distance >= min(before, 0.9 * avoid.margin) - 5e-4
             before = distance

@@ -128,13 +128,15 @@ def test_without_the_condition_every_answer_is_bit_equal():
     avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=0.0)
     for q in free_postures(avoid.scene, 0.0, 20):
         goal = robot.forward(q)
-        before = rik.solve(robot, goal)
-        after = rik.solve(robot, goal, collisions=avoid)
-        again = rik.solve(robot, goal)
-        assert np.array_equal(before.q, again.q)
-        if before.clearance.distance >= 0.0:
-            assert np.array_equal(before.q, after.q)
-            assert before.iterations == after.iterations
+        # ``auto`` begins with a closed form where there is a condition.
+        for solver in ("auto", "lm"):
+            before = rik.solve(robot, goal, solver=solver)
+            after = rik.solve(robot, goal, solver=solver, collisions=avoid)
+            again = rik.solve(robot, goal, solver=solver)
+            assert np.array_equal(before.q, again.q)
+            if solver == "lm" and before.clearance.distance >= 0.0:
+                assert np.array_equal(before.q, after.q)
+                assert before.iterations == after.iterations
 
 
 def test_the_same_seed_gives_the_same_bits():
@@ -253,3 +255,106 @@ def test_every_solution_knows_its_clearance():
     robot = rik.load_robot("puma560")
     solution = rik.solve(robot, robot.forward(robot.home))
     assert solution.clearance.distance == rik.Scene(robot).clearance(solution.q).distance
+
+
+def test_limited_steps_lead_a_redundant_arm_out_without_a_restart():
+    """The elbow of the arm touches a ball; the hand stays where it is.
+
+    Without limited steps and restarts none of these is solved.
+    """
+    robot = rik.load_robot("panda")
+    rng = np.random.default_rng(6)
+    scene = rik.Scene(robot, [rik.Sphere("ball", radius=0.05)])
+    avoid = rik.CollisionAvoidance(scene, margin=0.004)
+    bare = rik.Scene(robot)
+    link = robot.model.body("panda_link4").id
+    led = 0
+    tried = 0
+    while tried < 20:
+        q = robot.sample(rng)
+        elbow = robot.data_at(q).xpos[link].copy()
+        hand = robot.forward(q)
+        if not bare.free(q, 0.005) or np.linalg.norm(elbow - hand.position) < 0.3:
+            continue
+        direction = rng.normal(size=3)
+        scene.move("ball", rik.Pose(elbow + 0.1 * direction / np.linalg.norm(direction)))
+        if not -0.03 < scene.clearance(q).distance < 0.0:
+            continue
+        tried += 1
+        budget = rik.Budget(restarts=0)
+        solution = rik.solve(robot, hand, start=q, solver="lm", collisions=avoid, budget=budget)
+        assert solution.restarts == 0
+        if solution.converged:
+            led += 1
+            assert solution.clearance.distance >= avoid.margin - ROUNDING
+            assert solution.error.position < 1e-4
+    assert led >= 7
+
+
+@pytest.mark.parametrize("name", ["panda", "puma560", "koch_v11"])
+@pytest.mark.parametrize("solver", ["lm", "auto"])
+def test_the_nearest_free_posture_is_reported_beside_a_goal_that_touches(name, solver):
+    robot = rik.load_robot(name)
+    goal = rik.PositionGoal(None, robot.forward(robot.home).position)
+    if robot.nv >= 6:
+        goal = rik.PoseGoal.at(None, robot.forward(robot.home))
+    radius = 0.04
+    ball = rik.Sphere("ball", radius=radius, pose=rik.Pose(robot.forward(robot.home).position))
+    scene = rik.Scene(robot, [ball])
+    avoid = rik.CollisionAvoidance(scene, margin=0.005)
+    solution = rik.solve(robot, goal, solver=solver, collisions=avoid)
+    assert solution.status in (rik.Status.BLOCKED_BY_COLLISION, rik.Status.NO_FREE_BRANCH)
+    nearest = solution.nearest_free
+    assert nearest is not None
+    assert nearest.clearance.distance >= avoid.margin - ROUNDING
+    assert not robot.outside(nearest.q)
+    assert not nearest.converged
+    assert 1e-4 < nearest.error.position < 3.0 * radius
+    # Random search among free postures finds none that is much nearer.
+    rng = np.random.default_rng(4)
+    moved = nearest.q + 0.1 * rng.normal(size=(2000, robot.nv))
+    around = np.array([robot.clip(row) for row in moved])
+    around = around[avoid.free(around)]
+    target = goal.target.position
+    distances = [np.linalg.norm(robot.forward(q).position - target) for q in around]
+    assert min(distances) > 0.7 * nearest.error.position
+    with pytest.raises(NotConvergedError, match="nearest without a collision"):
+        solution.require()
+
+
+def test_a_free_solution_has_no_nearest_free_posture():
+    robot = rik.load_robot("panda")
+    avoid = rik.CollisionAvoidance(rik.Scene(robot), margin=0.002)
+    q = free_postures(avoid.scene, 0.01, 1)[0]
+    solution = rik.solve(robot, robot.forward(q), collisions=avoid)
+    assert solution.converged
+    assert solution.nearest_free is None
+    blocked = rik.solve(robot, robot.forward(q), collisions=avoid, budget=rik.Budget(iterations=0))
+    assert not blocked.converged
+
+
+def test_a_humanoid_whose_arm_touches_reaches_with_both_hands():
+    """Several goals of different priority; the start is in collision."""
+    robot = rik.load_robot("humanoid")
+    scene = rik.Scene(robot)
+    hands = [name for name in robot.frames if "hand" in name][:2]
+    avoid = rik.CollisionAvoidance(scene, margin=0.002)
+    rng = np.random.default_rng(12)
+    postures = np.array([robot.sample(rng) for _ in range(400)])
+    free = scene.free(postures, 0.005)
+    touching = [q for q in postures[~free] if -0.05 < scene.clearance(q).distance < 0.0]
+    solved = 0
+    for q, start in zip(postures[free][:10], touching[:10], strict=True):
+        goals = [
+            rik.PositionGoal(hands[0], robot.forward(q, hands[0]).position),
+            rik.PositionGoal(hands[1], robot.forward(q, hands[1]).position, priority=1),
+        ]
+        begin = q.copy()
+        moved = start - q
+        moved[:7] = 0.0  # the base stays
+        begin = robot.clip(begin + moved)
+        solution = rik.solve(robot, goals, start=begin, collisions=avoid)
+        if solution.converged:
+            solved += 1
+            assert scene.clearance(solution.q).distance >= avoid.margin - ROUNDING
+    assert solved >= 5

@@ -1,4 +1,4 @@
-"""Arms, buses and servos for the hardware tests, and functions as fixtures: nobody can import this file."""
+"""Arms, buses and servos for the hardware tests, and functions as fixtures."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.registers import Register
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.electrics import Load
 from robot_ik.hardware.virtual.faults import Fault
-from robot_ik.hardware.virtual.motor import Load
 from robot_ik.hardware.virtual.protocol import ErrorCode, Packet, Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
@@ -65,7 +65,8 @@ def arm_text() -> str:
         ("XM430-W350", 1, 100, 1.5),
     ]
     joints = [
-        _JOINT.format(k=k, model=m, direction=d, zero=z, ratio=r) for k, (m, d, z, r) in enumerate(rows, 1)
+        _JOINT.format(k=k, model=m, direction=d, zero=z, ratio=r)
+        for k, (m, d, z, r) in enumerate(rows, 1)
     ]
     return _HEAD + "".join(joints)
 
@@ -89,8 +90,6 @@ def arm_config(arm_path: Path) -> ArmConfig:
     """Six joints that differ in model, direction, zero and ratio."""
     return ArmConfig.load(arm_path)
 
-
-# ------------------------------------------------------------------------------------------- arms
 
 _DT = 0.01
 
@@ -163,7 +162,8 @@ def enable_fails() -> Callable[[Arm], None]:
     """``enable`` of an arm whose servos get torque and are not heard for a moment then."""
 
     def enable_fails(arm: Arm) -> None:
-        original, begun = arm.bus.sync_write, []
+        original = arm.bus.sync_write
+        begun = []
 
         def then_silent(register: Register, values: Mapping[int, int]) -> None:
             original(register, values)
@@ -187,15 +187,14 @@ def enable_fails() -> Callable[[Arm], None]:
     return enable_fails
 
 
-# ------------------------------------------------------------------------------- servos and buses
-
-
 class Bench:
     """One servo, its clock, and access to registers by name through the checked way."""
 
     V_UNIT = 0.229 * 4096 / 60  # ticks/s
 
-    def __init__(self, model: str = "XM430-W350", load: Load | None = None, **options: object) -> None:
+    def __init__(
+        self, model: str = "XM430-W350", load: Load | None = None, **options: object
+    ) -> None:
         self.clock = VirtualClock(start=12.0)
         self.servo = VirtualServo(model, 1, self.clock, **options)  # type: ignore[arg-type]
         if load is not None:
@@ -267,19 +266,24 @@ def parse() -> Callable[[bytes], list[Packet]]:
     return lambda reply: Parser().feed(reply, 0.0)
 
 
-# ---------------------------------------------------------------------------- rehearsing of faults
-
-
 class Lab:
     """An arm file with everything that the rows need."""
 
-    def __init__(self, config: ArmConfig, start: Array, stream: Any, smooth: Any, registers: Any) -> None:
-        self.config, self.start, self.stream, self.smooth = config, start, stream, smooth
+    def __init__(
+        self, config: ArmConfig, start: Array, stream: Any, smooth: Any, registers: Any
+    ) -> None:
+        self.config = config
+        self.start = start
+        self.stream = stream
+        self.smooth = smooth
         self.registers = registers
 
     def arm(self, *before: Fault, on: str = "sim", config=None, start=None) -> Arm:
-        config, start = config or self.config, self.start if start is None else start
-        bus = VirtualBus.from_config(config, VirtualClock() if on == "sim" else RealClock(), start=start)
+        config = config or self.config
+        start = self.start if start is None else start
+        bus = VirtualBus.from_config(
+            config, VirtualClock() if on == "sim" else RealClock(), start=start
+        )
         bus.inject(*before)
         return open_arm(config, on, virtual_bus=bus)
 
@@ -304,12 +308,15 @@ class Lab:
         """No value that is said is wrong, and no joint lags, whatever the wire does."""
         with self.arm() as arm:
             arm.enable()
-            arm.bus.virtual_bus.inject(*(Fault(kind, value=chance) for kind, chance in chances.items()))
+            arm.bus.virtual_bus.inject(
+                *(Fault(kind, value=chance) for kind, chance in chances.items())
+            )
             arm.bus.virtual_bus.inject(*([Fault("echo")] if echo else []))
             whole = 0
             for q in self.smooth(self.start, self.start + 0.4, cycles / 100):
                 self.stream(arm, [q])
-                said, true = arm.read().q, arm.bus.virtual_bus.true_angles(self.config)
+                said = arm.read().q
+                true = arm.bus.virtual_bus.true_angles(self.config)
                 assert (np.abs(said - true) <= arm.resolution + 3.0 * arm.ages).all()
                 assert np.abs(true - q).max() < 0.05
                 whole += arm.ages.max() == 0.0

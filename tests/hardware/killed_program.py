@@ -1,4 +1,4 @@
-"""Programs that drive an arm and are killed: one process starts another for every line it reads.
+"""Drive arms in processes that are killed: one process starts another for every line.
 
 A line is ``ROBOT PORT ON_ORPHAN ON_EXIT``. The answers are a line ``pid NUMBER``, then ``torque``
 once torque is on, or ``failed`` and the reason. An empty line waits for the program and answers

@@ -1,4 +1,4 @@
-"""No clock that a caller brings makes an arm faster than its caps: its own clock bounds every step."""
+"""No clock of a caller makes an arm faster than its caps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class Goals:
 
     def __init__(self, arm) -> None:
         self.rows: list[tuple[float, np.ndarray]] = []
-        exchange, servos = arm.bus.exchange, arm.config.drives
+        exchange = arm.bus.exchange
+        servos = arm.config.drives
 
         def recorded(register, values, reads, within=None):
             if values:
@@ -33,8 +34,9 @@ class Goals:
         arm.bus.exchange = recorded
 
     def worst(self, caps: np.ndarray, resolution: np.ndarray, window: float = 0.1) -> float:
-        """Largest travel between two goals ``window`` s or more apart, over what the caps allow in that
-        time and one period."""
+        """Largest travel between two goals ``window`` s or more apart, over what the caps allow in
+        that time and one period.
+        """
         worst = 0.0
         for (t0, q0), (t1, q1) in itertools.combinations(self.rows, 2):
             if t1 - t0 >= window - 1e-9:
@@ -73,7 +75,9 @@ def test_a_burst_after_a_stop_is_no_faster_than_the_clock(moving):
     arm.clock.sleep_until(arm.clock.now() + 1.5)  # the program was stopped
     for k in range(40, 190):  # and catches up at once
         arm.send(far, PERIOD * (k + 1))
-    assert (np.abs(goals.rows[-1][1] - before) <= arm.config.velocity * 2.2 * PERIOD + arm.resolution).all()
+    assert (
+        np.abs(goals.rows[-1][1] - before) <= arm.config.velocity * 2.2 * PERIOD + arm.resolution
+    ).all()
 
 
 def test_a_stall_between_two_right_times_is_a_step_of_two_periods_at_most(moving):
@@ -107,12 +111,15 @@ steps = st.tuples(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25, deadline=None
+)
 @given(st.lists(steps, min_size=20, max_size=80), st.sampled_from([1.0, -1.0]))
 def test_over_any_window_travel_is_within_the_cap(arm_config, steps, way):
     with open_arm(arm_config, "sim", start=np.zeros(6)) as arm:
         arm.enable()
-        goals, now = Goals(arm), 0.0
+        goals = Goals(arm)
+        now = 0.0
         for theirs, ours in steps:
             now += theirs
             arm.clock.sleep_until(arm.clock.now() + ours)

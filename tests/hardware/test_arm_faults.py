@@ -13,7 +13,9 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.faults import Fault
 
 
-def test_a_silent_servo_is_named_within_a_quarter_second_and_the_others_hold(arm, stream, smooth, start):
+def test_a_silent_servo_is_named_within_a_quarter_second_and_the_others_hold(
+    arm, stream, smooth, start
+):
     arm.enable()
     stream(arm, [start] * 5)
     arm.bus.virtual_bus.servo(3).silent = True
@@ -33,10 +35,19 @@ def test_a_silent_servo_is_named_within_a_quarter_second_and_the_others_hold(arm
     assert np.isfinite(reading.q).all() and arm.ages[2] > arm.ages[0] > 0.0
     arm.close()
     assert arm.exit_report.unverified == ("joint3",)
-    assert [s.memory.values["torque_enable"] for s in arm.bus.virtual_bus.servos] == [0, 0, 1, 0, 0, 0]
+    assert [s.memory.values["torque_enable"] for s in arm.bus.virtual_bus.servos] == [
+        0,
+        0,
+        1,
+        0,
+        0,
+        0,
+    ]
 
 
-def test_a_silent_servo_on_the_wire_is_named_and_leaving_is_quick(arm_config, stream, start, real_time):
+def test_a_silent_servo_on_the_wire_is_named_and_leaving_is_quick(
+    arm_config, stream, start, real_time
+):
     with open_arm(arm_config, "pty", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 5)
@@ -68,7 +79,7 @@ def test_one_lost_answer_is_no_fault(arm, stream, start):
     assert arm.state is ArmState.ENABLED and arm.bus.counters.timeouts == 12
 
 
-def test_all_silent_is_said_as_such(arm, arm_config, stream, start):
+def test_silence_of_all_servos_is_reported(arm, arm_config, stream, start):
     arm.enable()
     stream(arm, [start] * 3)
     arm.bus.virtual_bus.inject(Fault("silent"))
@@ -90,11 +101,15 @@ def test_a_fault_of_all_servos_does_not_contradict_how_the_arm_is_left(arm, stre
     arm.bus.virtual_bus.clear("silent")  # they hear again what leaving says
     arm.close()
     assert arm.exit_report.text == "torque is off"
-    assert "stays" not in str(caught.value) and "hears nothing keeps its torque" in caught.value.hint
+    assert (
+        "stays" not in str(caught.value) and "hears nothing keeps its torque" in caught.value.hint
+    )
 
 
 @pytest.mark.parametrize("error", ["overload", "overheating", "electrical_shock", "input_voltage"])
-def test_a_servo_that_shuts_down_is_seen_in_the_same_cycle_with_its_cause(any_arm, error, stream, start):
+def test_a_servo_that_shuts_down_is_seen_in_the_same_cycle_with_its_cause(
+    any_arm, error, stream, start
+):
     any_arm.enable()
     stream(any_arm, [start] * 3)
     any_arm.bus.virtual_bus.servo(6).inject_error(error)
@@ -105,7 +120,9 @@ def test_a_servo_that_shuts_down_is_seen_in_the_same_cycle_with_its_cause(any_ar
     assert [s.torque for s in any_arm.bus.virtual_bus.servos][:5] == [True] * 5
 
 
-def test_a_servo_that_restarts_by_itself_is_noticed_and_not_enabled_blindly(arm, stream, smooth, start):
+def test_a_servo_that_restarts_by_itself_is_noticed_and_not_enabled_blindly(
+    arm, stream, smooth, start
+):
     arm.enable()
     stream(arm, [start] * 3)
     arm.bus.virtual_bus.servo(2).reboot()

@@ -1,4 +1,4 @@
-"""Keys of the arm file for one servo: reverse, gains, profile, limits, thresholds, swing arms."""
+"""Keys of a servo in the arm file: reverse, gains, profile, limits, thresholds, swing arms."""
 
 from __future__ import annotations
 
@@ -115,17 +115,42 @@ WRONG = [
     ("position_p = 900", "position_p = 9.5", "joints[0].gains.position_p", "0..16383"),
     ("position_p = 900", "postion_p = 900", "joints[0].gains.postion_p", "did you mean position_p"),
     ("shadow = true", "shadwo = true", "joints[0].twin.shadwo", "did you mean shadow?"),
-    ("temperature_c = 70.0", "temprature_c = 70.0", "joints[0].stop_at.temprature_c", "did you mean temp"),
+    (
+        "temperature_c = 70.0",
+        "temprature_c = 70.0",
+        "joints[0].stop_at.temprature_c",
+        "did you mean temp",
+    ),
     ("temperature_c = 70.0", "temperature_c = 80.0", "joints[0].stop_at.temperature_c", "< 80"),
     ("current_ma = 800.0", "current_ma = 1100.0", "joints[0].stop_at.current_ma", "2.69 to 1000"),
     ("current_ma = 800.0", "load_percent = 80.0", "joints[0].stop_at.load_percent", "current_ma"),
     ("load_percent = 60.0", "load_percent = 160.0", "joints[1].stop_at.load_percent", "<= 100"),
     ("load_percent = 60.0", "current_ma = 600.0", "joints[1].stop_at.current_ma", "load_percent"),
-    ("current_limit_ma = 1000.0", "current_limit_ma = 5000", "joints[0].current_limit_ma", "2.69 to 3209"),
+    (
+        "current_limit_ma = 1000.0",
+        "current_limit_ma = 5000",
+        "joints[0].current_limit_ma",
+        "2.69 to 3209",
+    ),
     ("current_limit_ma = 1000.0", "current_limit_ma = 0", "joints[0].current_limit_ma", "> 0"),
-    ("_velocity_deg = 180.0", "_velocity_deg = 80.0", "joints[0].profile_velocity_deg", ">= velocity_deg"),
-    ("_acceleration_deg = 6000.0", "_acceleration_deg = 9.0", "joints[0].profile_acceleration_deg", "300"),
-    ("_velocity_mm = 60.0", "_velocity_mm = 40.0", "joints[1].profile_velocity_mm", ">= velocity_mm = 50"),
+    (
+        "_velocity_deg = 180.0",
+        "_velocity_deg = 80.0",
+        "joints[0].profile_velocity_deg",
+        ">= velocity_deg",
+    ),
+    (
+        "_acceleration_deg = 6000.0",
+        "_acceleration_deg = 9.0",
+        "joints[0].profile_acceleration_deg",
+        "300",
+    ),
+    (
+        "_velocity_mm = 60.0",
+        "_velocity_mm = 40.0",
+        "joints[1].profile_velocity_mm",
+        ">= velocity_mm = 50",
+    ),
     ("horn_mm = 14.0\n", "", "joints[1].horn_mm", "missing"),
     ("rod_mm = 24.0\n", "", "joints[1].rod_mm", "missing"),
     ("rod_mm = 24.0\n", "rod_mm = 12.0\n", "joints[1].rod_mm", ">= 14"),
@@ -139,7 +164,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("old", "new", "key", "said"), WRONG)
-def test_what_is_wrong_is_said_with_its_key(old: str, new: str, key: str, said: str) -> None:
+def test_a_wrong_value_is_reported_with_its_key(old: str, new: str, key: str, said: str) -> None:
     assert ALL.count(old) == 1
     with pytest.raises(ConfigError) as caught:
         ArmConfig.parse(ALL.replace(old, new))
@@ -162,4 +187,5 @@ def test_a_goal_current_above_the_limit_of_the_servo_is_refused() -> None:
 def test_swing_arms_are_the_same_law_in_every_unit() -> None:
     finger = ArmConfig.parse(ALL).joint("finger")
     assert isinstance(finger.gear, SwingArm)
-    assert finger.nearest_ticks(finger.gear.distance(0.0)) == 2048  # zero_ticks: the horn square to the slide
+    # zero_ticks: the horn square to the slide
+    assert finger.nearest_ticks(finger.gear.distance(0.0)) == 2048

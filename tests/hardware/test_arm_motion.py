@@ -18,7 +18,8 @@ from robot_ik.ports import VirtualClock
 
 def test_a_trajectory_within_the_caps_arrives_unchanged(any_arm, arm_config, stream, smooth):
     any_arm.enable()
-    start, end = any_arm.read().q, np.array([0.5, -0.2, 0.6, 0.1, 0.9, 0.2])
+    start = any_arm.read().q
+    end = np.array([0.5, -0.2, 0.6, 0.1, 0.9, 0.2])
     lag = 0.0
     for before, q in itertools.pairwise(smooth(start, end, 1.0)):
         stream(any_arm, [q])
@@ -26,10 +27,13 @@ def test_a_trajectory_within_the_caps_arrives_unchanged(any_arm, arm_config, str
     stream(any_arm, [end] * 30)  # so that it arrives even where this machine stalled on the way
     assert not any_arm.reports.clipped
     assert (np.abs(any_arm.read().q - end) <= 1.5 * any_arm.resolution).all()
-    assert (np.abs(any_arm.bus.virtual_bus.true_angles(arm_config) - end) <= 1.5 * any_arm.resolution).all()
+    assert (
+        np.abs(any_arm.bus.virtual_bus.true_angles(arm_config) - end) <= 1.5 * any_arm.resolution
+    ).all()
     counters = any_arm.bus.counters
     assert counters.timeouts <= 0.01 * counters.asked  # a stalled process answers late
-    if any_arm.bus.port == "sim":  # where time is exact, a shaft is where it was told to be a cycle ago
+    # where time is exact, a shaft is where it was told to be a cycle ago
+    if any_arm.bus.port == "sim":
         assert counters.timeouts == 0
         assert lag < 0.01
         assert not any_arm.reports.capped
@@ -78,7 +82,9 @@ def test_joints_by_name(arm, stream, start):
     assert np.allclose(arm.read().q, wanted, atol=1.5 * arm.resolution.max())
 
 
-def test_beyond_the_limits_is_clipped_and_reported_by_name(arm, arm_config, stream, registers, start):
+def test_beyond_the_limits_is_clipped_and_reported_by_name(
+    arm, arm_config, stream, registers, start
+):
     arm.enable()
     q = start.copy()
     q[2] = 9.0
@@ -87,7 +93,8 @@ def test_beyond_the_limits_is_clipped_and_reported_by_name(arm, arm_config, stre
     assert arm.read().q[2] == pytest.approx(arm.upper[2], abs=1.5 * arm.resolution[2])
     goals = registers(arm, "goal_position")
     assert all(
-        j.ticks_range()[0] <= g <= j.ticks_range()[1] for j, g in zip(arm_config.joints, goals, strict=True)
+        j.ticks_range()[0] <= g <= j.ticks_range()[1]
+        for j, g in zip(arm_config.joints, goals, strict=True)
     )
 
 
@@ -100,13 +107,17 @@ def test_a_jump_is_walked(arm, arm_config, stream, start, dt):
         positions.append(arm.bus.virtual_bus.true_angles(arm_config))
     speed = np.abs(np.diff(positions, axis=0)) / dt
     assert (speed <= 1.6 * arm_config.velocity).all()  # the servo's own profile: the last word
-    assert np.convolve(speed[:, 0], np.ones(10) / 10, "valid").max() <= 1.02 * arm_config.velocity[0]
+    assert (
+        np.convolve(speed[:, 0], np.ones(10) / 10, "valid").max() <= 1.02 * arm_config.velocity[0]
+    )
     assert np.allclose(positions[-1], start - 1.0, atol=0.01)
 
 
 def test_a_start_outside_the_limits_is_walked_back(arm_config, stream):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
-    servos.servo(1).rotate_by_hand(arm_config.joints[0].nearest_ticks(arm_config.upper[0] + 0.3) - 2048)
+    servos.servo(1).rotate_by_hand(
+        arm_config.joints[0].nearest_ticks(arm_config.upper[0] + 0.3) - 2048
+    )
     with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         q = arm.read().q
@@ -121,5 +132,7 @@ def test_sending_the_same_time_again_does_not_outrun_the_caps(arm, arm_config, r
     arm.enable()
     for _ in range(500):
         arm.send(start + 0.5, 1.0)
-    goals = [j.value(g) for j, g in zip(arm_config.joints, registers(arm, "goal_position"), strict=True)]
+    goals = [
+        j.value(g) for j, g in zip(arm_config.joints, registers(arm, "goal_position"), strict=True)
+    ]
     assert np.abs(goals - start).max() < 0.01

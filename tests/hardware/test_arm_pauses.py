@@ -1,4 +1,4 @@
-"""An arm whose program stalled: the servos' bus watchdog has tripped meanwhile, and it goes on."""
+"""An arm whose program stalled until the bus watchdogs tripped, and that continues."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ def test_after_a_pause_the_tripped_watchdog_is_cleared_and_the_arm_goes_on(
     assert registers(arm, "bus_watchdog") == [10] * 6
 
 
-def test_servos_that_stopped_by_themselves_get_their_profiles_back(arm, stream, smooth, registers, start):
+def test_servos_that_stopped_by_themselves_get_their_profiles_back(
+    arm, stream, smooth, registers, start
+):
     names = ("profile_velocity", "profile_acceleration")
     arm.enable()
     stream(arm, [start] * 3)
@@ -43,7 +45,7 @@ def test_a_read_after_a_pause_does_not_hide_the_tripped_watchdog(arm, stream, sm
 
 
 def test_a_stall_inside_a_cycle_is_noticed_as_well(arm, stream, smooth, registers, start):
-    """The process is suspended after the arm has looked at the time and before its packet is out."""
+    """The process is suspended after the arm has read the clock, before its packet is out."""
     arm.enable()
     stream(arm, [start] * 3)
     original = arm.bus.exchange
@@ -71,7 +73,8 @@ def test_a_tripped_watchdog_whose_reply_is_lost_is_noticed_once_it_is_heard(
     arm.clock.sleep_until(arm.clock.now() + 5.0)
     for servo in arm.bus.virtual_bus.servos[:-1]:
         servo.heard = arm.clock.now()  # only the last one trips
-    original, lost = arm.bus.sync_read, []
+    original = arm.bus.sync_read
+    lost = []
 
     def loses_a_reply(ids, register):
         statuses = original(ids, register)

@@ -36,11 +36,13 @@ def overloaded(arm, stream, start, id=6):
         stream(arm, [start] * 2)
 
 
-def test_a_restarted_servo_joins_in_again_and_the_others_never_let_go(any_arm, stream, smooth, start):
+def test_a_restarted_servo_joins_in_again_and_the_others_never_let_go(
+    any_arm, stream, smooth, start
+):
     overloaded(any_arm, stream, start)
     assert any_arm.reset_fault() == ("joint6",)
     assert any_arm.state is ArmState.CONNECTED and any_arm.fault is None
-    assert torque(any_arm) == [True] * 5 + [False]  # nobody was enabled, nobody dropped
+    assert torque(any_arm) == [True] * 5 + [False]  # no servo was enabled or dropped
     any_arm.enable()
     stream(any_arm, smooth(start, start + 0.2, 0.5))
     any_arm.clock.sleep_until(any_arm.clock.now() + 0.1)
@@ -57,10 +59,13 @@ def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stre
     before = arm.bus.virtual_bus.true_angles(arm.config)
     stream(arm, [start])  # a ramp, not a jump back
     after = arm.bus.virtual_bus.true_angles(arm.config)
-    assert np.abs(after - before).max() <= 2 * arm.config.acceleration.max() * 0.01**2 + arm.resolution.max()
+    assert (
+        np.abs(after - before).max()
+        <= 2 * arm.config.acceleration.max() * 0.01**2 + arm.resolution.max()
+    )
 
 
-def test_an_enable_that_fails_sends_nobody_back_to_goals_from_before_the_fault(
+def test_a_failed_enable_sends_no_servo_back_to_older_goals(
     arm_config, stream, enable_fails, start
 ):
     """A joint hung limp and was moved, got torque where it is, and then was not heard."""
@@ -81,7 +86,8 @@ def test_an_enable_that_fails_sends_nobody_back_to_goals_from_before_the_fault(
 def test_a_servo_that_lost_its_turns_with_the_restart_is_refused_and_the_fault_stays(
     arm_config, stream, smooth
 ):
-    beyond = np.array([0.0, 0.0, 2.7, 0.0, 0.0, 0.0])  # joint3: ratio 2, its servo is beyond one revolution
+    # joint3: ratio 2, its servo is beyond one revolution
+    beyond = np.array([0.0, 0.0, 2.7, 0.0, 0.0, 0.0])
     with open_arm(arm_config, "sim", start=beyond) as arm:
         overloaded(arm, stream, beyond, id=3)
         with pytest.raises(HardwareError, match=r"(?s)joint3' was at 154.*lost count"):
@@ -108,7 +114,7 @@ def test_without_a_fault_there_is_nothing_to_reset(arm):
         arm.reconnect()
 
 
-def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, stream, smooth, start):
+def test_a_port_that_comes_back_is_verified_without_enabling(any_arm, stream, smooth, start):
     any_arm.enable()
     stream(any_arm, [start] * 3)
     any_arm.bus.virtual_bus.inject(Fault("port_unplugged"))
@@ -122,7 +128,8 @@ def test_a_port_that_comes_back_is_verified_and_nobody_is_enabled(any_arm, strea
         any_arm.reconnect(timeout=0.0)
     assert any_arm.state is ArmState.FAULT
     any_arm.bus.virtual_bus.unplugged = False
-    any_arm.bus.virtual_bus.servo(2).memory.set("torque_enable", 0)  # what happens meanwhile is not undone
+    # what happens meanwhile is not undone
+    any_arm.bus.virtual_bus.servo(2).memory.set("torque_enable", 0)
     any_arm.reconnect()
     assert any_arm.state is ArmState.CONNECTED
     assert torque(any_arm) == [True, False, True, True, True, True]
@@ -145,13 +152,12 @@ def test_other_servos_behind_the_port_are_refused(arm, stream, start):
     assert arm.state is ArmState.FAULT
 
 
-# ---------------------------------------------------------------------------- a grip at run time
-
-
 def test_a_current_can_be_lowered_and_never_raised_beyond_the_file(arm_toml):
     from robot_ik.hardware.config import ArmConfig
 
-    text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
+    text = arm_toml.replace(
+        '"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1
+    )
     config = ArmConfig.parse(text)
     with open_arm(config, "sim", virtual_bus=VirtualBus.from_config(config, VirtualClock())) as arm:
         goal = lambda: arm.bus.virtual_bus.servo(1).memory.values["goal_current"]  # noqa: E731

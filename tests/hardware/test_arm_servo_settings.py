@@ -1,4 +1,4 @@
-"""What an arm file asks of a servo is in the servo after connect, and again after each of its restarts."""
+"""Settings of the arm file are in the servos after connect and after every restart."""
 
 from __future__ import annotations
 
@@ -40,14 +40,16 @@ def servos_of(config: ArmConfig, start: object = None) -> VirtualBus:
     return VirtualBus.from_config(config, VirtualClock(), start)  # type: ignore[arg-type]
 
 
-# ------------------------------------------------------------------------------------ gains, profile
-
-
 @pytest.fixture
 def tuned(arm_config: ArmConfig) -> ArmConfig:
     """Joint 1 with gains, a profile and a current limit of its own."""
     return changed(
-        arm_config, 0, gains=GAINS, profile_velocity=4.0, profile_acceleration=100.0, current_limit=1000.0
+        arm_config,
+        0,
+        gains=GAINS,
+        profile_velocity=4.0,
+        profile_acceleration=100.0,
+        current_limit=1000.0,
     )
 
 
@@ -71,7 +73,8 @@ def test_gains_profile_and_current_limit_are_written_at_connect(tuned: ArmConfig
     with open_arm(tuned, "sim", virtual_bus=servos):
         assert settings(servos, 1) == WANTED
         for name in (*GAINS.registers, "current_limit"):
-            assert servos.servo(2).memory.values[name] == untouched[name]  # the file says nothing of them
+            # the file says nothing of them
+            assert servos.servo(2).memory.values[name] == untouched[name]
 
 
 @pytest.mark.parametrize("name", ["position_p_gain", "current_limit"])
@@ -120,7 +123,10 @@ def test_what_lies_in_ram_is_back_after_a_brown_out(tuned, stream, start) -> Non
         stream(arm, [start] * 3)
         servo = arm.bus.virtual_bus.servo(1)
         servo.reboot()
-        assert servo.memory.values["position_p_gain"] == 800 and servo.memory.values["profile_velocity"] == 0
+        assert (
+            servo.memory.values["position_p_gain"] == 800
+            and servo.memory.values["profile_velocity"] == 0
+        )
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [start] * 50)
         assert caught.value.status == ("torque_lost",)
@@ -186,10 +192,9 @@ def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest()
     assert units == int(np.ceil(SPEED_HEADROOM * 0.050 / least / 0.0239808))
 
 
-# ------------------------------------------------------------------------------------------- reverse
-
-
-def test_a_servo_reversed_by_its_maker_moves_as_the_file_says(arm_config, stream, smooth, start) -> None:
+def test_a_servo_reversed_by_its_maker_moves_as_the_file_says(
+    arm_config, stream, smooth, start
+) -> None:
     config = changed(arm_config, 0, mode=POSITION, reverse=True)
     servos = servos_of(config, start)
     assert servos.servo(1).memory.values["drive_mode"] == 1
@@ -203,10 +208,14 @@ def test_a_servo_reversed_by_its_maker_moves_as_the_file_says(arm_config, stream
         assert servos.servo(1).memory.values["drive_mode"] == 1  # never cleared
 
 
-def test_limits_of_a_reversed_servo_are_compared_in_its_own_frame(arm_config, stream, start) -> None:
+def test_limits_of_a_reversed_servo_are_compared_in_its_own_frame(
+    arm_config, stream, start
+) -> None:
     """The shoulder of a vx300s: Drive Mode 1 and 841..2867, lopsided, are -106..72 degrees."""
     lower, upper = np.radians([-106.0, 72.0])
-    config = changed(arm_config, 0, mode=POSITION, reverse=True, zero_ticks=2048, lower=lower, upper=upper)
+    config = changed(
+        arm_config, 0, mode=POSITION, reverse=True, zero_ticks=2048, lower=lower, upper=upper
+    )
     servos = servos_of(config)
     servos.servo(1).memory.set("min_position_limit", 841)
     servos.servo(1).memory.set("max_position_limit", 2867)
@@ -233,7 +242,7 @@ def test_a_bit_that_is_not_as_the_file_says_is_refused_with_the_cure(arm_config,
 
 
 def test_the_reverse_bit_of_a_twin(arm_config, start) -> None:
-    """Both found states of a shadow are taken where the file says nothing, and one where it says which."""
+    """Without `reverse` in the file both states are accepted; with it, one of them."""
     for said, found in itertools.product((None, True, False), (0, 1)):
         works = said is None or said == bool(found)
         config = changed(arm_config, 1, twin=Twin(8, shadow=True, reverse=said))
@@ -257,10 +266,9 @@ def test_other_bits_of_drive_mode_are_cleared_and_reverse_stays(arm_config) -> N
         assert servos.servo(1).memory.values["drive_mode"] == 0b0001
 
 
-# ------------------------------------------------------------------------------------- homing offset
-
-
-@pytest.mark.parametrize(("offset", "works"), [(1024, True), (-1024, True), (1025, False), (-2047, False)])
+@pytest.mark.parametrize(
+    ("offset", "works"), [(1024, True), (-1024, True), (1025, False), (-2047, False)]
+)
 def test_an_offset_that_position_mode_ignores_is_explained(arm_config, offset, works) -> None:
     config = changed(arm_config, 0, mode=POSITION, lower=-0.5, upper=0.5)
     servos = servos_of(config)

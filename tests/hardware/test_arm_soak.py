@@ -21,7 +21,8 @@ def drive(config, start, cycles: int, rate: float = 1e-3) -> list[int]:
     """``cycles`` at 100 Hz; bytes of memory in use at ten moments."""
     clock = VirtualClock()
     bus = VirtualBus.from_config(config, clock, start=start)
-    memory, followed = [], 0
+    memory = []
+    followed = 0
     with open_arm(config, "sim", virtual_bus=bus) as arm:
         arm.enable()
         bus.reseed(5)
@@ -33,11 +34,14 @@ def drive(config, start, cycles: int, rate: float = 1e-3) -> list[int]:
             clock.sleep_until(now)
             wanted = start + 0.3 * np.sin(0.5 * (now - begin)) * np.array([1, -1, 1, -1, 1, -1])
             arm.send(wanted, now)
-            said, true = arm.read().q, bus.true_angles(config)
+            said = arm.read().q
+            true = bus.true_angles(config)
             fresh = arm.ages == 0.0
             followed += fresh.all()
             # What is said is true, or as old as its age says: a shaft turns at most so fast.
-            assert (np.abs(said - true) <= arm.resolution + MARGIN * 1.5 * config.velocity * arm.ages).all()
+            assert (
+                np.abs(said - true) <= arm.resolution + MARGIN * 1.5 * config.velocity * arm.ages
+            ).all()
             assert np.abs(true - wanted).max() < 0.03
             if k % max(cycles // 10, 1) == 0:
                 memory.append(tracemalloc.get_traced_memory()[0])

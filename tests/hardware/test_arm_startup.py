@@ -1,4 +1,4 @@
-"""An arm coming up: what it sets in the servos, and what it refuses before there is torque."""
+"""An arm starting up: what it sets in the servos, and what it refuses before torque."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.bus import shared_register
+from robot_ik.hardware.arm_registers import shared_register
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -70,12 +70,17 @@ def test_enable_moves_nothing_and_arms_the_watchdog(any_arm, arm_config, registe
     any_arm.clock.sleep_until(any_arm.clock.now() + 0.05)
     assert registers(any_arm, "torque_enable") == [1] * 6
     assert registers(any_arm, "bus_watchdog") == [10] * 6
-    assert np.allclose(any_arm.bus.virtual_bus.true_angles(arm_config), before, atol=any_arm.resolution.max())
+    assert np.allclose(
+        any_arm.bus.virtual_bus.true_angles(arm_config), before, atol=any_arm.resolution.max()
+    )
 
 
 def test_the_watchdog_is_armed_before_torque_comes_on(arm, registers):
-    """A program that is killed between the two would leave torque on, with nothing to stop the servos."""
-    original, armed = arm.bus.sync_write, []
+    """A program that is killed between the two would leave torque on, with nothing to stop the
+    servos.
+    """
+    original = arm.bus.sync_write
+    armed = []
 
     def spied(register, values):
         if register.name == "torque_enable":
@@ -98,8 +103,11 @@ def test_a_missing_and_a_wrong_servo_are_refused_with_a_table(arm_config):
     with pytest.raises(ServoMismatchError) as caught:
         arm.connect()
     assert caught.value.expected[9] == "joint2: XM430-W350" and 9 not in caught.value.detected
-    assert caught.value.detected[2] == "XM430-W350"  # there is one with an id nobody named
-    assert caught.value.detected[4] == "XL430-W250" and caught.value.expected[4] == "joint4: XM430-W350"
+    assert caught.value.detected[2] == "XM430-W350"  # a servo whose id the file does not name
+    assert (
+        caught.value.detected[4] == "XL430-W250"
+        and caught.value.expected[4] == "joint4: XM430-W350"
+    )
     assert "missing" in str(caught.value)
     assert arm.state is ArmState.DISCONNECTED and not arm.bus.is_open
     assert not any(servo.torque for servo in servos.servos)
@@ -113,7 +121,7 @@ def test_a_lost_ping_is_no_missing_servo_if_all_answer_the_ping_to_all(arm_confi
         assert arm.state is ArmState.CONNECTED
 
 
-def test_nobody_there_points_at_power_and_baud_rate(arm_config):
+def test_an_empty_bus_points_at_power_and_baud_rate(arm_config):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
     servos.inject(Fault("silent"))
     with pytest.raises(ServoMismatchError, match="power"):
@@ -121,7 +129,7 @@ def test_nobody_there_points_at_power_and_baud_rate(arm_config):
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_a_servo_told_not_to_answer_is_told_to(arm_config, level, registers):
+def test_a_servo_that_answers_too_little_is_set_to_answer_everything(arm_config, level, registers):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
     servos.servo(3).memory.set("status_return_level", level)
     with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
@@ -153,14 +161,14 @@ def test_a_wrong_supply_is_refused(arm_config):
     assert caught.value.status == ("input_voltage",)
 
 
-def test_a_servo_that_reverses_by_itself_is_refused(arm_config):
+def test_a_servo_with_an_unexpected_reverse_bit_is_refused(arm_config):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
     servos.servo(1).memory.set("drive_mode", 1)
     with pytest.raises(HardwareError, match="reverse"):
         open_arm(arm_config, "sim", virtual_bus=servos).connect()
 
 
-def test_firmware_without_a_watchdog_is_taken_only_by_those_who_say_so(arm_config, stream, smooth):
+def test_firmware_without_a_watchdog_needs_watchdog_ms_0(arm_config, stream, smooth):
     clock = VirtualClock()
     servos = VirtualBus(
         [
@@ -184,15 +192,20 @@ def test_lost_turns_are_refused_before_torque(arm_config):
     servos.servo(1).rotate_by_hand(2 * 4096)
     with (
         open_arm(arm_config, "sim", virtual_bus=servos) as arm,
-        pytest.raises(HardwareError, match=r"lost count of its revolutions(.|\n)*zero_ticks = 10240"),
+        pytest.raises(
+            HardwareError, match=r"lost count of its revolutions(.|\n)*zero_ticks = 10240"
+        ),
     ):
         arm.enable()
     assert not any(servo.torque for servo in servos.servos)
 
 
 def test_a_lost_turn_beside_a_wide_range_is_no_joint_outside(arm_config):
-    """At 160 of +-170 degrees, a revolution lost: it reads -200; led back to -170 it would go on to 190."""
-    joints = (dataclasses.replace(arm_config.joints[0], lower=-2.967, upper=2.967), *arm_config.joints[1:])
+    """At 160 of +-170 degrees a lost revolution reads -200; moving back would reach 190."""
+    joints = (
+        dataclasses.replace(arm_config.joints[0], lower=-2.967, upper=2.967),
+        *arm_config.joints[1:],
+    )
     config = dataclasses.replace(arm_config, joints=joints)
     servos = VirtualBus.from_config(config, VirtualClock(), np.radians([160.0, 0, 0, 0, 0, 0]))
     servos.servo(1).shaft.lose_revolutions(-1)
@@ -239,7 +252,9 @@ def test_one_turn_limits_of_the_servo_narrower_than_the_file_are_an_error(arm_co
 def test_models_with_another_layout_cannot_share_a_cycle(arm_config):
     here = X_TABLES["XM430-W350"]["goal_position"]
     there = dataclasses.replace(here, address=30)
-    joints = [SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))]
+    joints = [
+        SimpleNamespace(model=m, table={"goal_position": r}) for m, r in (("A", here), ("B", there))
+    ]
     vars(arm_config)["servos"] = joints
     with pytest.raises(ConfigError, match="elsewhere in B than in A"):
         shared_register(arm_config, "goal_position")
@@ -249,6 +264,8 @@ def test_an_unknown_policy_and_servos_for_a_real_port_are_refused(arm_config):
     with pytest.raises(ConfigError, match="torque_off, hold, park"):
         open_arm(arm_config, "sim", on_exit="drop")
     with pytest.raises(ValueError, match="real port"):
-        open_arm(arm_config, "/dev/ttyUSB0", virtual_bus=VirtualBus.from_config(arm_config, RealClock()))
+        open_arm(
+            arm_config, "/dev/ttyUSB0", virtual_bus=VirtualBus.from_config(arm_config, RealClock())
+        )
     with pytest.raises(BusNotOpenError):
         open_arm(arm_config, "/dev/no_such_port").connect()

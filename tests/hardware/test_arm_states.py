@@ -1,4 +1,4 @@
-"""The states of an arm: each needs the one before, and every way out leaves the servos as asked."""
+"""The states of an arm: their order, and that every way out leaves the servos as asked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ from robot_ik.ports import VirtualClock
 
 def test_each_step_needs_the_one_before(arm_config, start):
     arm = open_arm(arm_config, "sim")
-    for action in (arm.enable, arm.read, arm.hold, lambda: arm.send(start, 0.0), lambda: arm.move_to(start)):
+    for action in (
+        arm.enable,
+        arm.read,
+        arm.hold,
+        lambda: arm.send(start, 0.0),
+        lambda: arm.move_to(start),
+    ):
         with pytest.raises(ArmStateError):
             action()
     arm.close()
@@ -91,7 +97,9 @@ def test_hold_leaves_torque_on_and_the_next_program_takes_over_without_a_drop(
     assert registers(again, "torque_enable") == [0] * 6
 
 
-def test_park_goes_back_to_where_it_stood_without_torque(arm_config, stream, smooth, registers, start):
+def test_park_goes_back_to_where_it_stood_without_torque(
+    arm_config, stream, smooth, registers, start
+):
     with open_arm(arm_config, "sim", start=start, on_exit="park") as arm:
         arm.enable()
         stream(arm, smooth(start, start + 0.4, 1.0))
@@ -100,7 +108,9 @@ def test_park_goes_back_to_where_it_stood_without_torque(arm_config, stream, smo
     assert registers(arm, "torque_enable") == [0] * 6
 
 
-def test_a_fault_on_the_way_to_the_park_pose_still_ends_in_torque_off(arm_config, stream, registers, start):
+def test_a_fault_on_the_way_to_the_park_pose_still_ends_in_torque_off(
+    arm_config, stream, registers, start
+):
     with open_arm(arm_config, "sim", start=start, on_exit="park", park_at=np.zeros(6)) as arm:
         arm.enable()
         stream(arm, [start])
@@ -109,7 +119,7 @@ def test_a_fault_on_the_way_to_the_park_pose_still_ends_in_torque_off(arm_config
     assert registers(arm, "torque_enable") == [0] * 6
 
 
-def test_who_does_not_answer_at_the_end_is_reported_once(arm, caplog):
+def test_a_servo_that_does_not_answer_at_the_end_is_reported_once(arm, caplog):
     arm.enable()
     arm.bus.virtual_bus.servo(3).silent = True
     with caplog.at_level("WARNING", logger="robot_ik"):
@@ -117,7 +127,14 @@ def test_who_does_not_answer_at_the_end_is_reported_once(arm, caplog):
     reported = [record.getMessage() for record in caplog.records]
     assert sum("joint3" in text and "no answer" in text for text in reported) == 1, reported
     assert reported[-1].startswith("torque_off not confirmed by joint3")
-    assert [s.torque for s in arm.bus.virtual_bus.servos] == [False, False, True, False, False, False]
+    assert [s.torque for s in arm.bus.virtual_bus.servos] == [
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_without_a_port_nothing_is_tried_and_everybody_is_named(arm, caplog):

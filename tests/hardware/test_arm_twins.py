@@ -36,7 +36,9 @@ def servos(config, start):
     return VirtualBus.from_config(config, VirtualClock(), start)
 
 
-def test_both_servos_of_a_joint_move_and_both_are_left_without_torque(config, servos, stream, smooth, start):
+def test_both_servos_of_a_joint_move_and_both_are_left_without_torque(
+    config, servos, stream, smooth, start
+):
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         assert servos.servo(8).torque
@@ -69,7 +71,7 @@ def test_servos_that_do_not_agree_get_no_torque_together(config, servos):
     assert not any(servo.torque for servo in servos.servos)
 
 
-def test_one_that_slips_is_a_fault(config, servos, stream, smooth, start):
+def test_a_second_servo_that_slips_is_a_fault(config, servos, stream, smooth, start):
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         servos.servo(8).stuck = True
@@ -88,7 +90,7 @@ def test_a_silent_second_servo_is_a_fault_of_its_joint(config, servos, stream, s
     assert arm.exit_report.unverified == ("joint2",)
 
 
-def test_who_hears_whom_must_be_as_the_file_says(arm_config, start):
+def test_secondary_ids_must_match_the_arm_file(arm_config, start):
     config = with_twin(arm_config, SHADOW)
     servos = VirtualBus.from_config(config, VirtualClock())
     servos.servo(8).memory.set("secondary_id", 255)
@@ -107,7 +109,9 @@ def test_the_file_keeps_twins_and_currents_and_refuses_what_cannot_be(arm_config
     )
     config = dataclasses.replace(arm_config, joints=tuple(joints))
     again = ArmConfig.parse(config.to_toml())
-    assert again.joints[1].servos[1] == config.joints[1].servos[1] and again.joints[5].current == 269.0
+    assert (
+        again.joints[1].servos[1] == config.joints[1].servos[1] and again.joints[5].current == 269.0
+    )
     assert again.servo_ids == (1, 2, 3, 4, 5, 6, 8)
     with pytest.raises(ConfigError, match=r"id 3 is already joints\[1\].twin"):
         with_twin(arm_config, dataclasses.replace(TWIN, id=3))
@@ -133,9 +137,6 @@ def test_the_file_keeps_twins_and_currents_and_refuses_what_cannot_be(arm_config
             ArmConfig.parse(arm_toml.replace(old, new, 1))
 
 
-# --------------------------------------------------------------------------------- a gripper
-
-
 @pytest.fixture
 def gripping(arm_config):
     joints = list(arm_config.joints)
@@ -144,7 +145,9 @@ def gripping(arm_config):
     return dataclasses.replace(arm_config, joints=tuple(joints))
 
 
-def test_a_gripper_is_a_joint_that_presses_no_harder_than_it_is_reported(gripping, stream, smooth, start):
+def test_a_gripper_is_a_joint_that_presses_no_harder_than_it_is_reported(
+    gripping, stream, smooth, start
+):
     with open_arm(gripping, "sim", start=start) as arm:
         servo = arm.bus.virtual_bus.servo(6)
         assert servo.memory.values["goal_current"] == 100

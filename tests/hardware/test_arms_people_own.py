@@ -1,4 +1,4 @@
-"""Arms that people own, with their servos as makers and other programs leave them: they work, and again.
+"""Arms that people own work with their servos as makers and other programs leave them.
 
 Registers are those of the sources in models/<arm>/README.md; nothing here was tried on real servos.
 """
@@ -63,14 +63,19 @@ class Left:
     registers: Mapping[int, Mapping[str, int]]
     offsets: Mapping[int, int] = field(default_factory=dict)
     kept: tuple[str, ...] = (
-        "secondary_id", "homing_offset", "min_position_limit", "max_position_limit", "velocity_limit"
-    )  # fmt: skip
+        "secondary_id",
+        "homing_offset",
+        "min_position_limit",
+        "max_position_limit",
+        "velocity_limit",
+    )
 
 
 def interbotix(limits: Mapping[int, tuple[int, int]], reverse: set[int], wound: int = 0) -> Left:
-    """After a start of the maker's driver: limits and reverse bits of its file, profiles in time.
+    """Servos after the maker's driver: limits and reverse bits of its file, profiles in time.
 
-    ``wound``: ticks of Homing Offset that it gave the shadows 3 and 5, from where their leaders stand.
+    ``wound``: ticks of Homing Offset that it gave the shadows 3 and 5, from where their leaders
+    stand.
     """
     profile = {"profile_velocity": 2000, "profile_acceleration": 300}  # ms, its default
     registers: dict[int, dict[str, int]] = {}
@@ -85,7 +90,8 @@ def interbotix(limits: Mapping[int, tuple[int, int]], reverse: set[int], wound: 
             "operating_mode": PWM if id == 9 else POSITION,
             **profile,
         }
-    registers[3]["secondary_id"], registers[5]["secondary_id"] = 2, 4
+    registers[3]["secondary_id"] = 2
+    registers[5]["secondary_id"] = 4
     return Left(registers, {3: wound, 5: -wound} if wound else {})
 
 
@@ -95,44 +101,57 @@ OMX_LIMITS = {12: (830, 3129), 13: (1024, 3140)}
 
 
 def omx_by_ros() -> Left:
-    """After ROBOTIS' ROS 2 driver: joint1 in extended mode, profiles of 50 and 25 ms, its gains."""
+    """Servos after ROBOTIS' ROS 2 driver: joint1 extended, profiles of 50 and 25 ms, its gains."""
     registers: dict[int, dict[str, int]] = {}
     for id in range(11, 17):
         low, high = OMX_LIMITS.get(id, (0, 4095))
         mode = {11: EXTENDED, 16: CURRENT}.get(id, POSITION)
         registers[id] = {
-            "drive_mode": TIME_BASED, "operating_mode": mode, "return_delay_time": 0,
-            "min_position_limit": low, "max_position_limit": high,
-            "position_p_gain": 1000, "position_i_gain": 0, "position_d_gain": 1000,
-            "profile_velocity": 50, "profile_acceleration": 25,
-        }  # fmt: skip
+            "drive_mode": TIME_BASED,
+            "operating_mode": mode,
+            "return_delay_time": 0,
+            "min_position_limit": low,
+            "max_position_limit": high,
+            "position_p_gain": 1000,
+            "position_i_gain": 0,
+            "position_d_gain": 1000,
+            "profile_velocity": 50,
+            "profile_acceleration": 25,
+        }
     registers[16] |= {"current_limit": 600, "shutdown": 21}
-    return Left(registers, kept=("homing_offset", "min_position_limit", "max_position_limit", "shutdown"))
+    return Left(
+        registers, kept=("homing_offset", "min_position_limit", "max_position_limit", "shutdown")
+    )
 
 
 def omx_by_lerobot() -> Left:
     """After LeRobot: extended mode all over, whole-turn limits, its gains at the elbow."""
     registers: dict[int, dict[str, int]] = {
         id: {
-            "drive_mode": 0, "operating_mode": CURRENT if id == 16 else EXTENDED, "return_delay_time": 0,
-            "min_position_limit": 0, "max_position_limit": 4095,
+            "drive_mode": 0,
+            "operating_mode": CURRENT if id == 16 else EXTENDED,
+            "return_delay_time": 0,
+            "min_position_limit": 0,
+            "max_position_limit": 4095,
         }
         for id in range(11, 17)
-    }  # fmt: skip
+    }
     registers[13] |= {"position_p_gain": 1500, "position_i_gain": 0, "position_d_gain": 600}
     return Left(registers, kept=("homing_offset",))
 
 
 def koch_by_lerobot() -> Left:
-    """After a calibration by LeRobot: each range's middle reads 2047, by offsets up to half a revolution."""
+    """Servos after a calibration by LeRobot: the middle of each range reads 2047."""
     registers: dict[int, dict[str, int]] = {
         id: {
-            "drive_mode": 0, "operating_mode": CURRENT if id == 6 else EXTENDED, "return_delay_time": 0,
+            "drive_mode": 0,
+            "operating_mode": CURRENT if id == 6 else EXTENDED,
+            "return_delay_time": 0,
             "min_position_limit": 0 if id in (1, 5) else 900,
             "max_position_limit": 4095 if id in (1, 5) else 3200,
         }
         for id in range(1, 7)
-    }  # fmt: skip
+    }
     registers[3] |= {"position_p_gain": 1500, "position_i_gain": 0, "position_d_gain": 600}
     offsets = {1: 37, 2: -1900, 3: 2047, 4: -2047, 5: 1500, 6: -610}
     return Left(registers, offsets, ("homing_offset", "min_position_limit", "max_position_limit"))
@@ -178,7 +197,7 @@ def leave(servos: VirtualBus, left: Left) -> None:
 
 
 def _wind(servo: VirtualServo, offset: int) -> None:
-    """Another Homing Offset, and a horn screwed on otherwise by as much: the servo reads what it read."""
+    """Change the Homing Offset and the horn by the same angle: the reading stays."""
     before = servo.shaft.reading
     servo.memory.set("homing_offset", offset)
     back = -1.0 if servo.memory.values["drive_mode"] & 1 else 1.0
@@ -197,17 +216,21 @@ def registers_of(
 
 
 def run_once(name: str, servos: VirtualBus) -> None:
-    """Connect, enable, to the home pose, open and close the gripper, and leave: parked where it began."""
-    config, begin = arm_file(name), rest(name)
+    """Connect, enable, move home, open and close the gripper, and park at the start."""
+    config = arm_file(name)
+    begin = rest(name)
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         part = ArmPart(arm, robot(name).joints)
         chain = part.config
         assert np.abs(part.read().q - begin).max() < 0.01
         move = rik.joint_move(
-            robot(name), part.read().q, robot(name).home,
-            velocity_limits=chain.velocity, acceleration_limits=chain.acceleration,
-        )  # fmt: skip
+            robot(name),
+            part.read().q,
+            robot(name).home,
+            velocity_limits=chain.velocity,
+            acceleration_limits=chain.acceleration,
+        )
         rik.execute(move, [part], source=part, clock=arm.clock, settle=0.4)
         assert np.abs(part.read().q - robot(name).home).max() < 0.01
         finger = config.group("gripper")[0]
@@ -217,11 +240,10 @@ def run_once(name: str, servos: VirtualBus) -> None:
             assert not grip.held and abs(grip.q - to) < 5 * finger.resolution
     assert arm.exit_report is not None and arm.exit_report.ok and arm.exit_report.parked
     assert arm.exit_report.done == "torque_off" and not any(servo.torque for servo in servos.servos)
-    there = [joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in config.chain.joints]
+    there = [
+        joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in config.chain.joints
+    ]
     assert np.abs(np.array(there) - begin).max() < 0.01
-
-
-# ------------------------------------------------------------------------- as makers and others leave them
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -250,7 +272,7 @@ def test_the_limits_of_the_file_lie_within_the_makers_registers_to_a_tick(name: 
 
 
 @pytest.mark.parametrize("name", ["wx250s", "vx300s"])
-def test_a_reverse_bit_that_somebody_cleared_is_refused_with_the_cure(name: str) -> None:
+def test_a_cleared_reverse_bit_is_refused_with_advice(name: str) -> None:
     servos = servos_of(name)
     leave(servos, PROGRAMS[name][0])
     servos.servo(7).memory.set("drive_mode", 0)
@@ -263,7 +285,8 @@ def test_a_reverse_bit_that_somebody_cleared_is_refused_with_the_cure(name: str)
 def test_a_shadow_whose_offset_fights_its_leader_gets_no_torque(name: str) -> None:
     servos = servos_of(name)
     leave(servos, PROGRAMS[name][0])
-    servos.servo(3).memory.set("homing_offset", 150)  # and nobody turned the horn: 13 deg beside servo 2
+    # and the horn was not turned: 13 deg beside servo 2
+    servos.servo(3).memory.set("homing_offset", 150)
     with (
         open_arm(arm_file(name), "sim", virtual_bus=servos) as arm,
         pytest.raises(HardwareError, match="two servos of joint 'shoulder'"),
@@ -310,16 +333,15 @@ def test_a_finger_outside_its_range_is_not_asked_for(name: str) -> None:
             arm.grip(config.group("gripper")[0].upper + 0.2)
 
 
-# ------------------------------------------------------------------------------------ calibration, reach
-
-
 class Hand:
     """Does what each step of a calibration asks for; knows the true zeros and directions."""
 
     def __init__(self, true: ArmConfig, servos: VirtualBus) -> None:
-        self.true, self.servos = true, servos
+        self.true = true
+        self.servos = servos
         self.q = {
-            joint.name: joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in true.joints
+            joint.name: joint.value(servos.servo(joint.servo.id).shaft.reading)
+            for joint in true.joints
         }
 
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
@@ -351,11 +373,12 @@ class Hand:
 
 
 def true_arm(name: str) -> ArmConfig:
-    """An arm as somebody has built it: a Koch's horns sit anywhere, and two of its joints count backwards."""
+    """A Koch as built by its owner: horns at any angle, two joints count backwards."""
     config = arm_file(name)
     if name != "koch_v11":
         return config
-    zeros, ways = (1900, 3050, 700, 2048, 5100, 2500), (1, -1, 1, 1, -1, 1)
+    zeros = (1900, 3050, 700, 2048, 5100, 2500)
+    ways = (1, -1, 1, 1, -1, 1)
     joints = tuple(
         with_servo(joint, zero_ticks=zero, direction=way)
         for joint, zero, way in zip(config.joints, zeros, ways, strict=True)
@@ -393,8 +416,10 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
 
 
 def test_an_arm_of_placeholders_gets_no_torque_on_real_servos() -> None:
-    config, servos = arm_file("koch_v11"), servos_of("koch_v11")
-    with Arm(config, SimBus(servos, real=True)) as arm:  # nobody says that these servos are simulated
+    config = arm_file("koch_v11")
+    servos = servos_of("koch_v11")
+    # these servos are treated as real ones
+    with Arm(config, SimBus(servos, real=True)) as arm:
         assert arm.read().q.shape == (6,)  # looking is allowed
         with pytest.raises(ConfigError, match=r"placeholders.*\n.*servo calibrate") as caught:
             arm.enable()
@@ -408,8 +433,10 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     leave(servos, koch_by_lerobot())
     names = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
     rows = ", ".join(
-        f'"{name}": {{"id": {id}, "drive_mode": 0, "homing_offset": {koch_by_lerobot().offsets[id]}, '
-        f'"range_min": {900 if id not in (1, 5) else 0}, "range_max": {3194 if id not in (1, 5) else 4094}}}'
+        f'"{name}": {{"id": {id}, "drive_mode": 0, '
+        f'"homing_offset": {koch_by_lerobot().offsets[id]}, '
+        f'"range_min": {900 if id not in (1, 5) else 0}, '
+        f'"range_max": {3194 if id not in (1, 5) else 4094}}}'
         for id, name in enumerate(names, 1)
     )
     path = tmp_path / "koch.json"
@@ -422,10 +449,12 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     in_one_turn = dataclasses.replace(
         config,
         joints=tuple(
-            with_servo(j, mode=OperatingMode.POSITION) if j.current is None else j for j in config.joints
+            with_servo(j, mode=OperatingMode.POSITION) if j.current is None else j
+            for j in config.joints
         ),
     )
-    with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):  # there it would count for nothing
+    # there it would count for nothing
+    with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):
         load_lerobot(path, in_one_turn, limits)
 
 
@@ -440,14 +469,13 @@ def test_robot_ik_reach_on_the_command_line(
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_robot_ik_servo_on_a_pty(name: str, capsys: pytest.CaptureFixture[str], real_time: None) -> None:
+def test_robot_ik_servo_on_a_pty(
+    name: str, capsys: pytest.CaptureFixture[str], real_time: None
+) -> None:
     joint = arm_file(name).joints[0].name
     assert main(["servo", "move", f"{joint}=5", "--arm", name, "--bus", "pty"]) == 0
     assert main(["servo", "monitor", "--arm", name, "--bus", "pty", "--count", "1"]) == 0
     assert arm_file(name).group("gripper")[0].name in capsys.readouterr().out
-
-
-# ------------------------------------------------------------------------------- two arms in one program
 
 
 def stream(arm: Arm, joint: str, to: float) -> None:
@@ -462,7 +490,8 @@ def stream(arm: Arm, joint: str, to: float) -> None:
 
 def test_two_arms_with_a_bus_each() -> None:
     """Both halves of an ALOHA in one program: what happens to one is nothing to the other."""
-    left, right = servos_of("vx300s"), servos_of("wx250s")
+    left = servos_of("vx300s")
+    right = servos_of("wx250s")
     with open_arm(arm_file("vx300s"), "sim", virtual_bus=left) as follower:
         with open_arm(arm_file("wx250s"), "sim", virtual_bus=right) as leader:
             follower.enable()
@@ -484,10 +513,12 @@ def test_two_arms_with_a_bus_each() -> None:
 @pytest.fixture
 def one_wire() -> tuple[VirtualBus, ArmConfig, ArmConfig]:
     """An OMX-F (ids 11 to 16) and a Koch (1 to 6) on one wire."""
-    first, second = arm_file("omx_f"), arm_file("koch_v11")
+    first = arm_file("omx_f")
+    second = arm_file("koch_v11")
     clock = VirtualClock()
     ours, theirs = (
-        VirtualBus.from_config(c, clock, rest(n)) for c, n in ((first, "omx_f"), (second, "koch_v11"))
+        VirtualBus.from_config(c, clock, rest(n))
+        for c, n in ((first, "omx_f"), (second, "koch_v11"))
     )
     return VirtualBus([*ours.servos, *theirs.servos], clock), first, second
 
@@ -496,7 +527,7 @@ def one_wire() -> tuple[VirtualBus, ArmConfig, ArmConfig]:
 def test_leaving_an_arm_never_touches_another_on_the_same_wire(
     one_wire: tuple[VirtualBus, ArmConfig, ArmConfig], policy: str
 ) -> None:
-    """Two arms share an open bus; whoever leaves writes to the ids of its own file only."""
+    """Two arms share an open bus. Leaving one writes to the ids of its own file only."""
     servos, first, second = one_wire
     with closing(SimBus(servos)) as wire:
         wire.open()

@@ -62,7 +62,7 @@ def test_sync_write_and_sync_read_reach_each_servo_with_its_own_value(bus, arm_c
     assert {id: status.data for id, status in replies.items()} == goals
 
 
-def test_a_broadcast_write_reaches_all_and_waits_for_nobody(bus, arm_config):
+def test_a_broadcast_write_reaches_all_servos_without_waiting(bus, arm_config):
     assert bus.write(BROADCAST_ID, XM["led"], 1).data is None
     assert {s.data for s in bus.sync_read(arm_config.servo_ids, XM["led"]).values()} == {1}
 
@@ -76,7 +76,11 @@ def test_a_silent_servo_times_out_and_does_not_hide_the_others(bus, servos, arm_
     assert before == 1
     with pytest.raises(BusTimeoutError) as caught:
         bus.read(3, XM["present_position"])
-    assert (caught.value.id, caught.value.joint, caught.value.register) == (3, "joint3", "present_position")
+    assert (caught.value.id, caught.value.joint, caught.value.register) == (
+        3,
+        "joint3",
+        "present_position",
+    )
     assert caught.value.last_good is not None and caught.value.port == bus.port
     assert bus.counters.timeouts == before + 1
     servos.clear()
@@ -129,7 +133,11 @@ def test_closed_means_closed(bus):
     bus.close()
     bus.close()
     assert not bus.is_open
-    for action in (lambda: bus.ping(1), lambda: bus.sync_write(XM["led"], {1: 1}), bus.broadcast_ping):
+    for action in (
+        lambda: bus.ping(1),
+        lambda: bus.sync_write(XM["led"], {1: 1}),
+        bus.broadcast_ping,
+    ):
         with pytest.raises(BusNotOpenError):
             action()
 
@@ -177,7 +185,8 @@ def test_local_echo_is_not_an_answer(bus, servos, arm_config):
     servos.inject(Fault("echo"))
     assert bus.ping(4) == arm_config.joints[3].servo.table.number
     assert all(
-        s.data is not None for s in bus.sync_read(arm_config.servo_ids, XM["present_position"]).values()
+        s.data is not None
+        for s in bus.sync_read(arm_config.servo_ids, XM["present_position"]).values()
     )
 
 

@@ -63,10 +63,14 @@ def twins(tmp_path: Path) -> Path:
 
 @settings(max_examples=20)
 @given(degrees=st.floats(-20, 20), ticks=st.integers(0, 4095))
-def test_a_moved_zero_makes_the_same_ticks_mean_the_corrected_angle(degrees: float, ticks: int) -> None:
+def test_a_moved_zero_makes_the_same_ticks_mean_the_corrected_angle(
+    degrees: float, ticks: int
+) -> None:
     config = ArmConfig.parse(TWINS)
     offset = math.radians(degrees)
-    for before, after in zip(config.drives, zeros_moved(config, {"joint2": offset}).drives, strict=True):
+    for before, after in zip(
+        config.drives, zeros_moved(config, {"joint2": offset}).drives, strict=True
+    ):
         wanted = before.value(ticks) + (offset if before.name == "joint2" else 0.0)
         assert after.value(ticks) == pytest.approx(wanted, abs=0.5001 * before.joint.resolution)
 
@@ -85,14 +89,18 @@ def test_only_the_zeros_change_and_the_old_file_is_kept(twins: Path) -> None:
         ("joint2", 2, 2000, 1983),
         ("joint2", 3, 1900, 1917),
     ]
-    # Line by line: two zeros are replaced with their comments left, one is added where there was none.
+    # Line by line: two zeros are replaced with their comments left, one is added where there was
+    # none.
     new = twins.read_text().splitlines()
     assert [line for line in new if line not in TWINS.splitlines()] == [
-        "zero_ticks = 2025", "zero_ticks=  1983   # by hand", "zero_ticks = 1917",
-    ]  # fmt: skip
+        "zero_ticks = 2025",
+        "zero_ticks=  1983   # by hand",
+        "zero_ticks = 1917",
+    ]
     assert [line for line in TWINS.splitlines() if line not in new] == [
-        "zero_ticks=  2_000   # by hand", "zero_ticks = 1900",
-    ]  # fmt: skip
+        "zero_ticks=  2_000   # by hand",
+        "zero_ticks = 1900",
+    ]
     # Again: another backup, the first one stays.
     (again,) = write_zeros(twins, now, {"joint1": math.radians(-2.0)})
     assert again != kept and kept.read_text() == TWINS
@@ -135,7 +143,8 @@ def test_the_calibration_beside_goes_along(twins: Path) -> None:
     found = Calibration(used.name, used.robot, "2026-01-01T00:00:00Z", rows[:2], rows[2:])
     found.save(calibration_beside(twins))
     assert len(write_zeros(twins, used, {"joint2": math.radians(3.0)})) == 2
-    now, beside = ArmConfig.load(twins), Calibration.load(calibration_beside(twins))
+    now = ArmConfig.load(twins)
+    beside = Calibration.load(calibration_beside(twins))
     assert [row.zero_ticks for row in beside.rows] == [servo.zero_ticks for servo in now.servos]
     assert beside.rows[1].range_max == 3000
 

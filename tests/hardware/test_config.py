@@ -1,4 +1,4 @@
-"""The arm file: what it accepts, what it says when something is wrong, and radians to ticks and back."""
+"""The arm file: what it accepts, its errors, and radians to ticks and back."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import Direct, Joint
 from tests.hardware.joints import make_joint
 
-POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
+POSITION = OperatingMode.POSITION
+EXTENDED = OperatingMode.EXTENDED_POSITION
 
 
 def _joint(
@@ -30,7 +31,9 @@ def _joint(
     lower: float = -2.0,
     upper: float = 2.0,
 ) -> Joint:
-    return make_joint("j", 1, "XM430-W350", mode, direction, zero_ticks, lower, upper, gear=Direct(ratio))
+    return make_joint(
+        "j", 1, "XM430-W350", mode, direction, zero_ticks, lower, upper, gear=Direct(ratio)
+    )
 
 
 def test_a_correct_file(arm_config: ArmConfig, arm_path: Path) -> None:
@@ -54,7 +57,9 @@ def test_a_correct_file(arm_config: ArmConfig, arm_path: Path) -> None:
     )
     assert arm_config.velocity == pytest.approx([math.pi / 2] * 6)
     assert arm_config.acceleration == pytest.approx([2 * math.pi] * 6)
-    assert arm_config.resolution == pytest.approx(2 * math.pi / 4096 / np.array([1, 1, 2, 1, 1, 1.5]))
+    assert arm_config.resolution == pytest.approx(
+        2 * math.pi / 4096 / np.array([1, 1, 2, 1, 1, 1.5])
+    )
 
 
 # old text, new text (first place only), key, words that must be in the message
@@ -82,7 +87,12 @@ WRONG = [
     ("acceleration_deg = 360.0", "acceleration_deg = -1", "joints[0].acceleration_deg", "> 0"),
     ("velocity_deg = 90.0", "velocity_deg = 9e14", "joints[0].velocity_deg", "0.001 to 100000"),
     ("velocity_deg = 90.0", "velocity_deg = 1e-300", "joints[0].velocity_deg", "0.001 to 100000"),
-    ("acceleration_deg = 360.0", "acceleration_deg = 1e-308", "joints[0].acceleration_deg", "0.001 to 1e+06"),
+    (
+        "acceleration_deg = 360.0",
+        "acceleration_deg = 1e-308",
+        "joints[0].acceleration_deg",
+        "0.001 to 1e+06",
+    ),
     ('"joint2"', '"joint\\u001b[2J"', "joints[1].name", "cannot be printed"),
     ('"joint2"', '"joint\\n2"', "joints[1].name", "cannot be printed"),
     ('"joint2"', '"joint\\u202e2"', "joints[1].name", "cannot be printed"),
@@ -159,7 +169,9 @@ def test_saved_and_loaded_again(arm_config: ArmConfig, tmp_path: Path) -> None:
     arm_config.save(path)
     loaded = ArmConfig.load(path)
     assert loaded.lower == pytest.approx(arm_config.lower, abs=1e-13)
-    assert [(j.servo.id, j.servo.direction, j.servo.zero_ticks, j.gear.ratio) for j in loaded.joints] == [
+    assert [
+        (j.servo.id, j.servo.direction, j.servo.zero_ticks, j.gear.ratio) for j in loaded.joints
+    ] == [
         (j.servo.id, j.servo.direction, j.servo.zero_ticks, j.gear.ratio) for j in arm_config.joints
     ]
     assert tomllib.loads(path.read_text())["joints"][0]["upper_deg"] == 160.0
@@ -252,12 +264,16 @@ def test_joints_by_name(arm_config: ArmConfig) -> None:
 
 
 def test_a_robot_without_an_arm_file_has_none_to_load() -> None:
-    with pytest.raises(ConfigError, match=r"no arm file to read\na robot without .* ArmConfig\.generic"):
+    with pytest.raises(
+        ConfigError, match=r"no arm file to read\na robot without .* ArmConfig\.generic"
+    ):
         ArmConfig.load(rik.load_robot("panda").arm_file)
 
 
 def test_generic_arm_for_any_robot() -> None:
-    config = ArmConfig.generic("my arm", ["a", "b"], [-1.0, -math.inf], [1.0, math.inf], 2.0, [3.0, 4.0])
+    config = ArmConfig.generic(
+        "my arm", ["a", "b"], [-1.0, -math.inf], [1.0, math.inf], 2.0, [3.0, 4.0]
+    )
     assert config.servo_ids == (1, 2) and config.names == ("a", "b")
     assert (config.lower[0], config.upper[0]) == (-1.0, 1.0)
     assert config.joints[1].ticks_range() == (-1_048_575, 1_048_575)

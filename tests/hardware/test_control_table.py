@@ -1,4 +1,4 @@
-"""Control tables against the manual's pages, transcribed here a second time, and codes against the SDK's."""
+"""Control tables against a second transcription of the manual and the SDK's codes."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from robot_ik.hardware.families.dynamixel_x_table import (
 from robot_ik.hardware.models import control_table, model_by_number
 from robot_ik.hardware.registers import RADIANS_PER_TICK, OperatingMode, Register
 
-# The manual's table, X series: address size name initial; s after the size: signed; r: read only; "-":
-# no fixed value.
+# The manual's table, X series: address size name initial; s after the size: signed; r: read only;
+# "-": no fixed value.
 MANUAL = """
 0 2r model_number -              | 2 4r model_information -     | 6 1r firmware_version -
 7 1 id 1                         | 8 1 baud_rate 1               | 9 1 return_delay_time 250
@@ -95,8 +95,11 @@ def test_shared_registers_are_the_manual_s(model: str) -> None:
 def test_what_differs_by_model_is_the_manual_s(model: str) -> None:
     table = X_TABLES[model]
     assert table["moving_threshold"].initial == (20 if model == "XC430-W150" else 10)
-    names = "model_number temperature_limit max_voltage_limit min_voltage_limit current_limit velocity_limit"
-    names += " shutdown velocity_i_gain velocity_p_gain position_d_gain position_i_gain position_p_gain"
+    names = "model_number temperature_limit max_voltage_limit min_voltage_limit current_limit"
+    names += " velocity_limit"
+    names += (
+        " shutdown velocity_i_gain velocity_p_gain position_d_gain position_i_gain position_p_gain"
+    )
     found = tuple(table[n].initial if n in table else None for n in names.split())
     assert (*found, table["baud_rate"].maximum, table.size - 1) == MODELS[model]
     assert table.number == MODELS[model][0]
@@ -125,7 +128,9 @@ def test_every_model_of_the_manual_is_there_once() -> None:
     assert ports == {"XH540-W150", "XM540-W150", "XM540-W270"}
     without_current = {name for name, table in X_TABLES.items() if "present_load" in table}
     assert without_current == {"XL430-W250", "XC430-W150", "XC430-W240"}
-    assert all(OperatingMode.CURRENT_BASED_POSITION not in X_TABLES[n].modes for n in without_current)
+    assert all(
+        OperatingMode.CURRENT_BASED_POSITION not in X_TABLES[n].modes for n in without_current
+    )
 
 
 @pytest.mark.parametrize("model", X_TABLES)
@@ -133,8 +138,13 @@ def test_limits_of_a_model_agree(model: str) -> None:
     table = X_TABLES[model]
     for name in ("velocity", "pwm", "current"):
         if f"{name}_limit" in table:
-            limit, goal = table[f"{name}_limit"], table[f"goal_{name}"]
-            assert (goal.minimum, goal.maximum, goal.unit) == (-limit.maximum, limit.maximum, limit.unit)
+            limit = table[f"{name}_limit"]
+            goal = table[f"goal_{name}"]
+            assert (goal.minimum, goal.maximum, goal.unit) == (
+                -limit.maximum,
+                limit.maximum,
+                limit.unit,
+            )
     motor = table.motor
     units = {"1 mA": 1.0, "2.69 mA": 2.69, None: 1.0}[
         table["current_limit"].unit if "current_limit" in table else None
@@ -154,9 +164,14 @@ def test_firmware_decides_what_is_there() -> None:
     assert "backup_ready" in new and "bus_watchdog" in old and "bus_watchdog" not in older
     assert new.abilities == {"fast_read", "backup", "guarded_reset", "clear"}
     assert old.abilities == {"guarded_reset", "clear"}
-    assert control_table("XM540-W270")["drive_mode"].maximum == 0b1111  # the 540 class can be a slave
+    # the 540 class can be a slave
+    assert control_table("XM540-W270")["drive_mode"].maximum == 0b1111
     assert old["firmware_version"].initial == 44
-    small = control_table("XL330-M288"), control_table("XL330-M288", 51), control_table("XL330-M288", 45)
+    small = (
+        control_table("XL330-M288"),
+        control_table("XL330-M288", 51),
+        control_table("XL330-M288", 45),
+    )
     assert [t["indirect_data_1"].address for t in small] == [208, 224, 224]
     assert [t["indirect_address_1"].maximum for t in small] == [227, 243, 243]
     assert "backup" in small[1].abilities and "backup" not in small[2].abilities
@@ -217,7 +232,8 @@ def test_values_survive_their_bytes(size: int, signed: bool, data: st.DataObject
 
 
 @pytest.mark.parametrize(
-    "size,signed,value", [(1, False, 256), (1, False, -1), (2, True, 32768), (4, True, -(2**31) - 1)]
+    "size,signed,value",
+    [(1, False, 256), (1, False, -1), (2, True, 32768), (4, True, -(2**31) - 1)],
 )
 def test_values_that_do_not_fit_are_refused(size: int, signed: bool, value: int) -> None:
     with pytest.raises(ValueError, match="does not fit"):

@@ -1,4 +1,4 @@
-"""A loaded arm that is held does not sink: held by the heartbeat, after a watchdog, by the same pose."""
+"""A loaded arm does not sink while the heartbeat, a watchdog or a repeated pose holds it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ class Loaded:
         self.servos = VirtualBus.from_config(self.config, clock, [0.0])
         self.world = World(mujoco.MjModel.from_xml_string(LEVER), self.config, self.servos)
         self.arm = open_arm(
-            self.config, "sim" if isinstance(clock, VirtualClock) else "pty", virtual_bus=self.servos
+            self.config,
+            "sim" if isinstance(clock, VirtualClock) else "pty",
+            virtual_bus=self.servos,
         )
 
     def q(self) -> float:
@@ -48,7 +50,7 @@ class Loaded:
 
 
 def lowest_after_the_first_second(loaded: Loaded, command, seconds: float) -> tuple[float, float]:
-    """rad at one second, and the lowest afterwards, looked at all the time while ``command`` runs."""
+    """Return the height at one second and the lowest after it, rad, while ``command`` runs."""
     seen: list[float] = []
     over = threading.Event()
 
@@ -97,7 +99,9 @@ def test_a_held_arm_does_not_sink(way, real_time):
 
 def test_nor_with_the_shortest_watchdog_that_is_allowed(real_time):
     stale = 40
-    stays_up("one pose, then silence", 2.5, stale_ms=stale, watchdog_ms=least_watchdog_ms(stale, 0.01))
+    stays_up(
+        "one pose, then silence", 2.5, stale_ms=stale, watchdog_ms=least_watchdog_ms(stale, 0.01)
+    )
 
 
 @pytest.mark.soak
@@ -135,7 +139,7 @@ def test_yielding_is_decided_once_when_holding_begins():
 
 
 def test_a_joint_that_is_pushed_while_it_is_held_never_yields(arm_config, start, stream):
-    """Neither to ``hold``, nor after a Bus Watchdog that tripped, nor when the arm is left holding."""
+    """It keeps its goal in ``hold``, after a tripped Bus Watchdog, and when the arm is left."""
     with open_arm(arm_config, "sim", start=start, on_exit="hold") as arm:
         arm.enable()
         stream(arm, [start] * 3)
@@ -144,7 +148,8 @@ def test_a_joint_that_is_pushed_while_it_is_held_never_yields(arm_config, start,
         goal = servo.memory.values["goal_position"]
         servo.stuck = True
         there = servo.shaft.stuck_at
-        for push, pause in ((200, 0.05), (-300, 0.05), (250, 0.5), (-350, 0.5)):  # the last two trip it
+        # the last two trip it
+        for push, pause in ((200, 0.05), (-300, 0.05), (250, 0.5), (-350, 0.5)):
             servo.shaft.stuck_at = there + push
             arm.clock.sleep_until(arm.clock.now() + pause)
             arm.read()
@@ -164,9 +169,6 @@ def test_a_joint_that_is_pushed_away_yields_when_holding_begins(arm, stream, sta
     assert abs(goals["joint2"] - start[1]) < 0.02 and abs(goals["joint1"] - start[0] - 0.158) < 0.02
 
 
-# ----------------------------------------------------------------------------------------- the times
-
-
 @pytest.mark.parametrize("watchdog", [40, 60, 200, 260])
 def test_a_watchdog_ahead_of_the_heartbeat_is_refused_with_the_least_value(arm_toml, watchdog):
     text = arm_toml.replace("watchdog_ms = 200", f"watchdog_ms = {watchdog}\nstale_ms = 200")
@@ -181,11 +183,15 @@ def test_the_least_value_is_accepted_and_one_step_less_is_not(arm_toml):
         base = ArmConfig.parse(arm_toml)
         dataclasses.replace(base, rate_hz=rate, stale_ms=round(1000 * stale), watchdog_ms=least)
         with pytest.raises(ConfigError):
-            dataclasses.replace(base, rate_hz=rate, stale_ms=round(1000 * stale), watchdog_ms=least - 20)
+            dataclasses.replace(
+                base, rate_hz=rate, stale_ms=round(1000 * stale), watchdog_ms=least - 20
+            )
 
 
 def test_a_file_that_names_only_the_watchdog_gets_half_of_it(arm_toml):
-    assert ArmConfig.parse(arm_toml.replace("watchdog_ms = 200", "watchdog_ms = 600")).stale_ms == 300
+    assert (
+        ArmConfig.parse(arm_toml.replace("watchdog_ms = 200", "watchdog_ms = 600")).stale_ms == 300
+    )
     plain = ArmConfig.parse(arm_toml.replace("watchdog_ms = 200", ""))
     assert (plain.watchdog_ms, plain.stale_ms) == (400, 200)
 
@@ -198,10 +204,15 @@ def test_the_least_value_that_is_named_is_accepted(arm_toml):
         least = int(refused.value.allowed.split()[0])
         ArmConfig.parse(text.replace(f"watchdog_ms = {watchdog}", f"watchdog_ms = {least}"))
         with pytest.raises(ConfigError):
-            ArmConfig.parse(text.replace(f"watchdog_ms = {watchdog}", f"watchdog_ms = {least - 20}"))
+            ArmConfig.parse(
+                text.replace(f"watchdog_ms = {watchdog}", f"watchdog_ms = {least - 20}")
+            )
 
 
 def test_without_a_heartbeat_the_arm_warns(arm_config, caplog):
-    with open_arm(dataclasses.replace(arm_config, stale_ms=0), "sim") as arm, caplog.at_level("WARNING"):
+    with (
+        open_arm(dataclasses.replace(arm_config, stale_ms=0), "sim") as arm,
+        caplog.at_level("WARNING"),
+    ):
         arm.enable()
     assert any("stale_ms = 0" in record.getMessage() for record in caplog.records)

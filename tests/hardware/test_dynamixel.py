@@ -1,4 +1,4 @@
-"""The bus on the official SDK: ports that cannot be opened, cables that go away, transactions cut short."""
+"""The bus on a port: ports that cannot be opened, pulled cables, transactions cut short."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bus(served):
 
 
 class Scripted:
-    """The other end of a pty; answers each instruction with the bytes (and pauses) of a script."""
+    """The other end of a pty. It answers each instruction with bytes (and pauses) of a script."""
 
     def __init__(self, script):
         self.master, slave = os.openpty()
@@ -99,9 +99,6 @@ def int32(value: int) -> bytes:
     return value.to_bytes(4, "little", signed=True)
 
 
-# ------------------------------------------------------------------------------------- opening
-
-
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
@@ -149,9 +146,16 @@ def test_permission_is_explained_and_the_ports_there_are_listed(monkeypatch):
     ports = [SimpleNamespace(device="/dev/ttyUSB0", description="U2D2")]
     monkeypatch.setattr(list_ports, "comports", lambda: ports)
     error = describe_failure("/dev/ttyUSB1", PermissionError(errno.EACCES, "denied"))
-    assert "may not open" in str(error) and "dialout" in error.hint and "/dev/ttyUSB0 (U2D2)" in error.hint
+    assert (
+        "may not open" in str(error)
+        and "dialout" in error.hint
+        and "/dev/ttyUSB0 (U2D2)" in error.hint
+    )
     ports.clear()
-    assert "no serial port on this machine" in describe_failure("x", FileNotFoundError(errno.ENOENT, "")).hint
+    assert (
+        "no serial port on this machine"
+        in describe_failure("x", FileNotFoundError(errno.ENOENT, "")).hint
+    )
 
 
 @pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000, 4_500_000])
@@ -169,9 +173,6 @@ def test_an_impossible_rate_lists_the_possible_ones(served):
         DynamixelBus(served.path, 123).open()
 
 
-# ------------------------------------------------------------------------------ damaged replies
-
-
 @pytest.mark.parametrize("data", [b"", b"\x01", b"\x01\x02\x03", b"\x01\x02\x03\x04\x05"])
 def test_an_answer_of_the_wrong_length_is_never_decoded(scripted, data):
     bus, _ = scripted(*[[build_status(1, 0, data)]] * 3)
@@ -187,7 +188,7 @@ def test_a_short_answer_in_a_sync_read_costs_one_servo_one_try(scripted):
     )
     answers = bus.sync_read([1, 2], POSITION)
     assert (answers[1].data, answers[2].data) == (-5, 70)
-    assert end.requests[1].params[4:] == bytes([2])  # only who was missing is asked again
+    assert end.requests[1].params[4:] == bytes([2])  # only the missing servo is asked again
 
 
 def test_wrong_id_duplicate_and_garbage_are_passed_over(scripted):
@@ -202,7 +203,12 @@ def test_wrong_id_duplicate_and_garbage_are_passed_over(scripted):
 def test_answers_out_of_order_go_to_their_own_servo(scripted):
     bus, _ = scripted([build_status(2, 0x80, int32(2)), build_status(1, 0, int32(1))])
     answers = bus.sync_read([1, 2], POSITION)
-    assert (answers[1].data, answers[1].alert, answers[2].data, answers[2].alert) == (1, False, 2, True)
+    assert (answers[1].data, answers[1].alert, answers[2].data, answers[2].alert) == (
+        1,
+        False,
+        2,
+        True,
+    )
 
 
 def test_a_late_answer_is_never_taken_for_that_of_another_question(scripted):
@@ -214,15 +220,14 @@ def test_a_late_answer_is_never_taken_for_that_of_another_question(scripted):
     assert len(end.requests) == 2
 
 
-# ---------------------------------------------------------------------------------- port and time
-
-
 def test_waiting_for_a_silent_servo_sleeps(bus):
-    begin, cpu = time.monotonic(), time.process_time()
+    begin = time.monotonic()
+    cpu = time.process_time()
     for _ in range(4):
         with pytest.raises(BusTimeoutError):
             bus.ping(99)
-    waited, used = time.monotonic() - begin, time.process_time() - cpu
+    waited = time.monotonic() - begin
+    used = time.process_time() - cpu
     assert waited > 0.3 and used < 0.5 * waited  # the SDK alone would use all of it
 
 
@@ -238,7 +243,7 @@ def test_one_dead_servo_slows_the_cycle_only_until_it_is_known(arm_config, serve
     assert bus.sync_read(arm_config.servo_ids, POSITION)[1].data is not None
 
 
-def test_a_pulled_cable_is_said_at_once_and_closing_is_quiet(served, bus, arm_config):
+def test_a_pulled_cable_is_reported_at_once_and_closing_is_quiet(served, bus, arm_config):
     bus.ping(1)
     served.close()
     with pytest.raises(BusDisconnectedError, match="went away"):

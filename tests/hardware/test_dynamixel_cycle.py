@@ -1,4 +1,4 @@
-"""The control cycle on the bus: fast reads and their fallback, mixed models, repetitions within its time."""
+"""The control cycle: fast reads and their fallback, mixed models, repetitions in time."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import time
 import pytest
 
 from robot_ik.hardware import BUSES, open_bus
-from robot_ik.hardware.dynamixel import MAX_FAST_FAILURES, DynamixelBus
+from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.registers import Register
+from robot_ik.hardware.serial_bus import MAX_FAST_FAILURES
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
@@ -17,8 +18,10 @@ from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock, VirtualClock
 
-XM, XL = X_TABLES["XM430-W350"], X_TABLES["XL330-M288"]
-PRESENT, GOAL = XM["present_position"], XM["goal_position"]
+XM = X_TABLES["XM430-W350"]
+XL = X_TABLES["XL330-M288"]
+PRESENT = XM["present_position"]
+GOAL = XM["goal_position"]
 
 
 @pytest.fixture
@@ -48,10 +51,12 @@ def test_each_servo_is_asked_for_its_own_register(any_bus, mixed, fast):
     replies = any_bus.exchange(GOAL, {3: 5}, places)
     assert {id: s.data for id, s in replies.items()} == {1: 11, 2: 22, 3: 300}
     assert mixed.servo(3).memory.values["goal_position"] == 5
-    # the request alone tells a fast from a plain read: one status packet comes back instead of three
+    # the request alone tells a fast from a plain read: one status packet comes back instead of
+    # three
     before = any_bus.counters.bytes_received
     any_bus.exchange(GOAL, {}, places)
-    plain, together = 3 * 11 + 1 + 1 + 4, 8 + 3 * 4 + 1 + 1 + 4
+    plain = 3 * 11 + 1 + 1 + 4
+    together = 8 + 3 * 4 + 1 + 1 + 4
     assert any_bus.counters.bytes_received - before == (together if fast else plain)
 
 
@@ -61,14 +66,14 @@ def test_an_exchange_writes_before_it_reads_in_one_piece(any_bus, mixed):
     assert [reads[id].data for id in (1, 2, 3)] == [7, 99, 21]
 
 
-def test_a_value_that_does_not_fit_stops_the_whole_exchange(any_bus):
+def test_a_value_that_does_not_fit_stops_the_exchange(any_bus):
     sent = any_bus.counters.bytes_sent
     with pytest.raises(ValueError, match="fit"):
         any_bus.exchange(GOAL, {1: 0, 2: 2**40}, {1: PRESENT})
     assert any_bus.counters.bytes_sent == sent
 
 
-def test_nobody_is_asked_fast_who_cannot(any_bus, mixed):
+def test_only_servos_with_fast_reads_are_read_fast(any_bus, mixed):
     before = any_bus.counters.bytes_received
     any_bus.use_fast_reads([1, 2])
     any_bus.sync_read([1, 2, 3], PRESENT)
@@ -81,7 +86,10 @@ IDS = range(1, 7)
 
 def make_sim(firmware=None):
     clock = VirtualClock()
-    servos = [VirtualServo("XM430-W350", id, clock, position_ticks=100 * id, firmware=firmware) for id in IDS]
+    servos = [
+        VirtualServo("XM430-W350", id, clock, position_ticks=100 * id, firmware=firmware)
+        for id in IDS
+    ]
     sim = SimBus(VirtualBus(servos, clock))
     sim.open()
     sim.use_fast_reads(IDS)
@@ -113,7 +121,7 @@ def test_on_a_bad_wire_no_value_is_wrong_few_are_missing_and_the_counters_add_up
 
 
 def test_at_one_bad_checksum_in_a_thousand_nothing_is_missing(sim):
-    """Ten seconds at 100 Hz: fewer cycles are repeated than one in ten, and all bring all values."""
+    """In ten seconds at 100 Hz, fewer than one cycle in ten is repeated and all values arrive."""
     for fast in (IDS, []):
         sim.use_fast_reads(fast)
         sim.virtual_bus.reseed(4)
@@ -124,7 +132,7 @@ def test_at_one_bad_checksum_in_a_thousand_nothing_is_missing(sim):
 
 
 def test_servos_that_never_answer_fast_are_asked_plainly_for_good():
-    """As firmware that does not know the instruction: nobody answers it."""
+    """Firmware that does not know the instruction does not answer it."""
     sim = make_sim(firmware=44)
     for k in range(MAX_FAST_FAILURES):
         assert values(sim.sync_read(IDS, PRESENT)) == RIGHT
@@ -147,21 +155,21 @@ def test_a_failure_now_and_then_does_not_end_fast_reads(sim):
     assert sim.counters.bytes_received - before == 56
 
 
-def test_a_silent_servo_hides_nobody_in_a_fast_read(sim):
+def test_a_silent_servo_hides_no_other_in_a_fast_read(sim):
     sim.virtual_bus.servo(2).silent = True
     for _ in range(3):
         assert values(sim.sync_read(IDS, PRESENT)) == [100, None, *RIGHT[2:]]
 
 
 def test_the_stuffed_bytes_of_a_fast_answer_are_not_trusted(sim):
-    """FF FF FD in the data: clients and servos differ on how that is sent; the plain way is clear."""
+    """Clients and servos differ on how FF FF FD in the data is sent; the plain way is clear."""
     sim.virtual_bus.servo(2).memory.set("goal_position", -131_073)
     assert values(sim.sync_read(IDS, GOAL))[1] == -131_073
 
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
-    """Every servo is turned between two cycles: a reply of the cycle before would be another number."""
+    """Every servo turns between two cycles, so a reply of the last cycle has another value."""
     sim.use_fast_reads(IDS if fast else [])
     sim.virtual_bus.reseed(3)
     sim.virtual_bus.inject(Fault("late", value=0.1))
@@ -179,7 +187,7 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
-    """One servo a cycle, in turn, is asked for more (``feedback``): lengths differ by turn and by phase."""
+    """One servo a cycle is read in full (``feedback``): lengths differ by turn and phase."""
     sim.use_fast_reads(IDS if fast else [])
     sim.virtual_bus.reseed(4)
     sim.virtual_bus.inject(Fault("late", value=0.1))
@@ -201,9 +209,6 @@ def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
     assert sim.counters.corrupt == 0  # whole and late, not damaged
 
 
-# ---------------------------------------------------------------------------------- on real time
-
-
 @pytest.fixture
 def served(arm_config, real_time):
     with PtyPort(VirtualBus.from_config(arm_config, RealClock())) as port:
@@ -222,7 +227,9 @@ def test_repetitions_stay_within_the_time_of_a_cycle(served, arm_config):
     slow = 0
     for k in range(20):
         port.bus.servo(3).silent = k % 2 == 0
-        missing = [id for id, s in bus.exchange(GOAL, {}, reads, within=0.0).items() if s.data is None]
+        missing = [
+            id for id, s in bus.exchange(GOAL, {}, reads, within=0.0).items() if s.data is None
+        ]
         slow += missing not in ([], [3])
     assert bus.counters.retries <= slow + 1  # no time for any
     # Without what was learned each of the ten misses would cost 34 ms; generous, for busy machines.

@@ -1,4 +1,4 @@
-"""Something on the wire talks without end: every call returns within its time, and nothing piles up."""
+"""Bytes come without end: every call returns in time and memory stays bounded."""
 
 from __future__ import annotations
 
@@ -11,20 +11,26 @@ import time
 import tracemalloc
 import tty
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import pytest
 
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import packets
 from robot_ik.hardware.bus import BROADCAST_ID, Counters
-from robot_ik.hardware.dynamixel import CYCLE_TIME, DynamixelBus, listening_time
-from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
+from robot_ik.hardware.family import family_of
+from robot_ik.hardware.models import control_table
 from robot_ik.hardware.packets import FastParser, StatusParser
+from robot_ik.hardware.registers import Register
+from robot_ik.hardware.serial_bus import CYCLE_TIME, SerialBus
 from robot_ik.hardware.serial_port import LONGEST_DRAIN, RESPONSE_TIME, SleepingPortHandler
+from robot_ik.hardware.virtual import protocol1
 from robot_ik.hardware.virtual.protocol import build_status
 
-XM = X_TABLES["XM430-W350"]
-POSITION, GOAL = XM["present_position"], XM["goal_position"]
+MODELS = {"dynamixel_x": "XM430-W350", "feetech_sts": "STS3215"}
+"""Family -> model whose registers are read."""
+
+BAUD = 1_000_000
 IDS = range(1, 7)
 
 MARGIN = 0.3
@@ -38,6 +44,16 @@ STREAMS = {
     "another servo's replies": build_status(99, 0, b"\x01\x02\x03\x04") * 60,
     "its own replies, damaged": (build_status(1, 0, b"\x01\x02\x03\x04")[:-1] + b"\x00") * 60,
 }
+
+STS_STREAMS = {
+    "only 0xff": b"\xff" * 1000,
+    "headers of long packets": b"\xff\xff\x01\xfa\x00" * 100,
+    "headers that are no status": b"\xff\xff\x01\x00\x02" * 100,
+    "another servo's replies": protocol1.build_status(99, 0, b"\x01\x02") * 60,
+    "its own replies, damaged": (protocol1.build_status(1, 0, b"\x01\x02")[:-1] + b"\x00") * 60,
+}
+
+FAMILY_STREAMS = {"dynamixel_x": STREAMS, "feetech_sts": STS_STREAMS}
 
 _TALKER = """
 import os, select, sys
@@ -56,18 +72,48 @@ while True:
 
 
 SLOWER = ("no header", "headers that are no status", "another servo's replies")
-"""Streams that the soak adds for whole calls; parsers are tried with all."""
+"""Streams that the soak adds for all calls. The parsers are tried with every stream."""
 
 
-@pytest.fixture(params=[pytest.param(k, marks=pytest.mark.soak) if k in SLOWER else k for k in STREAMS])
-def talking(request: pytest.FixtureRequest, real_time: None) -> Iterator[str]:
+class Line(NamedTuple):
+    """A line on which another process writes as fast as it can.
+
+    Attributes:
+        path: Name of the port.
+        family: Servo family whose packets the stream resembles.
+    """
+
+    path: str
+    family: str
+
+    def bus(self) -> SerialBus:
+        """Return a closed bus on this line."""
+        return SerialBus(self.path, BAUD, family_of(self.family).protocol)
+
+    def register(self, name: str) -> Register:
+        """Return a register of the family's servos."""
+        return control_table(MODELS[self.family])[name]
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(
+            (family, name), marks=pytest.mark.soak if name in SLOWER else (), id=f"{family}-{name}"
+        )
+        for family, streams in FAMILY_STREAMS.items()
+        for name in streams
+    ]
+)
+def line(request: pytest.FixtureRequest, real_time: None) -> Iterator[Line]:
     """A port on which another process writes as fast as it can."""
+    family, name = request.param
     master, slave = os.openpty()
     tty.setraw(slave)
     talker = subprocess.Popen(
-        [sys.executable, "-c", _TALKER, str(master), STREAMS[request.param].hex()], pass_fds=[master]
+        [sys.executable, "-c", _TALKER, str(master), FAMILY_STREAMS[family][name].hex()],
+        pass_fds=[master],
     )
-    yield os.ttyname(slave)
+    yield Line(os.ttyname(slave), family)
     talker.kill()
     talker.wait()
     os.close(master)
@@ -75,7 +121,10 @@ def talking(request: pytest.FixtureRequest, real_time: None) -> Iterator[str]:
 
 
 def _seconds(call: Callable[[], object], limit: float) -> float:
-    """How long a call takes; a call that is not back after ``limit`` s fails the test, and is left behind."""
+    """How long a call takes.
+
+    A call that is not back after ``limit`` s fails the test, and is left behind.
+    """
 
     def run() -> None:
         with contextlib.suppress(HardwareError):
@@ -90,46 +139,56 @@ def _seconds(call: Callable[[], object], limit: float) -> float:
 
 
 SINGLE = LONGEST_DRAIN + 3 * (RESPONSE_TIME + 0.001) + 2 * LONGEST_DRAIN
-"""s for a question to one servo: the line is drained, and the question asked thrice."""
+"""s for a request to one servo: the line is drained, and the request is sent three times."""
+
 GROUP = LONGEST_DRAIN + max(CYCLE_TIME, RESPONSE_TIME + 0.002)
-
-CALLS: dict[str, tuple[Callable[[DynamixelBus], object], float]] = {
-    "read": (lambda bus: bus.read(1, POSITION), SINGLE),
-    "write": (lambda bus: bus.write(1, GOAL, 5), SINGLE),
-    "ping": (lambda bus: bus.ping(1), SINGLE),
-    "reboot": (lambda bus: bus.reboot(1), SINGLE),
-    "write to all": (lambda bus: bus.write(BROADCAST_ID, GOAL, 5), 0.0),
-    "sync_write": (lambda bus: bus.sync_write(GOAL, dict.fromkeys(IDS, 5)), 0.0),
-    "sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
-    "fast sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
-    "exchange": (
-        lambda bus: bus.exchange(GOAL, {1: 5}, dict.fromkeys(IDS, POSITION), 0.01),
-        LONGEST_DRAIN + RESPONSE_TIME + 0.002,
-    ),
-    "broadcast_ping": (lambda bus: bus.broadcast_ping(), LONGEST_DRAIN + listening_time(1_000_000)),
-}
+"""s for a request to several servos."""
 
 
-def test_every_call_returns_in_time_on_a_line_that_never_ends(talking: str) -> None:
-    bus = DynamixelBus(talking)
+def calls(line: Line, bus: SerialBus) -> dict[str, tuple[Callable[[], object], float]]:
+    """Return name -> (call, s that it may take)."""
+    position = line.register("present_position")
+    goal = line.register("goal_position")
+    everyone = dict.fromkeys(IDS, position)
+    within = 0.01
+    return {
+        "read": (lambda: bus.read(1, position), SINGLE),
+        "write": (lambda: bus.write(1, goal, 5), SINGLE),
+        "ping": (lambda: bus.ping(1), SINGLE),
+        "reboot": (lambda: bus.reboot(1), SINGLE),
+        "write to all": (lambda: bus.write(BROADCAST_ID, goal, 5), 0.0),
+        "sync_write": (lambda: bus.sync_write(goal, dict.fromkeys(IDS, 5)), 0.0),
+        "sync_read": (lambda: bus.sync_read(IDS, position), GROUP),
+        "fast sync_read": (lambda: bus.sync_read(IDS, position), GROUP),
+        "exchange": (
+            lambda: bus.exchange(goal, {1: 5}, everyone, within),
+            LONGEST_DRAIN + RESPONSE_TIME + 0.002,
+        ),
+        "broadcast_ping": (bus.broadcast_ping, LONGEST_DRAIN + bus.listening_time),
+    }
+
+
+def test_every_call_returns_in_time_on_a_line_that_never_ends(line: Line) -> None:
+    bus = line.bus()
     assert _seconds(bus.open, MARGIN) < MARGIN
-    for name, (call, promised) in CALLS.items():
+    for name, (call, promised) in calls(line, bus).items():
         bus.use_fast_reads(IDS if name.startswith("fast") else [])
-        took = _seconds(lambda call=call: call(bus), promised + MARGIN)  # type: ignore[misc]
+        took = _seconds(call, promised + MARGIN)
         assert took < promised + MARGIN, name
     assert bus.counters.bytes_received > 10_000, "the line was silent: nothing was tried"
     assert _seconds(bus.close, MARGIN) < MARGIN
 
 
-def test_a_line_that_never_ends_fills_no_memory(talking: str) -> None:
-    bus = DynamixelBus(talking)
+def test_a_line_that_never_ends_fills_no_memory(line: Line) -> None:
+    position = line.register("present_position")
+    bus = line.bus()
     bus.open()
     tracemalloc.start()
     try:
-        _seconds(lambda: bus.read(1, POSITION), 5.0)
-        _seconds(lambda: bus.sync_read(IDS, POSITION), 5.0)
+        _seconds(lambda: bus.read(1, position), 5.0)
+        _seconds(lambda: bus.sync_read(IDS, position), 5.0)
         bus.use_fast_reads(IDS)
-        _seconds(lambda: bus.sync_read(IDS, POSITION), 5.0)
+        _seconds(lambda: bus.sync_read(IDS, position), 5.0)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -168,7 +227,7 @@ def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile(real_
         assert port.readPort(11) + port.readPort(100) == bytes(range(111))
         port.setPacketTimeoutMillis(1.0)
         time.sleep(0.05)
-        os.write(master, bytes(4000))  # nobody takes an endless stream for a reply
+        os.write(master, bytes(4000))  # an endless stream is no reply
         assert sum(len(port.readPort(1000)) for _ in range(50)) <= 1024
     finally:
         port.closePort()

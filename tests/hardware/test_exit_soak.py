@@ -1,6 +1,7 @@
-"""Attacks from outside: signals from another process at any moment, and a sender that stalls.
+"""Signals from another process at any moment, and a sender that stalls.
 
-What counts is what a plain SDK reads from the servos afterwards, and what a recorder saw on the wire.
+What counts is what a plain SDK reads from the servos afterwards, and what a recorder saw on the
+wire.
 """
 
 from __future__ import annotations
@@ -22,18 +23,19 @@ from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
 
 SDK = PacketHandler(2.0)
-TORQUE, WATCHDOG = 64, 98
+TORQUE = 64
+WATCHDOG = 98
 
 RUNS = """
 import json, signal, sys, time
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.torque import ExitReport
+from robot_ik.hardware.leaving import ExitReport
 
 port, file, policy = sys.argv[1:]
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-    signal.signal(number, lambda number, frame: None)  # what comes while nothing is on is of no account
+    signal.signal(number, lambda number, frame: None)  # signals while no torque is on
 arm = open_arm(ArmConfig.load(file), port, on_exit=policy)
 
 def life(home):
@@ -94,7 +96,8 @@ def violations(served, arm_path, policy: str, runs: int, seed: int) -> list[str]
     found: list[str] = []
     with subprocess.Popen(words, **pipes) as child:
         try:
-            usual, missed = 1.0, 0
+            usual = 1.0
+            missed = 0
             for k in range(-1, runs):
                 print("with" if k % 2 else "finally", file=child.stdin, flush=True)
                 sent = []
@@ -105,8 +108,10 @@ def violations(served, arm_path, policy: str, runs: int, seed: int) -> list[str]
                 said = json.loads(child.stdout.readline())
                 if k < 0:
                     usual = said["seconds"]
-                torque, armed = registers(served.path, TORQUE), registers(served.path, WATCHDOG)
-                if said["done"] == "not connected":  # a machine at work for others: nothing was switched on
+                torque = registers(served.path, TORQUE)
+                armed = registers(served.path, WATCHDOG)
+                # a machine at work for others: nothing was switched on
+                if said["done"] == "not connected":
                     missed += 1
                     continue
                 wanted = [1] * 6 if said["done"] == "hold" else [0] * 6
@@ -134,8 +139,6 @@ def test_six_hundred_and_seventy_signals_leave_the_arm_as_promised(served, arm_p
     assert violations(served, arm_path, policy, 670, seed=11) == []
 
 
-# --------------------------------------------------------------------------------- a sender that stalls
-
 SENDER = """
 import json, sys, time
 import numpy as np
@@ -152,7 +155,7 @@ with open_arm(ArmConfig.load(file), port) as arm:
     while time.monotonic() < end:
         k += 1
         before = time.monotonic()
-        arm.send(np.full(6, far if k // 150 % 2 else -far), 0.01 * k)  # a clock of its own, that never waits
+        arm.send(np.full(6, far if k // 150 % 2 else -far), 0.01 * k)  # a clock that never waits
         sends.append([before, time.monotonic()])
         time.sleep(max(0.01 - (time.monotonic() - before), 0.0))
 print(json.dumps(sends), flush=True)
@@ -162,18 +165,24 @@ print(json.dumps(sends), flush=True)
 def record_goals(bus: VirtualBus, config) -> list[tuple[float, np.ndarray]]:
     """Times and rad of all goals that reach the servos together, from the packets themselves."""
     rows: list[tuple[float, np.ndarray]] = []
-    parser, respond = Parser(), bus.respond
+    parser = Parser()
+    respond = bus.respond
     maps = {joint.servo.id: joint for joint in config.joints}
 
     def recorded(data, baud=None):
         for packet in parser.feed(data, time.monotonic()):
             q = {}
             if packet.instruction == 0x93:  # Bulk Write: id, address, length, data
-                at, params = 0, packet.params
+                at = 0
+                params = packet.params
                 while at < len(params):
-                    address, size = (int.from_bytes(params[at + i : at + i + 2], "little") for i in (1, 3))
+                    address, size = (
+                        int.from_bytes(params[at + i : at + i + 2], "little") for i in (1, 3)
+                    )
                     if address == 116:
-                        ticks = int.from_bytes(params[at + 5 : at + 5 + size], "little", signed=True)
+                        ticks = int.from_bytes(
+                            params[at + 5 : at + 5 + size], "little", signed=True
+                        )
                         q[params[at]] = maps[params[at]].value(ticks)
                     at += 5 + size
             elif packet.instruction == 0x83 and packet.params[:2] == b"\x74\x00":  # Sync Write
@@ -208,15 +217,21 @@ def worst_travel(served, arm_path, config, seconds: float) -> float:
             child.kill()
     times = np.array([t for t, _ in rows])
     goals = np.array([q for _, q in rows])
-    # How long before its packet a step can have been computed: the longest of the sends around that time.
+    # How long before its packet a step can have been computed: the longest of the sends around that
+    # time.
     begins, ends = np.array(sends).T
     delay = np.array(
-        [max(float((ends - begins)[(begins <= t) & (t <= ends)].max(initial=0.0)), 0.0) for t in times]
+        [
+            max(float((ends - begins)[(begins <= t) & (t <= ends)].max(initial=0.0)), 0.0)
+            for t in times
+        ]
     )
     worst = 0.0
     for k in range(len(rows)):
         later = times >= times[k] + 0.1
-        allowed = (times[later] - times[k] + delay[k] + 0.01)[:, None] * config.velocity * (1 + 1e-6)
+        allowed = (
+            (times[later] - times[k] + delay[k] + 0.01)[:, None] * config.velocity * (1 + 1e-6)
+        )
         travel = np.abs(goals[later] - goals[k]) - 2.0 * config.resolution
         if travel.size:
             worst = max(worst, float((travel / allowed).max()))
@@ -230,5 +245,7 @@ def test_a_stalled_sender_moves_nothing_faster_than_its_caps(served, arm_path, a
 
 @pytest.mark.soak
 @pytest.mark.timeout(600)
-def test_a_stalled_sender_moves_nothing_faster_than_its_caps_in_a_minute(served, arm_path, arm_config):
+def test_a_stalled_sender_moves_nothing_faster_than_its_caps_in_a_minute(
+    served, arm_path, arm_config
+):
     assert 0.3 < worst_travel(served, arm_path, arm_config, 60.0) <= 1.0

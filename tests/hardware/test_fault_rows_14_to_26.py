@@ -28,8 +28,6 @@ from robot_ik.ports import RealClock
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals and signals")
 
-# ------------------------------------------------------------------------- a servo that is not well
-
 
 def test_row_14(lab):
     """a servo that shuts down"""
@@ -61,10 +59,7 @@ def test_row_16(lab):
         fault = lab.fault(arm, MotorFaultError, Fault("reboot", id=2))
         assert (fault.joint, fault.status) == ("joint2", ("torque_lost",))
         arm.clock.sleep_until(arm.clock.now() + 1.0)
-        assert lab.torque(arm) == [True, False, True, True, True, True]  # nobody enables it again
-
-
-# ---------------------------------------------------------------------------- port and processes
+        assert lab.torque(arm) == [True, False, True, True, True, True]  # it is not enabled again
 
 
 def test_row_17(lab):
@@ -92,13 +87,16 @@ def test_row_18(lab, real_time):
 def test_row_19(lab):
     """Ctrl-C and SIGTERM at any moment"""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background ignores it
+    # a test run in the background ignores it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         for k in range(12):
-            number, arm = (signal.SIGINT, signal.SIGTERM)[k % 2], lab.arm()
+            number = (signal.SIGINT, signal.SIGTERM)[k % 2]
+            arm = lab.arm()
             with pytest.raises((KeyboardInterrupt, SystemExit)), arm:
                 arm.enable()
-                schedule = arm.bus.virtual_bus.schedule  # inside a transaction: between question and answer
+                # inside a transaction: between question and answer
+                schedule = arm.bus.virtual_bus.schedule
                 schedule.at_packet(schedule.upcoming + k, lambda n=number: os.kill(os.getpid(), n))
                 lab.drive(arm, 40)
             assert arm.exit_report.ok and not any(lab.torque(arm))
@@ -112,7 +110,8 @@ def test_row_20(lab):
     with lab.arm() as arm:
         arm.enable()
         lab.stream(arm, lab.smooth(lab.start, lab.start + 0.4, 0.8)[:40])
-        arm.clock.sleep_until(arm.clock.now() + 0.3)  # nobody says anything any more, as after a SIGKILL
+        # no packet comes any more, as after a SIGKILL
+        arm.clock.sleep_until(arm.clock.now() + 0.3)
         here = arm.bus.virtual_bus.true_angles(lab.config)
         arm.clock.sleep_until(arm.clock.now() + 5.0)
         assert lab.torque(arm) == [True] * 6 and lab.registers(arm, "bus_watchdog") == [-1] * 6
@@ -141,9 +140,6 @@ def test_row_21(lab):
         )
 
 
-# ------------------------------------------------------------------------------- numbers and clocks
-
-
 def test_row_22(lab):
     """positions beyond a revolution, below zero, forgotten"""
     with lab.arm(start=np.zeros(6)) as arm:
@@ -161,7 +157,7 @@ def test_row_22(lab):
 
 
 @pytest.mark.parametrize("turns", [1, -1, 3])
-def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
+def test_a_servo_that_loses_count_in_motion_is_held_where_it_stands(lab, turns):
     """The servo itself goes where its goal seems to be: the arm must not let it."""
     with lab.arm() as arm:
         before = arm.bus.virtual_bus.true_angles(lab.config)
@@ -180,7 +176,7 @@ def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
         assert np.abs(arm.bus.virtual_bus.true_angles(lab.config) - lab.start).max() < 0.05
 
 
-def test_who_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
+def test_a_servo_that_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
     with lab.arm() as arm:
         arm.enable()
         lab.drive(arm)
@@ -198,7 +194,9 @@ def test_who_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
 
 def test_a_joint_that_presses_and_loses_count_is_held_too(lab, arm_toml):
     """What it grips keeps such a joint from its goal; here nothing would."""
-    text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
+    text = arm_toml.replace(
+        '"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1
+    )
     with lab.arm(config=ArmConfig.parse(text)) as arm:
         before = arm.bus.virtual_bus.true_angles(lab.config)
         fault = lab.fault(arm, MotorFaultError, Fault("lost_turns", id=1, value=1))
@@ -225,7 +223,8 @@ def test_row_23(lab, real_time):
     for on in ("sim", "pty"):
         with lab.arm(on=on) as arm:
             offset = lab.config.joints[0].servo.table["homing_offset"]
-            for value in (-131_073, -513, -66_049):  # little end first: FF FF FD FF, FF FD FF FF, FF FD FE FF
+            # little end first: FF FF FD FF, FF FD FF FF, FF FD FE FF
+            for value in (-131_073, -513, -66_049):
                 arm.bus.write(1, offset, value)
                 assert arm.bus.read(1, offset).data == value
                 assert arm.bus.sync_read([1, 2], offset)[1].data == value

@@ -1,4 +1,4 @@
-"""Torque and position of every servo in one read: what shows in the same cycle, and who is read plainly."""
+"""Torque and position of every servo in one read, and servos that are read plainly."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import pytest
 from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.cycle import jump_fault
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import Direct, Drive, Pinion
+from robot_ik.hardware.servo_faults import jump_fault
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import VirtualClock
 from tests.hardware.joints import make_joint, with_servo
 
 
-def test_torque_switched_off_by_somebody_else_is_seen_in_the_same_cycle(any_arm, stream, start):
+def test_torque_that_another_program_switches_off_is_noticed_at_once(any_arm, stream, start):
     any_arm.enable()
     stream(any_arm, [start] * 3)
     any_arm.bus.virtual_bus.servo(4).memory.set("torque_enable", 0)
@@ -27,7 +27,9 @@ def test_torque_switched_off_by_somebody_else_is_seen_in_the_same_cycle(any_arm,
     assert (caught.value.joint, caught.value.status) == ("joint4", ("torque_lost",))
 
 
-def test_a_restart_at_rest_is_seen_in_the_same_cycle_and_its_zeros_are_not_believed(arm, stream, start):
+def test_a_restart_at_rest_is_seen_in_the_same_cycle_and_its_zeros_are_not_believed(
+    arm, stream, start
+):
     arm.enable()
     stream(arm, [start] * 3)
     before = arm.read().q
@@ -43,7 +45,8 @@ def test_a_cycle_brings_one_byte_more_than_the_position(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 2)
     counters = arm.bus.counters
-    sent, received = counters.bytes_sent, counters.bytes_received
+    sent = counters.bytes_sent
+    received = counters.bytes_received
     stream(arm, [start])
     assert counters.bytes_received - received == 8 + 6 * (4 + 5)  # one fast status
     assert counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)
@@ -68,7 +71,7 @@ def test_every_firmware_is_read_the_way_it_can_be(arm_config, stream, smooth, st
         arm.enable()
         stream(arm, smooth(start, start + 0.2, 0.5))
         assert abs(arm.read().q - start - 0.2).max() < 0.01
-        assert arm.bus.counters.fallbacks == 0  # nobody is asked for what he cannot
+        assert arm.bus.counters.fallbacks == 0  # no servo is asked for a read that it does not know
 
 
 def test_models_whose_indirect_data_lie_elsewhere_share_a_cycle(arm_config, stream, smooth, start):
@@ -84,7 +87,7 @@ def test_models_whose_indirect_data_lie_elsewhere_share_a_cycle(arm_config, stre
             stream(arm, [start])
 
 
-def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream, start):
+def test_a_servo_with_changed_indirect_addresses_is_read_plainly(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 2)
     servo = arm.bus.virtual_bus.servo(3)
@@ -134,7 +137,9 @@ def test_a_servo_read_plainly_at_rest_shows_its_lost_torque_in_the_same_cycle(
 def test_a_slide_that_jumps_is_reported_in_millimetres():
     mode = OperatingMode.EXTENDED_POSITION
     rack = make_joint("rack", 2, "XL330-M288", mode, 1, 0, 0.0, 0.03, 0.05, 0.4, gear=Pinion(0.01))
-    assert "it read 0.0 mm, now 62.8 mm:" in (jump_fault(Drive(rack, rack.servo), 0, 4096).hint or "")
+    assert "it read 0.0 mm, now 62.8 mm:" in (
+        jump_fault(Drive(rack, rack.servo), 0, 4096).hint or ""
+    )
     assert "it read 0.0 deg, now 360.0 deg:" in (
         jump_fault(Drive(dataclasses.replace(rack, gear=Direct()), rack.servo), 0, 4096).hint or ""
     )

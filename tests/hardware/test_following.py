@@ -106,7 +106,7 @@ def test_a_joint_without_force_falls_and_stops_the_arm(stream) -> None:
         assert arm.state is ArmState.FAULT and arm.clock.now() - begin < 2.0
 
 
-def test_a_joint_that_is_held_while_its_goal_goes_on_stops_the_arm(
+def test_a_blocked_joint_whose_goal_moves_on_stops_the_arm(
     arm_config, start, stream, smooth
 ) -> None:
     with open_arm(arm_config, "sim", start=start) as arm:

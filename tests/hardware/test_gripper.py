@@ -1,4 +1,4 @@
-"""A gripper's servo beside those of the arm: slides in millimetres, held, moved by name, pressing softly."""
+"""A gripper beside the arm: slides in mm, holding, named commands, soft grips."""
 
 from __future__ import annotations
 
@@ -58,14 +58,19 @@ def put_between(arm: Arm, opening: float) -> None:
     arm.bus.virtual_bus.servo(ID).shaft.stops = (finger.nearest_ticks(opening), math.inf)
 
 
-def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(desk: ArmConfig, robot: rik.Robot) -> None:
+def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(
+    desk: ArmConfig, robot: rik.Robot
+) -> None:
     finger = desk.joint("finger_left")
     assert desk.chain.names == robot.joints and len(desk.servos) == 7
     assert desk.names == (*robot.joints, "finger_left") and desk.group("gripper") == (finger,)
-    assert finger.nearest_ticks(0.009) - finger.nearest_ticks(0.004) == pytest.approx(5 * TICKS_PER_MM, abs=1)
+    assert finger.nearest_ticks(0.009) - finger.nearest_ticks(0.004) == pytest.approx(
+        5 * TICKS_PER_MM, abs=1
+    )
     assert finger.value(2048) == pytest.approx(0.009, abs=finger.resolution)
     assert finger.limits == (0.0, pytest.approx(0.018)) and finger.text(0.0045) == "4.5 mm"
-    # The fingers' range in the model, and one lead of the gear by MuJoCo: pinion angle times radius.
+    # The fingers' range in the model, and one lead of the gear by MuJoCo: pinion angle times
+    # radius.
     full = rik.load_robot("tabletop_puma", joints=desk.names)
     assert (full.lower[6], full.upper[6]) == pytest.approx(finger.limits)
     again = ArmConfig.parse(desk.to_toml())
@@ -84,7 +89,7 @@ def test_a_slide_is_metres_outside_and_ticks_of_its_pinion_inside(desk: ArmConfi
         ("id = 7", "id = 6", "joints[6].id", "already joints[5]"),
     ],
 )
-def test_what_is_wrong_of_a_slide_is_said_with_its_key(
+def test_a_wrong_value_of_a_slide_is_reported_with_its_key(
     robot: rik.Robot, old: str, new: str, key: str, said: str
 ) -> None:
     text = robot.arm_file.read_text()
@@ -116,7 +121,9 @@ def test_what_was_sent_is_returned(desk_arm: Arm, robot: rik.Robot) -> None:
         desk_arm.clock.sleep_until(begin + 0.01 * k)
         sent = desk_arm.send({"finger_left": -1.0, "joint1": 9.0}, desk_arm.clock.now())
         assert sent.shape == (7,)
-        goals = [desk_arm.bus.virtual_bus.servo(id).memory.values["goal_position"] for id in (1, ID)]
+        goals = [
+            desk_arm.bus.virtual_bus.servo(id).memory.values["goal_position"] for id in (1, ID)
+        ]
         wanted = [desk_arm.config.joints[at].goal(sent[at]) for at in (0, 6)]
         assert goals == wanted
     assert sent[6] == 0.0 and sent[0] <= robot.upper[0]
@@ -125,7 +132,8 @@ def test_what_was_sent_is_returned(desk_arm: Arm, robot: rik.Robot) -> None:
 def test_by_name_it_moves_within_its_limits_and_caps(desk_arm: Arm) -> None:
     desk_arm.move_to({"finger_left": 0.018, "joint6": 0.2})
     assert desk_arm.positions()["finger_left"] == pytest.approx(0.018, abs=3e-5)
-    begin, goals = desk_arm.clock.now(), []
+    begin = desk_arm.clock.now()
+    goals = []
     for k in range(1, 61):
         desk_arm.clock.sleep_until(begin + 0.01 * k)
         desk_arm.send({"finger_left": -1.0}, desk_arm.clock.now())
@@ -135,7 +143,9 @@ def test_by_name_it_moves_within_its_limits_and_caps(desk_arm: Arm) -> None:
     assert goals[-1] == desk_arm.config.joint("finger_left").nearest_ticks(0.0)
 
 
-def test_a_grip_stops_at_what_is_there_and_presses_as_hard_as_told(desk_arm: Arm, robot: rik.Robot) -> None:
+def test_a_grip_stops_at_an_object_and_presses_with_the_set_current(
+    desk_arm: Arm, robot: rik.Robot
+) -> None:
     (empty,) = desk_arm.grip(0.0)
     assert not empty.held and empty.q == pytest.approx(0.0, abs=1e-4)
     (opened,) = desk_arm.grip({"finger_left": 0.018})
@@ -146,7 +156,8 @@ def test_a_grip_stops_at_what_is_there_and_presses_as_hard_as_told(desk_arm: Arm
     assert grip.held and grip.q == pytest.approx(0.010, abs=1e-4)
     assert grip.current == pytest.approx(200.0, abs=2.0)
     assert desk_arm.clock.now() - begin < 1.0  # not the 2 s of patience
-    # It presses on while the arm moves, is held, and comes back from a pause in which the watchdog tripped.
+    # It presses on while the arm moves, is held, and comes back from a pause in which the watchdog
+    # tripped.
     part = ArmPart(desk_arm, robot.joints)
     here = part.read().q
     rik.execute(rik.joint_move(robot, here, here + 0.1, speed=0.5), [part], source=part)
@@ -235,11 +246,11 @@ def test_all_joints_in_q_where_that_is_wanted(desk: ArmConfig) -> None:
         assert arm.bus.virtual_bus.true_angles(desk)[6] == pytest.approx(0.012, abs=3e-5)
     with open_arm(desk.chain, "sim") as arm:
         arm.enable()
-        with pytest.raises(UnsafeCommandError, match="an arm file with joints of the group gripper"):
+        with pytest.raises(
+            UnsafeCommandError, match="an arm file with joints of the group gripper"
+        ):
             arm.grip(0.0)
 
-
-# ---------------------------------------------------------------------------- in a MuJoCo world
 
 BLOCK = 0.012
 
@@ -295,10 +306,14 @@ def test_a_block_is_taken_lifted_and_let_go(world_of, desk: ArmConfig, robot: ri
         here = part.read().q
         up = rik.solve(
             robot,
-            rik.PoseGoal("gripper", (block.xpos[0], block.xpos[1], block.xpos[2] + 0.03), [0, 1, 0, 0]),
+            rik.PoseGoal(
+                "gripper", (block.xpos[0], block.xpos[1], block.xpos[2] + 0.03), [0, 1, 0, 0]
+            ),
             start=here,
         )
-        rik.execute(rik.joint_move(robot, here, up.require().q, speed=0.4), [part], source=part, settle=0.2)
+        rik.execute(
+            rik.joint_move(robot, here, up.require().q, speed=0.4), [part], source=part, settle=0.2
+        )
         hand = robot.forward(part.read().q).position
         assert block.xpos == pytest.approx(hand, abs=0.004)
         arm.grip(0.016)
@@ -307,13 +322,14 @@ def test_a_block_is_taken_lifted_and_let_go(world_of, desk: ArmConfig, robot: ri
         assert block.xpos[2] < hand[2] - 0.02
 
 
-# ---------------------------------------------------------------------------- a horn and a rod
-
 FINGER = """
 <mujoco>
   <option gravity="0 0 0"/>
   <worldbody>
-    <body><joint name="finger" type="slide" axis="0 1 0" damping="1"/><geom size=".005" mass=".03"/></body>
+    <body>
+      <joint name="finger" type="slide" axis="0 1 0" damping="1"/>
+      <geom size=".005" mass=".03"/>
+    </body>
   </worldbody>
 </mujoco>
 """
@@ -321,14 +337,27 @@ FINGER = """
 
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction: int, reverse: bool) -> None:
-    """Interbotix' wx250s: the servo turns a horn, MuJoCo has a slide; the law is between them, both ways."""
+def test_the_finger_of_a_swing_arm_is_where_mujoco_has_it(direction: int, reverse: bool) -> None:
+    """Interbotix' wx250s: the servo turns a horn, MuJoCo has a slide.
+
+    The law is between them, both ways.
+    """
     swing = SwingArm(0.014, 0.024)
     mode = OperatingMode.POSITION
     finger = make_joint(
-        "finger", 9, "XL430-W250", mode, direction, 2048, 0.015, 0.037, 0.05, 0.5,
-        gear=SwingArm(0.014, 0.024), reverse=reverse,
-    )  # fmt: skip
+        "finger",
+        9,
+        "XL430-W250",
+        mode,
+        direction,
+        2048,
+        0.015,
+        0.037,
+        0.05,
+        0.5,
+        gear=SwingArm(0.014, 0.024),
+        reverse=reverse,
+    )
     config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     bus = VirtualBus.from_config(config, VirtualClock(), [0.02])
     world = World(mujoco.MjModel.from_xml_string(FINGER), config, bus)
@@ -343,7 +372,13 @@ def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction
             bus.advance()
             assert world.data.qpos[0] == pytest.approx(goal, abs=1e-4)
             assert arm.read().q[0] == pytest.approx(goal, abs=1e-4)
-            horn = (bus.servo(9).memory.values["goal_position"] - 2048) * direction * 2 * math.pi / 4096
+            horn = (
+                (bus.servo(9).memory.values["goal_position"] - 2048)
+                * direction
+                * 2
+                * math.pi
+                / 4096
+            )
             assert swing.distance(horn) == pytest.approx(goal, abs=finger.resolution)
             fastest = max(fastest, far / (arm.clock.now() - begin))
         assert fastest < 0.05  # the cap in metres a second holds at the finger

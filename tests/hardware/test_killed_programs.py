@@ -1,7 +1,8 @@
-"""What a killed program leaves behind: torque, goals and motion of its arm, in both families."""
+"""Torque, goals and motion of an arm whose program was killed, for every servo family."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import random
@@ -16,8 +17,10 @@ from pathlib import Path
 
 import pytest
 
+from robot_ik.errors import BusCorruptError, BusTimeoutError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.serial_bus import SerialBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.ports import RealClock, VirtualClock
 from tests.waiting import wait_for
@@ -101,6 +104,25 @@ def goals(bus: VirtualBus) -> list[int]:
         return [servo.register("goal_position") for servo in bus.servos]
 
 
+def wait_for_last_goals(robot: str, port: str) -> None:
+    """Wait until the servos have received all that a killed program had written.
+
+    A reply to a later ping shows it. An incomplete packet of the program may spoil some pings.
+    """
+    config = ArmConfig.load(robot)
+    bus = SerialBus(port, config.baud, config.family.protocol)
+    bus.open()
+
+    def answers() -> bool:
+        with contextlib.suppress(BusTimeoutError, BusCorruptError):
+            bus.ping(config.servo_ids[0])
+            return True
+        return False
+
+    wait_for(answers, "the servos do not answer after the program was killed")
+    bus.close()
+
+
 def wait_for_rest(bus: VirtualBus) -> None:
     """Wait until no shaft moves any more."""
 
@@ -130,11 +152,14 @@ def kill_one(
         os.kill(pid, signal.SIGKILL)
         assert programs.ask("") == "ended"
         at_kill = shafts(bus)
-        last_goals = goals(bus)
         if on_orphan == "torque_off":
+            # The request of the guardian comes behind the last goals.
             wait_for(lambda: not any(torque(bus)), "torque stays on after the program was killed")
+            last_goals = goals(bus)
             wait_for_rest(bus)
         else:
+            wait_for_last_goals(robot, port)
+            last_goals = goals(bus)
             wait_for_rest(bus)
             if not all(torque(bus)):
                 violations.append(f"torque {torque(bus)} although on_orphan is hold")

@@ -1,4 +1,4 @@
-"""Laws of the safety limiter, by hypothesis and against trapezoids made by an independent formula."""
+"""Laws of the safety limiter, also against trapezoids of an independent formula."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from robot_ik.errors import UnsafeCommandError
 from robot_ik.hardware.limiter import LimiterState, SafetyLimiter
 
-LOWER, UPPER = -2.0, 2.5
+LOWER = -2.0
+UPPER = 2.5
 DT = 0.01
 SETTLED = 60
 """Ticks in a row after which a law that holds is taken to hold on."""
@@ -29,7 +30,7 @@ def one_joint(velocity: float, acceleration: float) -> SafetyLimiter:
 
 
 def step(limiter: SafetyLimiter, state: LimiterState, command: Any, dt: float) -> Any:
-    """Return the new state, the values to send and the report for a command that is checked first."""
+    """Check a command and return the new state, the values to send and the report."""
     state, report = limiter.step(state, limiter.command(command, state.command), dt)
     return state, np.array(state.q), report
 
@@ -49,8 +50,12 @@ def assert_caps(q: np.ndarray, velocity: float, acceleration: float, dt: float =
     assert np.abs(np.diff(q, 2)).max() <= acceleration * dt * dt * (1 + 3e-6) + 1e-12
 
 
-def trapezoid(start: float, end: float, velocity: float, acceleration: float, t: np.ndarray) -> np.ndarray:
-    """Rest to rest in the shortest time, from the textbook formula (velocity integral, three phases)."""
+def trapezoid(
+    start: float, end: float, velocity: float, acceleration: float, t: np.ndarray
+) -> np.ndarray:
+    """Rest to rest in the shortest time, from the textbook formula (velocity integral, three
+    phases).
+    """
     distance = abs(end - start)
     ramp = min(velocity / acceleration, math.sqrt(distance / acceleration))
     peak = acceleration * ramp
@@ -70,7 +75,11 @@ def test_whatever_is_commanded_limits_and_caps_hold(cap, start, commands):
     assert_caps(q, *cap)
 
 
-@given(caps, inside, st.lists(st.tuples(anywhere, st.sampled_from([0.004, 0.01, 0.013, 0.02])), max_size=80))
+@given(
+    caps,
+    inside,
+    st.lists(st.tuples(anywhere, st.sampled_from([0.004, 0.01, 0.013, 0.02])), max_size=80),
+)
 def test_with_uneven_ticks_position_and_velocity_still_hold(cap, start, ticks):
     limiter = one_joint(*cap)
     state = LimiterState.at_rest([start])
@@ -129,7 +138,8 @@ def test_a_trapezoid_passes_on_a_clock_that_jitters(cap, start, end, seed):
     dts = rng.uniform(0.008, 0.012, 3000)
     q = trapezoid(start, end, cap[0], cap[1], np.cumsum(dts))
     arrived = int(np.argmax(q == q[-1])) + 10
-    dts, q = dts[:arrived], q[:arrived]
+    dts = dts[:arrived]
+    q = q[:arrived]
     limiter = one_joint(*cap)
     state = LimiterState.at_rest([start])
     worst = 0.0
@@ -146,7 +156,9 @@ def test_a_late_start_catches_up_with_a_moving_command(cap, start, lag, amplitud
     velocity, acceleration = cap
     omega = min(velocity / amplitude, math.sqrt(acceleration / amplitude)) * 0.5
     limiter = SafetyLimiter([-9.0], [9.0], velocity, acceleration)
-    ticks = int((4 * math.pi / omega + 10 * lag / velocity + 10 * velocity / acceleration) / DT) + 200
+    ticks = (
+        int((4 * math.pi / omega + 10 * lag / velocity + 10 * velocity / acceleration) / DT) + 200
+    )
     wanted = start + lag + amplitude * np.sin(omega * DT * np.arange(ticks))
     state = LimiterState.at_rest([start])
     error = []
@@ -163,7 +175,9 @@ def test_a_start_outside_is_walked_back_never_jumped(cap, beyond, above, command
     start = UPPER + beyond if above else LOWER - beyond
     velocity, acceleration = cap
     seconds = beyond / velocity + 2 * velocity / acceleration + 2 * math.sqrt(beyond / acceleration)
-    limiter, state, out = one_joint(*cap), LimiterState.at_rest([start]), [start, start]
+    limiter = one_joint(*cap)
+    state = LimiterState.at_rest([start])
+    out = [start, start]
     for _ in range(int(seconds / DT) + 20):
         state, moved, _ = step(limiter, state, [command], DT)
         out.append(float(moved[0]))
@@ -173,7 +187,8 @@ def test_a_start_outside_is_walked_back_never_jumped(cap, beyond, above, command
     assert_caps(q, *cap)
     assert LOWER <= q[-1] <= UPPER
     outside = q[(q > UPPER) | (q < LOWER)]
-    assert (np.diff(outside) <= 0).all() if above else (np.diff(outside) >= 0).all()  # never further out
+    # never further out
+    assert (np.diff(outside) <= 0).all() if above else (np.diff(outside) >= 0).all()
     entered = np.argmax((q >= LOWER) & (q <= UPPER))
     assert ((q[entered:] >= LOWER) & (q[entered:] <= UPPER)).all()
 
@@ -236,7 +251,7 @@ def test_a_tick_must_be_a_positive_time(dt):
         step(one_joint(1, 1), LimiterState.at_rest([0]), [0.0], dt)
 
 
-def test_named_commands_leave_the_others_where_they_were_told_to_be():
+def test_named_commands_keep_the_last_command_of_the_other_joints():
     limiter = SafetyLimiter([-1, -1], [1, 1], 100.0, 1e5, joints=("a", "b"))
     state, q, _ = step(limiter, LimiterState.at_rest([0.2, 0.3]), {"b": 0.4}, DT)
     assert q.tolist() == [0.2, 0.4]
@@ -246,7 +261,13 @@ def test_named_commands_leave_the_others_where_they_were_told_to_be():
 
 @pytest.mark.parametrize(
     "arguments",
-    [([0], [1, 2], 1, 1), ([1], [0], 1, 1), ([0], [math.inf], 1, 1), ([0], [1], 0, 1), ([0], [1], 1, 1e400)],
+    [
+        ([0], [1, 2], 1, 1),
+        ([1], [0], 1, 1),
+        ([0], [math.inf], 1, 1),
+        ([0], [1], 0, 1),
+        ([0], [1], 1, 1e400),
+    ],
 )
 def test_senseless_caps_are_refused_at_once(arguments):
     with pytest.raises(ValueError):

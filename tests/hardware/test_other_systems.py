@@ -1,4 +1,7 @@
-"""What is different on Windows and macOS; ports, errors and signals are handed in, nothing is opened."""
+"""What is different on Windows and macOS.
+
+Ports, errors and signals are handed in, nothing is opened.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,24 @@ import pytest
 import serial
 from serial.tools import list_ports
 
+from robot_ik import signals
 from robot_ik.cli.connection import served_or_serial_port
 from robot_ik.errors import BusNotOpenError
-from robot_ik.hardware import open_bus, watchdogs
+from robot_ik.hardware import open_bus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.ports import port_row, serial_ports, serial_row
 from robot_ik.hardware.serial_port import SleepingPortHandler, describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
 
-WINDOWS, MAC = "win32", "darwin"
+WINDOWS = "win32"
+MAC = "darwin"
 
 
 def listed(device: str, about: str = "USB Serial Port", vid: int | None = 0x0403) -> Any:
-    return SimpleNamespace(device=device, description=about, vid=vid, pid=0x6014, serial_number="FT1")
+    return SimpleNamespace(
+        device=device, description=about, vid=vid, pid=0x6014, serial_number="FT1"
+    )
 
 
 def names_of(ports: list[Any], monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -51,7 +58,13 @@ def test_a_windows_port_is_no_file_and_its_latency_is_set_in_the_device_manager(
 ) -> None:
     monkeypatch.setattr(sys, "platform", WINDOWS)
     row = port_row(listed("COM3"))
-    known = {"usb": "0403:6014", "serial": "FT1", "stable": "", "latency_ms": None, "status": "note"}
+    known = {
+        "usb": "0403:6014",
+        "serial": "FT1",
+        "stable": "",
+        "latency_ms": None,
+        "status": "note",
+    }
     assert row.items() >= known.items()
     assert "Device Manager" in row["do"] and "permission" not in row["do"]
     quiet = port_row(listed("COM4", vid=0x1A86))
@@ -72,16 +85,20 @@ def test_a_mac_port_may_be_forbidden_and_its_latency_is_the_drivers(
 
 def windows_error(name: str, number: int, text: str) -> serial.SerialException:
     """As pyserial says it on Windows: the reason is in the words only."""
-    return serial.SerialException(f"could not open port 'COM3': {name}({number}, '{text}', None, 5)")
+    return serial.SerialException(
+        f"could not open port 'COM3': {name}({number}, '{text}', None, 5)"
+    )
 
 
-def test_who_has_the_port_already_is_refused_by_name_on_every_system(
+def test_a_port_in_use_is_refused_with_the_name_of_its_user_on_every_system(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(list_ports, "comports", lambda: [listed("COM3")])
     errors = {
         WINDOWS: windows_error("PermissionError", 13, "Access is denied."),
-        MAC: serial.SerialException(errno.EBUSY, "could not open port /dev/cu.usbserial: Resource busy"),
+        MAC: serial.SerialException(
+            errno.EBUSY, "could not open port /dev/cu.usbserial: Resource busy"
+        ),
         "linux": serial.SerialException("Could not exclusively lock port /dev/ttyUSB0: [Errno 11]"),
     }
     for system, error in errors.items():
@@ -91,7 +108,9 @@ def test_who_has_the_port_already_is_refused_by_name_on_every_system(
         assert "close the other program first" in failure.hint and "COM3 (USB" in failure.hint
 
 
-def test_missing_and_forbidden_ports_are_told_from_one_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_and_forbidden_ports_differ_from_a_port_in_use(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(sys, "platform", WINDOWS)
     gone = windows_error("FileNotFoundError", 2, "The system cannot find the file specified.")
     assert "no such port" in str(describe_failure("COM9", gone))
@@ -107,14 +126,17 @@ class WindowsPort:
     """A ``serial.Serial`` without a file: bytes go to virtual servos and come back."""
 
     def __init__(self, bus: VirtualBus, **options: Any) -> None:
-        self.options, self._bus, self._data = options, bus, b""
+        self.options = options
+        self._bus = bus
+        self._data = b""
 
     @property
     def in_waiting(self) -> int:
         return len(self._data)
 
     def read(self, size: int) -> bytes:
-        data, self._data = self._data[:size], self._data[size:]
+        data = self._data[:size]
+        self._data = self._data[size:]
         return data
 
     def write(self, data: bytes) -> int:
@@ -128,7 +150,9 @@ class WindowsPort:
         self.options = {}
 
 
-def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_works_on_a_port_that_is_no_file(
+    bus: VirtualBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made: list[WindowsPort] = []
 
     def make_serial(**options: Any) -> WindowsPort:
@@ -150,7 +174,8 @@ def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus, monkeypatch
     present = bus.servo(1).table["present_position"]
     assert driver.read(3, present).data == 300
     driver.use_fast_reads((1, 2, 3))
-    goal, goals = bus.servo(1).table["goal_position"], dict.fromkeys((1, 2, 3), 5)
+    goal = bus.servo(1).table["goal_position"]
+    goals = dict.fromkeys((1, 2, 3), 5)
     replies = driver.exchange(goal, goals, dict.fromkeys((1, 2, 3), present))
     assert [s.data for s in replies.values()] == [100, 200, 300]
     driver.close()
@@ -163,7 +188,9 @@ def without_pty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fcntl", None)
 
 
-def test_without_pseudo_terminals_the_bus_pty_names_sim(without_pty: None, arm_config: ArmConfig) -> None:
+def test_without_pseudo_terminals_the_bus_pty_names_sim(
+    without_pty: None, arm_config: ArmConfig
+) -> None:
     with pytest.raises(BusNotOpenError, match="no pseudo terminals") as caught:
         open_bus("pty", arm_config)
     assert "--bus sim" in caught.value.hint
@@ -177,17 +204,19 @@ def test_without_pseudo_terminals_the_bus_pty_names_sim(without_pty: None, arm_c
 
 def test_signals_are_those_that_the_system_has(monkeypatch: pytest.MonkeyPatch) -> None:
     if sys.platform != "win32":
-        assert watchdogs.SIGNALS == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        assert signals.SIGNALS == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     monkeypatch.delattr(signal, "SIGHUP", raising=False)
     monkeypatch.setattr(signal, "SIGBREAK", 21, raising=False)
-    spec = importlib.util.find_spec("robot_ik.hardware.watchdogs")
+    spec = importlib.util.find_spec("robot_ik.signals")
     assert spec is not None and spec.loader is not None
     windows = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(windows)
     assert windows.SIGNALS == (signal.SIGINT, signal.SIGTERM, 21)
 
 
-@pytest.mark.parametrize(("system", "folder"), [(WINDOWS, "AppData/Local"), (MAC, "Library/Caches")])
+@pytest.mark.parametrize(
+    ("system", "folder"), [(WINDOWS, "AppData/Local"), (MAC, "Library/Caches")]
+)
 def test_what_is_compiled_is_kept_where_the_system_keeps_such(
     system: str, folder: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""Bytes of the control cycle: against the official SDK, against the virtual servos, and under damage."""
+"""Bytes of the control cycle against the SDK, the virtual servos, and under damage."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from robot_ik.hardware.packets import (
 )
 from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 
-XM, XL = X_TABLES["XM430-W350"], X_TABLES["XL330-M288"]
-GOAL, PRESENT = XM["goal_position"], XM["present_position"]
+XM = X_TABLES["XM430-W350"]
+XL = X_TABLES["XL330-M288"]
+GOAL = XM["goal_position"]
+PRESENT = XM["present_position"]
 INDIRECT = (XM["indirect_data_1"], XL["indirect_data_1"])
 
 ids = st.integers(0, 252)
@@ -36,7 +38,8 @@ class Tap:
     is_using = False
 
     def __init__(self, incoming: bytes = b"") -> None:
-        self.sent, self.incoming = b"", incoming
+        self.sent = b""
+        self.incoming = incoming
 
     def clearPort(self) -> None: ...
 
@@ -50,7 +53,8 @@ class Tap:
         return len(packet)
 
     def readPort(self, length: int) -> bytes:
-        data, self.incoming = self.incoming[:length], self.incoming[length:]
+        data = self.incoming[:length]
+        self.incoming = self.incoming[length:]
         return data
 
 
@@ -64,7 +68,8 @@ def test_group_requests_are_those_of_the_sdk(values):
     SDK.syncWriteTxOnly(tap, GOAL.address, GOAL.size, body, len(body))
     assert write_request(GOAL, values) == tap.sent
     for fast in (False, True):
-        tap, listed = Tap(), list(values)
+        tap = Tap()
+        listed = list(values)
         SDK.syncReadTx(tap, PRESENT.address, PRESENT.size, listed, len(listed), fast)
         assert read_request(dict.fromkeys(values, PRESENT), fast=fast) == tap.sent
 
@@ -74,7 +79,9 @@ def test_bulk_requests_are_those_of_the_sdk(values):
     registers = {id: INDIRECT[k % 2] for k, id in enumerate(values)}
     if len({r.address for r in registers.values()}) == 1:
         return  # one place: a sync request is shorter
-    body = [b for id, r in registers.items() for b in (id, r.address & 255, r.address >> 8, r.size, 0)]
+    body = [
+        b for id, r in registers.items() for b in (id, r.address & 255, r.address >> 8, r.size, 0)
+    ]
     for fast in (False, True):
         tap = Tap()
         SDK.bulkReadTx(tap, body, len(body), fast)
@@ -95,7 +102,8 @@ def test_a_status_is_found_between_noise_in_pieces_and_read_as_the_sdk_reads_it(
     id, code, alert, data, noise, step
 ):
     packet = build_status(id, code | 0x80 * alert, data)
-    parser, found = StatusParser(), []
+    parser = StatusParser()
+    found = []
     stream = noise.replace(b"\xff\xff\xfd\x00", b"") + packet
     for k in range(0, len(stream), step):
         found += parser.feed(stream[k : k + step])
@@ -114,7 +122,7 @@ def test_one_flipped_bit_never_gives_a_wrong_answer(rows, draw):
     parser = StatusParser()
     found = parser.feed(bytes(stream)) + parser.feed(b"", last=True)
     assert {(a.id, a.data) for a in found} <= set(rows)
-    assert len(found) >= len(rows) - 1  # and costs nobody else
+    assert len(found) >= len(rows) - 1  # and no other packet is lost
 
 
 @given(st.binary(max_size=200), st.integers(1, 50))
@@ -136,7 +144,8 @@ fast_rows = st.lists(
 def test_a_fast_status_gives_everyone_as_soon_as_he_is_there(rows, noise, step):
     packet = build_fast_status(rows, 8 + 9 * len(rows))
     stream = noise.replace(b"\xff\xff\xfd", b"") + packet
-    parser, found = FastParser([(id, 5) for _, id, _ in rows]), []
+    parser = FastParser([(id, 5) for _, id, _ in rows])
+    found = []
     for k in range(0, len(stream), step):
         found += parser.feed(stream[k : k + step])
     assert [(a.id, a.code, a.alert, a.data) for a in found] == [
@@ -162,7 +171,8 @@ def test_a_silent_servo_ends_a_fast_status_and_those_before_it_count():
 @pytest.mark.parametrize("more", [-1, 1, 256])
 def test_a_fast_status_of_another_length_is_given_up_at_once(more):
     packet = bytearray(build_fast_status([(0, 1, b"abcd"), (0, 2, b"efgh")], 8 + 8 * 2))
-    length = (packet[5] | packet[6] << 8) + more  # as a servo that stuffs bytes, or a damaged bit, makes it
+    # as a servo that stuffs bytes, or a damaged bit, makes it
+    length = (packet[5] | packet[6] << 8) + more
     packet[5:7] = length.to_bytes(2, "little")
     parser = FastParser([(1, 4), (2, 4)])
-    assert not parser.feed(bytes(packet[:8])) and parser.damaged  # nobody waits for the rest
+    assert not parser.feed(bytes(packet[:8])) and parser.damaged  # the rest is not waited for

@@ -1,4 +1,4 @@
-"""Protocol 1 on the host's side: packets, damage, and bytes equal to those of Feetech's SDK."""
+"""Protocol 1 on the host's side: packets, damage, and bytes equal to Feetech's SDK."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.hardware.bus import shared_register
+from robot_ik.hardware.arm_registers import shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.families.feetech_sts_table import STS3215
 from robot_ik.hardware.protocol1 import Protocol1, Protocol1Parser, build

@@ -32,7 +32,7 @@ def learned(times):
 
 
 @given(st.lists(st.floats(0.0, 0.1), min_size=1, max_size=100))
-def test_who_answered_so_late_once_is_given_that_time_again(times):
+def test_a_late_reply_extends_the_time_for_the_next_ones(times):
     timeout = learned(times).timeout(AT_MOST)
     assert min(MIN_TIMEOUT, AT_MOST) <= timeout <= AT_MOST
     assert timeout >= min(TIMEOUT_FACTOR * times[-1], AT_MOST)
@@ -43,7 +43,10 @@ def test_a_new_line_gets_all_the_time_and_is_not_watched():
     assert RoundTripEstimator().expected is None
 
 
-@given(st.floats(0.0, 0.02), st.lists(st.floats(-MAX_JITTER / 4, MAX_JITTER / 4), min_size=60, max_size=80))
+@given(
+    st.floats(0.0, 0.02),
+    st.lists(st.floats(-MAX_JITTER / 4, MAX_JITTER / 4), min_size=60, max_size=80),
+)
 def test_steady_answers_are_expected_where_they_come(usual, jitter):
     expected = learned([usual + late for late in jitter]).expected
     assert expected == pytest.approx(usual, abs=MAX_JITTER / 2)

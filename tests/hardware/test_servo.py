@@ -1,4 +1,4 @@
-"""Joint values to ticks and back, of hinges, racks and swing arms: what is sent lies within the range."""
+"""Joint values to ticks and back for hinges, racks and swing arms, within the range."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import RANGE_TOLERANCE_TICKS, Direct, Gear, Joint, Pinion, SwingArm
 from tests.hardware.joints import Twin, make_joint, with_servo, with_twin
 
-POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
+POSITION = OperatingMode.POSITION
+EXTENDED = OperatingMode.EXTENDED_POSITION
 WX250S = SwingArm(0.014, 0.024)
 VX300S = SwingArm(0.022, 0.036)
 ALOHA_LEADER = SwingArm(0.020, 0.020)
@@ -21,7 +22,9 @@ ALOHA_LEADER = SwingArm(0.020, 0.020)
 
 def finger(swing: SwingArm = WX250S, **changes: object) -> Joint:
     """The gripper of a wx250s, its servo as the maker mounts it."""
-    made = make_joint("finger", 9, "XL430-W250", POSITION, 1, 2048, 0.015, 0.037, 0.05, 0.5, gear=swing)
+    made = make_joint(
+        "finger", 9, "XL430-W250", POSITION, 1, 2048, 0.015, 0.037, 0.05, 0.5, gear=swing
+    )
     return with_servo(made, **changes)
 
 
@@ -38,21 +41,26 @@ def maps(draw: st.DrawFn) -> Joint:
     if kind == "rack":
         scale = draw(st.floats(0.002, 0.05))
         gear = Pinion(scale, ratio)
-    low, high = -7.0 * scale, 7.0 * scale
+    low = -7.0 * scale
+    high = 7.0 * scale
     if kind == "swing":
         horn = draw(st.floats(0.005, 0.05))
         gear = SwingArm(horn, horn * draw(st.floats(1.0, 4.0)), ratio)
         low, high = gear.value_range
     lower = low + draw(st.floats(0.0, 0.9)) * (high - low)
     upper = lower + draw(st.floats(0.01, 1.0)) * (high - lower)
-    joint = make_joint("j", 1, "XM430-W350", mode, direction, zero, lower, upper, scale, scale, gear=gear)
+    joint = make_joint(
+        "j", 1, "XM430-W350", mode, direction, zero, lower, upper, scale, scale, gear=gear
+    )
     low, high = joint.limits
     assume(high - low >= joint.resolution)
     return joint
 
 
 @given(maps(), st.floats(0, 1))
-def test_what_is_sent_lies_within_the_range_in_ticks_and_in_angles(joint: Joint, part: float) -> None:
+def test_what_is_sent_lies_within_the_range_in_ticks_and_in_angles(
+    joint: Joint, part: float
+) -> None:
     low, high = joint.limits
     assert joint.lower <= low < high <= joint.upper
     first, last = joint.ticks_range()
@@ -76,7 +84,7 @@ def test_a_goal_is_within_a_tick_of_what_was_asked(joint: Joint, part: float) ->
 
 @given(maps(), st.floats(1e-3, 2.0))
 def test_on_the_way_back_from_outside_goals_are_not_pulled_in(joint: Joint, beyond: float) -> None:
-    """An arm that was found outside its range is led back at the caps: no goal jumps to the range."""
+    """An arm outside its range moves back at the caps: no goal jumps to the range."""
     for q in (joint.limits[0] - beyond * joint.lever, joint.limits[1] + beyond * joint.lever):
         assert joint.goal(q) == joint.nearest_ticks(q)
 
@@ -93,7 +101,8 @@ def test_there_and_back_is_half_a_tick(joint: Joint, angle: float) -> None:
 @given(maps(), st.floats(0.02, 0.98))
 def test_the_slope_is_that_of_the_law(joint: Joint, part: float) -> None:
     low, high = joint.limits
-    q, step = low + part * (high - low), 1e-4 * (high - low)
+    q = low + part * (high - low)
+    step = 1e-4 * (high - low)
     slope = (joint.position(q + step) - joint.position(q - step)) / (2.0 * step)
     assert joint.ticks_per(q) == pytest.approx(slope, rel=1e-3)
     # Samples of the range find the steepest place to a thousandth: it has headroom of a half.
@@ -104,8 +113,9 @@ def test_the_slope_is_that_of_the_law(joint: Joint, part: float) -> None:
 @pytest.mark.parametrize(
     ("swing", "distance", "angle"),
     [
-        # h, L and ranges of the fingers from the maker's files (Interbotix/interbotix_ros_manipulators, URDF
-        # and config of wx250s, vx300s, aloha_wx250s); the horn at their ends, rad, three digits.
+        # h, L and ranges of the fingers from the maker's files
+        # (Interbotix/interbotix_ros_manipulators, URDF and config of wx250s, vx300s, aloha_wx250s);
+        # the horn at their ends, rad, three digits.
         (WX250S, 0.015, -0.378),
         (WX250S, 0.037, 1.268),
         (VX300S, 0.021, -0.413),
@@ -118,7 +128,9 @@ def test_swing_arms_of_the_makers(swing: SwingArm, distance: float, angle: float
     assert swing.horn_angle(distance) == pytest.approx(angle, abs=7e-4)
     assert swing.distance(angle) == pytest.approx(distance, abs=2e-5)
     assert swing.distance(swing.horn_angle(distance)) == pytest.approx(distance, abs=1e-12)
-    h, length, a = swing.horn, swing.rod, swing.horn_angle(distance)
+    h = swing.horn
+    length = swing.rod
+    a = swing.horn_angle(distance)
     law = h * math.sin(a) + math.sqrt(max(length**2 - (h * math.cos(a)) ** 2, 0.0))
     assert law == pytest.approx(distance, abs=1e-12)
 
@@ -127,7 +139,7 @@ def test_swing_arms_of_the_makers(swing: SwingArm, distance: float, angle: float
 def test_a_swing_arm_goes_on_straight_beyond_its_dead_centres(
     horn: float, longer: float, angle: float, more: float
 ) -> None:
-    """Every reading has one value, and a reading further on has a larger one: nothing turns back."""
+    """Every reading has one value, and a larger reading has a larger value."""
     swing = SwingArm(horn, horn * longer)
     assert swing.horn_angle(swing.distance(angle)) == pytest.approx(angle, abs=1e-7)
     assert swing.distance(angle + more) > swing.distance(angle)

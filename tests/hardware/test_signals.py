@@ -1,7 +1,7 @@
-"""A signal at every line that an arm runs through, in process and on virtual time: it is always left.
+"""A signal at every line of an arm, on virtual time: the arm is always left.
 
-The lines are found by running a phase once under a tracer; then the phase is run once for each line, with the
-signal raised when that line is reached.
+The lines are found by running a phase once under a tracer; then the phase is run once for each
+line, with the signal raised when that line is reached.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -19,23 +18,35 @@ import numpy as np
 import pytest
 
 import robot_ik.hardware
+import robot_ik.signals
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.watchdogs import ExitGuard, uninterrupted
 from robot_ik.ports import VirtualClock
+from tests.hardware.family_arms import FAMILIES, family_config
 from tests.waiting import wait_for
 
 HARDWARE = str(Path(robot_ik.hardware.__file__).parent)
-LIFE_CYCLE = {"arm.py", "torque.py", "watchdogs.py", "stop_file.py"}
+SIGNALS = robot_ik.signals.__file__
+LIFE_CYCLE = {
+    "arm.py",
+    "arm_exit.py",
+    "leaving.py",
+    "signals.py",
+    "stop_file.py",
+    "stop_requests.py",
+    "torque.py",
+    "watchdogs.py",
+}
 Line = tuple[str, int]
 
 
 def is_ours(frame: FrameType, files: set[str] | None) -> bool:
-    """A function that runs on the host: neither in the virtual servos, nor while a module is imported."""
+    """Return whether a function runs on the host, not in virtual servos or an import."""
     code = frame.f_code
     folder, _, file = code.co_filename.rpartition("/")
-    return folder == HARDWARE and (files is None or file in files) and code.co_name != "<module>"
+    host = folder == HARDWARE or code.co_filename == SIGNALS
+    return host and (files is None or file in files) and code.co_name != "<module>"
 
 
 @contextmanager
@@ -60,7 +71,9 @@ class Run:
     def __init__(self, config, start, policy: str, styled: str, files: set[str] | None) -> None:
         self.servos = VirtualBus.from_config(config, VirtualClock(), start=start)
         self.arm = open_arm(config, "sim", virtual_bus=self.servos, on_exit=policy)
-        self.start, self.styled, self.files = start, styled, files
+        self.start = start
+        self.styled = styled
+        self.files = files
 
     def through(self, phase: str, see: Callable[[Line], None]) -> None:
         """The whole life of the arm; ``see`` gets the lines of one phase."""
@@ -77,7 +90,10 @@ class Run:
             begin = self.arm.clock.now()
             for k in range(3):
                 self.arm.clock.sleep_until(begin + 0.01 * (k + 1))
-                step("send", lambda k=k: self.arm.send(self.start + 0.001 * k, begin + 0.01 * (k + 1)))
+                step(
+                    "send",
+                    lambda k=k: self.arm.send(self.start + 0.001 * k, begin + 0.01 * (k + 1)),
+                )
             step("move", lambda: self.arm.move_to(self.start + 0.01))
 
         if self.styled == "with":
@@ -98,17 +114,18 @@ class Run:
                 step("close", self.arm.close)
 
     def register(self, name: str) -> list[int]:
-        return [servo.memory.values[name] for servo in self.servos.servos]
+        return [servo.register(name) for servo in self.servos.servos]
 
 
-@pytest.fixture
-def one_joint(arm_config):
-    """The fewer servos, the faster the many runs."""
-    return replace(arm_config, joints=arm_config.joints[:1])
+@pytest.fixture(params=FAMILIES)
+def one_joint(request):
+    """An arm of one servo, because many runs are made."""
+    return family_config(request.param).only(["joint1"])
 
 
 def lines_of(make: Callable[[], Run], phase: str) -> list[Line]:
-    make().through(phase, lambda line: None)  # the second time nothing is looked up for the first time
+    # the second time nothing is looked up for the first time
+    make().through(phase, lambda line: None)
     lines: dict[Line, None] = {}
     make().through(phase, lambda line: lines.setdefault(line))
     return list(lines)
@@ -116,10 +133,12 @@ def lines_of(make: Callable[[], Run], phase: str) -> list[Line]:
 
 def check_left(run: Run, phase: str, policy: str) -> None:
     """The servos say what the report says, and the report what was promised."""
-    arm, report = run.arm, run.arm.exit_report
+    arm = run.arm
+    report = run.arm.exit_report
     assert not arm.bus.is_open and arm.state is ArmState.DISCONNECTED
     assert report is not None and report.ok
-    assert run.register("bus_watchdog") == [0]
+    if arm.config.family.capabilities.bus_watchdog:
+        assert run.register("bus_watchdog") == [0]
     assert run.register("torque_enable") == [int(report.done == "hold")]
     if phase == "enable" and not report.parked:
         # Before it was on, while it came on, or the policy where enabling was just over.
@@ -162,10 +181,13 @@ def signal_at_every_line(config, start, policy, styled, phase, files=None) -> in
         finally:
             after = signal.signal(signal.SIGTERM, before)
         assert raised, where
-        assert after is handler and signal.getsignal(signal.SIGINT) is signal.default_int_handler, where
+        assert after is handler and signal.getsignal(signal.SIGINT) is signal.default_int_handler, (
+            where
+        )
         if number == signal.SIGTERM:  # once, when the arm was left, or before it was on
             assert len(called) == 1, where
-            assert ended in ("SystemExit", "normally"), where  # normally: the handler was the program's
+            # normally: the handler was the program's
+            assert ended in ("SystemExit", "normally"), where
             early = phase == "enable" and ended == "normally"
             assert called[0] == (run.arm.exit_report.done == "hold" and not early), where
         else:
@@ -215,17 +237,6 @@ def test_a_signal_at_any_line_of_all_that_runs(one_joint, start, policy, styled,
     assert signal_at_every_line(one_joint, start[:1], policy, styled, phase) > 100
 
 
-# ------------------------------------------------------------------------------ the guard by itself
-
-
-@pytest.fixture
-def guards():
-    made = [ExitGuard(lambda: None) for _ in range(3)]
-    yield made
-    for guard in made:
-        guard.remove()
-
-
 @pytest.fixture
 def calls():
     """Signals that reached the program's own handler of SIGTERM."""
@@ -233,91 +244,6 @@ def calls():
     before = signal.signal(signal.SIGTERM, lambda number, frame: calls.append(number))
     yield calls
     signal.signal(signal.SIGTERM, before)
-
-
-def handlers() -> list[object]:
-    return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-
-
-def test_the_first_signal_raises_and_the_next_are_only_counted(guards):
-    guards[0].install()
-    with pytest.raises(SystemExit) as caught:
-        signal.raise_signal(signal.SIGTERM)
-    assert caught.value.code == 143
-    signal.raise_signal(signal.SIGTERM)
-    signal.raise_signal(signal.SIGINT)
-    assert guards[0].received == 3
-
-
-def test_a_program_that_swallows_the_exception_gets_another_after_a_while(guards, monkeypatch):
-    guards[0].install()
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-    monkeypatch.setattr("robot_ik.hardware.watchdogs.PATIENCE", 0.0)
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-
-
-def test_what_is_carried_through_raises_the_signal_at_its_end(guards):
-    guards[0].install()
-    done = []
-
-    @uninterrupted
-    def work() -> None:
-        signal.raise_signal(signal.SIGINT)
-        done.append("whole")
-
-    with pytest.raises(KeyboardInterrupt):
-        work()
-    assert done == ["whole"]
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
-@pytest.mark.parametrize("elsewhere", [False, True])
-def test_the_handlers_from_before_are_restored_in_every_order_of_closing(guards, calls, order, elsewhere):
-    before = handlers()
-    for guard in guards:
-        guard.install()
-    assert all(a is not b for a, b in zip(handlers(), before, strict=True))
-    for k in order:
-        if elsewhere:
-            thread = threading.Thread(target=guards[k].remove)
-            thread.start()
-            thread.join()
-        else:
-            guards[k].remove()
-    wait_for(lambda: handlers() == before)
-    signal.raise_signal(signal.SIGTERM)
-    assert calls == [signal.SIGTERM]
-
-
-def test_ignored_signals_stay_ignored(guards):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        guards[0].install()
-        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-def test_a_handler_put_above_ours_meanwhile_stays_and_reaches_what_was_before(guards, calls):
-    guards[0].install()
-    ours = signal.getsignal(signal.SIGTERM)
-    above = []
-    signal.signal(signal.SIGTERM, lambda number, frame: (above.append(number), ours(number, frame)))
-    with pytest.raises(SystemExit):
-        signal.raise_signal(signal.SIGTERM)
-    guards[0].remove()
-    signal.raise_signal(signal.SIGTERM)  # no arm any more: it passes through to the first one
-    assert above == [signal.SIGTERM] * 2 and calls == [signal.SIGTERM]
-
-
-def test_outside_the_main_thread_no_handler_is_touched(guards):
-    before = handlers()
-    thread = threading.Thread(target=guards[0].install)
-    thread.start()
-    thread.join()
-    assert handlers() == before
 
 
 def test_an_arm_closed_by_another_thread_leaves_the_signal_to_the_programs_own_handler(

@@ -1,4 +1,4 @@
-"""The servo bus without a wire: a client and virtual servos in one process, on virtual time."""
+"""The bus in process: a client and virtual servos on virtual time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
 TABLE = X_TABLES["XM430-W350"]
-PRESENT, GOAL, TORQUE = TABLE["present_position"], TABLE["goal_position"], TABLE["torque_enable"]
+PRESENT = TABLE["present_position"]
+GOAL = TABLE["goal_position"]
+TORQUE = TABLE["torque_enable"]
 
 
 def test_simbus_is_a_servo_bus(sim: SimBus, arm_config: ArmConfig) -> None:
@@ -62,7 +64,9 @@ def test_simbus_reads_signed_values(sim: SimBus, clock: VirtualClock) -> None:
         lambda sim: sim.reboot(1),
     ],
 )
-def test_simbus_must_be_open(sim: SimBus, arm_bus: VirtualBus, call: Callable[[SimBus], object]) -> None:
+def test_simbus_must_be_open(
+    sim: SimBus, arm_bus: VirtualBus, call: Callable[[SimBus], object]
+) -> None:
     sim.close()
     sim.close()
     with pytest.raises(BusNotOpenError):
@@ -78,14 +82,20 @@ def test_simbus_names_the_silent_and_the_refusing(
     arm_bus.inject(Fault("silent", 3))
     with pytest.raises(BusTimeoutError) as silent:
         sim.read(3, PRESENT)
-    assert (silent.value.id, silent.value.register, silent.value.port) == (3, "present_position", "sim")
+    assert (silent.value.id, silent.value.register, silent.value.port) == (
+        3,
+        "present_position",
+        "sim",
+    )
     assert silent.value.last_good == pytest.approx(2.5)
     with pytest.raises(ServoRefusedError) as refused:
         sim.write(1, GOAL, 1_048_576)
     assert (refused.value.id, refused.value.code) == (1, 4)
 
 
-def test_simbus_sync_read_keeps_who_answered(sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig) -> None:
+def test_simbus_sync_read_keeps_the_replies_that_came(
+    sim: SimBus, arm_bus: VirtualBus, arm_config: ArmConfig
+) -> None:
     arm_bus.inject(Fault("silent", 2), Fault("overload", 5))
     read = sim.sync_read(arm_config.servo_ids, PRESENT)
     assert list(read) == list(arm_config.servo_ids)

@@ -173,7 +173,7 @@ def test_a_request_before_enable_is_not_forgotten(arm_config, start, stream, con
     assert arm.exit_report.done == "torque_off" and arm.exit_report.ok
 
 
-def test_a_request_in_a_fault_holds_the_arm_and_a_reset_goes_on(arm, start, stream):
+def test_a_request_in_a_fault_holds_the_arm_and_a_reset_continues(arm, start, stream):
     arm.enable()
     bring_into_fault(arm, start)
     arm.request_stop()

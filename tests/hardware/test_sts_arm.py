@@ -11,6 +11,7 @@ import pytest
 from robot_ik.errors import ConfigError, MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.servo import StopAt
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
@@ -65,7 +66,7 @@ def test_the_gripper_is_the_sixth_joint():
 
 
 def test_enable_starts_from_where_the_arm_stands(arm):
-    """Goal Position is 0 after power-on: it must be the present position before torque comes on."""
+    """Goal Position is 0 after power-on; it must be the present position before torque."""
     before = [s.encoder for s in arm.bus.virtual_bus.servos]
     arm.enable()
     drive(arm, arm.read().q, 0.2)
@@ -81,6 +82,42 @@ def test_an_overload_stops_the_arm_and_names_the_joint(arm):
         drive(arm, away, 6.0)
     assert fault.value.joint == "elbow_flex"
     assert fault.value.status[0] in ("overload", "load_limit")
+
+
+def test_a_blocked_joint_stops_the_arm_before_its_servo_is_overloaded(arm):
+    """Every goal ends an overload, so load_percent in [joints.stop_at] takes its place."""
+    arm.enable()
+    here = arm.read().q
+    servo(arm, "elbow_flex").jammed = True
+    begin = arm.clock.now()
+    with pytest.raises(MotorFaultError) as fault:
+        drive(arm, here + np.radians([0, 0, 20, 0, 0, 0]), 6.0)
+    assert fault.value.joint == "elbow_flex"
+    assert fault.value.status == ("load_limit",)
+    overload_time = 0.01 * servo(arm, "elbow_flex").values["protection_time"]
+    assert arm.clock.now() - begin < overload_time
+    assert all(s.torque for s in arm.bus.virtual_bus.servos)
+
+
+def test_a_joint_without_a_load_threshold_is_reported(caplog):
+    joints = tuple(replace(joint, stop_at=StopAt()) for joint in CONFIG.joints[:1])
+    config = replace(CONFIG, joints=joints + CONFIG.joints[1:])
+    with caplog.at_level("WARNING"), open_arm(config, "sim"):
+        pass
+    assert "shoulder_pan: without load_percent" in caplog.text
+    caplog.clear()
+    with caplog.at_level("WARNING"), open_arm(CONFIG, "sim"):
+        pass
+    assert "load_percent" not in caplog.text
+
+
+def test_the_load_lag_follows_from_the_gain():
+    """Rhoban/bam measured 0.166 of the full duty cycle for each rad and count, up to 0.97."""
+    family = CONFIG.family
+    for gain in (16, 32):
+        measured = 0.97 / 0.166 / gain * 4096 / (2.0 * math.pi)
+        assert family.load_lag(gain) == pytest.approx(measured, rel=0.03)
+    assert family.load_lag(0) == 0.0
 
 
 def test_a_fault_sends_no_goal_to_a_servo_without_torque(arm):

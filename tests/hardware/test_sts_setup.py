@@ -10,7 +10,8 @@ import pytest
 
 from robot_ik.cli.main import main
 from robot_ik.errors import ArmStateError, ConfigError
-from robot_ik.hardware.discovery import scan, set_up
+from robot_ik.hardware.discovery import scan
+from robot_ik.hardware.servo_setup import set_up
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.sts3215 import VirtualSts3215
 from robot_ik.ports import RealClock

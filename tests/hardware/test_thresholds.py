@@ -26,7 +26,8 @@ HOT = StopAt(temperature_c=60.0)
 
 def watching(config: ArmConfig, stops: dict[int, StopAt]) -> ArmConfig:
     joints = [
-        dataclasses.replace(joint, stop_at=stops.get(joint.servo.id, StopAt())) for joint in config.joints
+        dataclasses.replace(joint, stop_at=stops.get(joint.servo.id, StopAt()))
+        for joint in config.joints
     ]
     return dataclasses.replace(config, joints=tuple(joints))
 
@@ -81,7 +82,10 @@ def test_a_servo_beyond_its_threshold_stops_the_arm_which_holds(
 def test_a_threshold_stops_the_arm_before_the_servo_shuts_down(
     arm_config, stream, start, stop, status, torque
 ):
-    """A motor that presses against something shuts down and lets go; with a threshold the arm is held."""
+    """A motor that presses against something shuts down and lets go.
+
+    With a threshold the arm is held.
+    """
     with open_arm(watching(arm_config, {1: stop}), "sim", start=start) as arm:
         arm.enable()
         arm.bus.virtual_bus.servo(1).jammed = True
@@ -109,15 +113,19 @@ def test_one_servo_a_cycle_is_asked_and_only_those_with_thresholds(arm_config, s
     with open_arm(config, "sim", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 2)
-        counters, sizes = arm.bus.counters, []
+        counters = arm.bus.counters
+        sizes = []
         feedback = arm._cycle.feedback
         for _ in range(6):
-            received, cycles = counters.bytes_received, counters.cycles
+            received = counters.bytes_received
+            cycles = counters.cycles
             stream(arm, [start])
             assert counters.cycles - cycles == 1  # the same exchange
             assert counters.bytes_received - received == 8 + 6 * (4 + 5) + 5
             sizes.append([id for id, register in feedback._asked.items() if register.size == 10])
-        assert sizes[0] != sizes[1] and sizes[:3] == sizes[3:] and sorted(sizes[:3]) == [[2], [5], [6]]
+        assert (
+            sizes[0] != sizes[1] and sizes[:3] == sizes[3:] and sorted(sizes[:3]) == [[2], [5], [6]]
+        )
 
 
 def test_without_thresholds_nothing_changes_on_the_wire(arm_config, stream, start):
@@ -125,8 +133,10 @@ def test_without_thresholds_nothing_changes_on_the_wire(arm_config, stream, star
         arm.enable()
         stream(arm, [start] * 2)
         assert arm._cycle.feedback.asked() is arm._cycle.feedback.registers
-        assert arm.bus.virtual_bus.servo(1).memory.values["indirect_address_6"] == 229  # factory: itself
-        sent, received = arm.bus.counters.bytes_sent, arm.bus.counters.bytes_received
+        # factory: itself
+        assert arm.bus.virtual_bus.servo(1).memory.values["indirect_address_6"] == 229
+        sent = arm.bus.counters.bytes_sent
+        received = arm.bus.counters.bytes_received
         stream(arm, [start])
         assert arm.bus.counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)
         assert arm.bus.counters.bytes_received - received == 8 + 6 * (4 + 5)
@@ -180,7 +190,10 @@ def _drive(stop: StopAt) -> Drive:
     st.lists(st.tuples(st.floats(0.005, 0.3), st.integers(50, 70)), min_size=1, max_size=60),
 )
 def test_a_fault_comes_after_an_unbroken_run_of_samples_and_no_earlier(samples):
-    watch, now, run, since = Thresholds(_drive(HOT)), 0.0, 0, 0.0
+    watch = Thresholds(_drive(HOT))
+    now = 0.0
+    run = 0
+    since = 0.0
     for dt, celsius in samples:
         now += dt
         fault = watch.take({"present_temperature": celsius}, now)

@@ -1,4 +1,4 @@
-"""How an arm is left: only its own servos, each confirmed, truly reported; one signal cuts no parking."""
+"""How an arm is left: its own servos only, each confirmed, with a true report."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pytest
 from robot_ik.errors import HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.leaving import ExitReport
 from robot_ik.hardware.simulated import SimBus
-from robot_ik.hardware.torque import ExitReport
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
@@ -29,7 +29,7 @@ def servos(arm_config, start):
 
 
 class SpiedBus(SimBus):
-    """Keeps who was written to by what is no control cycle."""
+    """Keeps the ids of servos that were written."""
 
     def __init__(self, servos: VirtualBus) -> None:
         super().__init__(servos)
@@ -48,10 +48,9 @@ class SpiedBus(SimBus):
         return super().exchange(register, values, reads, within)
 
 
-# ------------------------------------------------------------------------------- (a) it tells the truth
-
-
-def test_an_enable_that_fails_and_leaves_torque_on_is_reported_so_at_the_end_too(arm_config, servos):
+def test_an_enable_that_fails_and_leaves_torque_on_is_reported_so_at_the_end_too(
+    arm_config, servos
+):
     arm = open_arm(arm_config, "sim", virtual_bus=servos)
     arm.connect()
     original = arm.bus.sync_write
@@ -85,17 +84,20 @@ def test_an_enable_that_is_refused_before_torque_touches_nothing(arm_config, ser
     assert [servo.torque for servo in servos.servos] == [True] * 6
 
 
-CONFIRMED, SILENT = ("joint1", "joint2"), ("joint3",)
+CONFIRMED = ("joint1", "joint2")
+SILENT = ("joint3",)
 TEXTS = {
     "torque is off": ExitReport("torque_off", CONFIRMED),
     "torque is off (parked first)": ExitReport("torque_off", CONFIRMED, parked=True),
     "torque is off (not parked: the arm is in fault)": ExitReport(
         "torque_off", CONFIRMED, unparked="the arm is in fault"
     ),
-    "torque is off at joint1, joint2; not confirmed by joint3: torque may be ON, cut the power": ExitReport(
-        "torque_off", CONFIRMED, SILENT
+    (
+        "torque is off at joint1, joint2; not confirmed by joint3: torque may be ON, cut the power"
+    ): ExitReport("torque_off", CONFIRMED, SILENT),
+    "not confirmed by joint3: torque may be ON, cut the power": ExitReport(
+        "torque_off", (), SILENT
     ),
-    "not confirmed by joint3: torque may be ON, cut the power": ExitReport("torque_off", (), SILENT),
     "it holds with torque ON at joint1, joint2; joint3 does NOT hold: no torque": ExitReport(
         "hold", CONFIRMED, SILENT, limp=SILENT
     ),
@@ -111,12 +113,11 @@ def test_an_enable_that_fails_and_takes_torque_back_says_so(arm_config, servos, 
     arm = open_arm(arm_config, "sim", virtual_bus=servos)
     arm.connect()
     enable_fails(arm)
-    assert [servo.torque for servo in servos.servos] == [False] * 6 and arm.state is ArmState.CONNECTED
+    assert [servo.torque for servo in servos.servos] == [
+        False
+    ] * 6 and arm.state is ArmState.CONNECTED
     arm.close()
     assert arm.exit_report.ok and arm.exit_report.done == "torque_off"
-
-
-# ------------------------------------------------------------------------- (b) nobody else's servos
 
 
 @pytest.mark.parametrize("policy", ["torque_off", "hold", "park"])
@@ -150,16 +151,14 @@ def test_an_arm_of_some_joints_whose_enable_fails_leaves_the_others_alone(arm_co
     assert [servo.torque for servo in servos.servos] == [True] * 4 + [False] * 2
 
 
-# ---------------------------------------------------------------------- (c) hold means torque and goal
-
-
-def test_a_held_servo_that_missed_it_is_told_again_to_stop_watching_the_bus(
+def test_the_watchdog_of_a_held_servo_is_disarmed_again_if_a_write_was_lost(
     arm_config, servos, stream, start, registers
 ):
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        original, lost = arm.bus.sync_write, []
+        original = arm.bus.sync_write
+        lost = []
 
         def loses_one(register, values):
             if register.name == "bus_watchdog" and not lost:
@@ -185,7 +184,7 @@ def test_a_limp_joint_is_named_when_the_arm_is_to_hold(arm_config, servos, strea
 def test_a_joint_that_does_not_take_its_goal_is_not_confirmed_to_hold(
     arm_config, servos, stream, start, monkeypatch
 ):
-    """It has torque, and goes where its goal is: not to where the report would say that it holds."""
+    """It has torque and goes to its own goal, not to where the report would say that it holds."""
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
         arm.enable()
         stream(arm, [start] * 3)
@@ -193,7 +192,9 @@ def test_a_joint_that_does_not_take_its_goal_is_not_confirmed_to_hold(
         memory.set("goal_position", memory.values["goal_position"] + 100)
         keep = memory.set
         monkeypatch.setattr(
-            memory, "set", lambda name, value: None if name == "goal_position" else keep(name, value)
+            memory,
+            "set",
+            lambda name, value: None if name == "goal_position" else keep(name, value),
         )
     report = arm.exit_report
     assert report.done == "hold" and report.unverified == ("joint3",) and report.limp == ()
@@ -201,11 +202,14 @@ def test_a_joint_that_does_not_take_its_goal_is_not_confirmed_to_hold(
     assert [servo.torque for servo in servos.servos] == [True] * 6
 
 
-def test_a_tripped_watchdog_is_cleared_and_a_silent_joint_is_not_confirmed(arm_config, servos, stream, start):
+def test_a_tripped_watchdog_is_cleared_and_a_silent_joint_is_not_confirmed(
+    arm_config, servos, stream, start
+):
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        servos.servo(2).memory.set("bus_watchdog", -1)  # refuses goals; cleared, and the goal is taken
+        # refuses goals; cleared, and the goal is taken
+        servos.servo(2).memory.set("bus_watchdog", -1)
         servos.servo(3).silent = True
     assert arm.exit_report.unverified == ("joint3",) and arm.exit_report.limp == ()
 
@@ -222,15 +226,16 @@ def test_after_a_restarted_servo_hold_still_holds_the_others(arm_config, servos,
     assert [servo.torque for servo in servos.servos] == [True] * 5 + [False]
 
 
-# ------------------------------------------------------------------------- (d) signals and parking
-
-
 def parked_with_signals(arm_config, start, stream, smooth, signals: int) -> Arm:
     """``signals`` times Ctrl-C during the parking of a normal end."""
-    with pytest.raises(KeyboardInterrupt), open_arm(arm_config, "sim", start=start, on_exit="park") as arm:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        open_arm(arm_config, "sim", start=start, on_exit="park") as arm,
+    ):
         arm.enable()
         stream(arm, smooth(start, start + 0.4, 1.0))
-        exchange, left = arm.bus.exchange, [signals]
+        exchange = arm.bus.exchange
+        left = [signals]
 
         def interrupted(register, values, reads, within=None):
             if arm.state is ArmState.MOVING and left[0]:
@@ -264,9 +269,6 @@ def test_a_signal_in_motion_parks_and_does_not_shorten_it(arm_config, start, str
     assert np.allclose(arm.bus.virtual_bus.true_angles(arm_config), start, atol=0.01)
 
 
-# ------------------------------------------------------------------------- (e) the next program
-
-
 @pytest.mark.parametrize("policy", ["torque_off", "park"])
 def test_bus_watchdogs_are_disarmed_with_the_torque_so_that_the_next_goals_are_taken(
     arm_config, servos, stream, start, policy
@@ -292,9 +294,6 @@ def test_a_servo_that_did_not_confirm_keeps_its_watchdog(arm_config, servos, str
     assert armed == [False, False, True, False, False, False]
 
 
-# ------------------------------------------------------------------------------- at the command line
-
-
 def test_the_command_says_when_torque_may_still_be_on(arm_config, arm_path, start, real_time):
     """Of joint5, whose servo goes silent with its torque on: the others are not touched."""
     with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=start)) as port:
@@ -311,7 +310,9 @@ def test_the_command_says_when_torque_may_still_be_on(arm_config, arm_path, star
         for other in (1, 2, 3, 4, 6):
             port.bus.servo(other).memory.set("torque_enable", 1)
         words = ["servo", "torque", "on", "joint5", "--bus", port.path, "--arm", str(arm_path)]
-        done = subprocess.run([sys.executable, "-m", "robot_ik", *words], capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-m", "robot_ik", *words], capture_output=True, text=True
+        )
         assert done.returncode == 1, done.stderr
         assert "joint5" in done.stderr and "torque may be ON" in " ".join(done.stderr.split())
         assert "not touched" not in done.stderr

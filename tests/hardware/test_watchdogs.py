@@ -1,4 +1,4 @@
-"""A program that stops commanding its arm, on real time: it is held, watched, and left as its file says."""
+"""An arm without commands, on real time: it is held, watched, and left as its file says."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 from robot_ik.errors import HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
-from robot_ik.hardware.watchdogs import SIGNALS, Heartbeat
+from robot_ik.hardware.watchdogs import Heartbeat
+from robot_ik.signals import SIGNALS
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")
@@ -31,14 +32,16 @@ def bus_watchdogs(arm):
     return [servo.memory.values["bus_watchdog"] for servo in arm.bus.virtual_bus.servos]
 
 
-def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(arm, stream, smooth, start):
+def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(
+    arm, stream, smooth, start
+):
     arm.enable()
     stream(arm, smooth(start, start + 0.3, 0.6)[:30])
     wait_for(lambda: arm.state is ArmState.HOLD)
     assert arm.reports.stale == 1
     time.sleep(0.4)
     assert bus_watchdogs(arm) == [10] * 6
-    assert arm.ages.max() < 0.3  # somebody looks
+    assert arm.ages.max() < 0.3  # the heartbeat reads
     here = arm.read().q
     stream(arm, smooth(here, here + 0.1, 0.3))  # and the program goes on
     assert arm.state is ArmState.ENABLED and arm.reports.stale == 1
@@ -82,14 +85,18 @@ def test_a_program_that_hangs_is_replaced_by_the_policy_of_the_file(
             arm.send(start, 0.0)
 
 
-def test_an_arm_told_to_hold_holds_for_ever(arm_config, stream, start, monkeypatch):
+def test_hold_has_no_time_limit(arm_config, stream, start, monkeypatch):
     monkeypatch.setattr("robot_ik.hardware.arm.GIVE_UP", 0.3)
-    with open_arm(dataclasses.replace(arm_config, on_stale="torque_off"), "pty", start=start) as arm:
+    with open_arm(
+        dataclasses.replace(arm_config, on_stale="torque_off"), "pty", start=start
+    ) as arm:
         arm.enable()
         stream(arm, [start] * 3)
         arm.hold()
         time.sleep(0.8)
-        assert arm.state is ArmState.HOLD and all(servo.torque for servo in arm.bus.virtual_bus.servos)
+        assert arm.state is ArmState.HOLD and all(
+            servo.torque for servo in arm.bus.virtual_bus.servos
+        )
 
 
 def test_it_can_be_switched_off(arm_config, stream, start):
@@ -115,7 +122,7 @@ def test_no_look_begins_after_stop(monkeypatch):
     assert len(looks) == count
 
 
-def test_one_that_is_dismissed_can_be_started_at_once():
+def test_a_dismissed_heartbeat_can_be_started_at_once():
     """As by an arm that is enabled again right after a signal came while it was enabled."""
     looks = []
     beat = Heartbeat(lambda: looks.append(time.monotonic()))

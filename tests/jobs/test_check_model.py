@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from robot_ik.cli.main import main
+from robot_ik.hardware import open_arm
 from robot_ik.hardware.calibration import CalibrationMismatchError
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
@@ -64,6 +65,20 @@ def test_view_refuses_the_calibration_of_another_model(arm_file: Path, port: str
         arm_link(ROBOT, arm_file, port).close()
 
 
+def test_an_arm_without_a_robot_refuses_the_calibration_of_another_model(arm_file: Path) -> None:
+    with pytest.raises(CalibrationMismatchError):
+        open_arm(ArmConfig.load(arm_file), "sim")
+
+
+def test_an_arm_whose_model_is_not_at_hand_is_opened_with_a_warning(
+    arm_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = arm_file.read_text(encoding="utf-8")
+    arm_file.write_text(text.replace(f'robot = "{ROBOT}"', 'robot = "unknown"'), encoding="utf-8")
+    open_arm(ArmConfig.load(arm_file), "sim")
+    assert any("unknown robot" in record.getMessage() for record in caplog.records)
+
+
 @pytest.mark.parametrize("bus", ["sim", "port"])
 def test_jobs_refuse_the_calibration_of_another_model(arm_file: Path, port: str, bus: str) -> None:
     """``prepare_robot`` opens the arm of reach, run, camera handeye and camera verify."""
@@ -82,17 +97,20 @@ def test_ar_refuses_the_calibration_of_another_model(arm_file: Path, port: str) 
         "view --viewer browser --no-open --no-camera --port 8741 --seconds 0.1 --arm ARM "
         "--bus PORT",
         "servo move shoulder_pan=5 --arm ARM --bus PORT",
+        "servo torque on shoulder_pan --arm ARM --bus PORT",
+        "servo teach FILE --seconds 0.1 --arm ARM --bus PORT",
         f"teleop --leader ARM --leader-bus PORT --follower {ROBOT} --follower-bus sim "
         "--seconds 0.1",
         f"teleop --leader {ROBOT} --leader-bus sim --follower ARM --follower-bus PORT "
         "--seconds 0.1",
     ],
-    ids=["view", "servo move", "teleop, leader", "teleop, follower"],
+    ids=["view", "move", "torque", "teach", "teleop, leader", "teleop, follower"],
 )
 def test_commands_refuse_the_calibration_of_another_model(
     arm_file: Path, port: str, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
-    words = [{"ARM": str(arm_file), "PORT": port}.get(word, word) for word in command.split()]
+    values = {"ARM": str(arm_file), "PORT": port, "FILE": str(arm_file.with_name("taught.csv"))}
+    words = [values.get(word, word) for word in command.split()]
     assert main(words) in (1, 2)
     assert "the model is not the one of the calibration" in " ".join(
         capsys.readouterr().err.split()

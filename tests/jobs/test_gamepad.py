@@ -16,7 +16,8 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
-from robot_ik.jobs.teleop import KeyboardJog, teleoperate
+from robot_ik.jobs.jog import KeyboardJog
+from robot_ik.jobs.teleop import teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot import load_robot
 from tests.jobs.test_teleop import arm_file, each_tick, home
@@ -136,7 +137,7 @@ def test_a_device_is_read_and_found_missing(virtual_pad: Callable[..., None]) ->
         state = device.read()
         assert state.left == (1.0, 1.0) and state.pressed == {"b"}
         virtual_pad(away=True)
-        with pytest.raises(HardwareError, match="gone"):
+        with pytest.raises(HardwareError, match="disconnected"):
             device.read()
         with pytest.raises(HardwareError, match="come back"):
             device.recover(0.0)

@@ -22,7 +22,7 @@ from robot_ik.errors import (
 from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.verdict import LARGEST_MISS, SIGMAS
+from robot_ik.jobs.verdict import LARGEST_ERROR, SIGMAS
 
 JOINTS = [f"joint{k}" for k in range(1, 7)]
 
@@ -52,7 +52,7 @@ def test_exit_is_literally_what_the_two_judgements_say(healthy: ReachReport) -> 
     assert read_back is not None and camera is not None and bound is not None
     assert read_back.allowed == bound and read_back.position <= bound.position
     explained = SIGMAS * camera.sigma.position + bound.position
-    assert camera.allowed.position == min(LARGEST_MISS, explained) and camera.position <= explained
+    assert camera.allowed.position == min(LARGEST_ERROR, explained) and camera.position <= explained
 
 
 def test_the_motion_is_timed_and_capped(healthy: ReachReport) -> None:
@@ -187,7 +187,7 @@ def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any
     assert report.reached, (report.problem, report.verdict)
     assert report.by_camera is not None
     assert (report.goal.weights[1] > 0.0) is (name == "ur")
-    assert report.by_camera.allowed.position <= LARGEST_MISS
+    assert report.by_camera.allowed.position <= LARGEST_ERROR
 
 
 @pytest.mark.usefixtures("full_pictures")
@@ -205,7 +205,7 @@ def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
     report = reach(bus="none", follow=1.2, seed=seed)
     assert report.reached, report.verdict
     assert report.read_back.position > 1e-6  # two looks at the marker differ
-    assert report.read_back.position <= report.read_back.allowed.position <= LARGEST_MISS
+    assert report.read_back.position <= report.read_back.allowed.position <= LARGEST_ERROR
 
 
 @pytest.mark.parametrize("name", ["two_arms", "two_arms_of_three_joints"])

@@ -14,7 +14,8 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.hand_guiding import TaughtMotion, load_playable, play_motion
-from robot_ik.jobs.teleop import LeaderArm, teleoperate
+from robot_ik.jobs.leader_arm import LeaderArm
+from robot_ik.jobs.teleop import teleoperate
 from robot_ik.ports import VirtualClock
 
 MODELS = Path(__file__).resolve().parents[2] / "models"

@@ -18,14 +18,9 @@ from robot_ik.hardware import open_arm, ports
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.jobs.teleop import (
-    Blend,
-    JointCoupling,
-    KeyboardJog,
-    LeaderArm,
-    open_pair,
-    teleoperate,
-)
+from robot_ik.jobs.jog import KeyboardJog
+from robot_ik.jobs.leader_arm import JointCoupling, LeaderArm
+from robot_ik.jobs.teleop import Blend, open_pair, teleoperate
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
 from robot_ik.robot import load_robot
 

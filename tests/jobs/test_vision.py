@@ -1,4 +1,4 @@
-"""The camera's side: truth stays outside, recordings end, and looking never holds up the loop."""
+"""Vision of the jobs: the truth is not used, recordings end, the camera does not block the loop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ from tests.waiting import wait_for
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """photo.png, blank.png, film.avi (the marker moves 2 mm a picture), pictures/ and the calibration."""
+    """Write photo.png, blank.png, film.avi, pictures/ and the calibration into a folder.
+
+    In the film the marker moves by 2 mm a picture.
+    """
     folder = tmp_path_factory.mktemp("photos")
     robot = load_robot("puma560")
     scene = scene_for(robot)
@@ -60,17 +63,24 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def look(reach: Any, photos: Path) -> Any:
-    """A run that looks at a file of ``photos``, with its calibration."""
+    """Run reach with a file of ``photos`` and its calibration."""
 
     def run(name: str, **request: Any) -> ReachReport:
-        settings = {"intrinsics": photos / "camera.yaml", "marker_size": 0.1, "bus": "none", **request}
+        settings = {
+            "intrinsics": photos / "camera.yaml",
+            "marker_size": 0.1,
+            "bus": "none",
+            **request,
+        }
         report: ReachReport = reach(camera=str(photos / name), **settings)
         return report
 
     return run
 
 
-def test_no_picture_with_truth_ever_reaches_a_tracker(monkeypatch: pytest.MonkeyPatch, reach: Any) -> None:
+def test_no_picture_with_truth_ever_reaches_a_tracker(
+    monkeypatch: pytest.MonkeyPatch, reach: Any
+) -> None:
     seen = []
     for module in (targets, tracker):
         real = module.find_corners
@@ -110,7 +120,9 @@ def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachR
 
 def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None:
     scene = healthy.vision.scene  # type: ignore[union-attr]
-    moved = Pose(np.add(scene.pose_world_camera.position, [0.02, 0.0, 0.0]), scene.pose_world_camera.wxyz)
+    moved = Pose(
+        np.add(scene.pose_world_camera.position, [0.02, 0.0, 0.0]), scene.pose_world_camera.wxyz
+    )
     report = look("photo.png", pose_world_camera=moved)
     shift = report.target.position - healthy.target.position  # type: ignore[union-attr]
     np.testing.assert_allclose(shift, [0.02, 0, 0], atol=1e-3)
@@ -119,7 +131,8 @@ def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None
 def test_a_photograph_without_the_marker_ends(look: Any) -> None:
     report = look("blank.png")
     assert isinstance(report.problem, MarkerNotFoundError) and not report.reached
-    assert "in view: 20, 23" in str(report.problem)  # the gripper's
+    # These are the markers of the gripper.
+    assert "in view: 20, 23" in str(report.problem)
     report = look("photo.png", marker_id=3)
     assert isinstance(report.problem, MarkerNotFoundError) and "marker 3" in str(report.problem)
 
@@ -128,10 +141,13 @@ def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
     report = look("film.avi", follow=1.5, bus="sim")
     assert report.reached
     home = report.vision.scene.pose_world_marker.position
-    np.testing.assert_allclose(report.seen.pose_world_marker.position - home, [0.022, 0, 0], atol=2e-3)
+    np.testing.assert_allclose(
+        report.seen.pose_world_marker.position - home, [0.022, 0, 0], atol=2e-3
+    )
     tool = report.robot.forward(report.setup.true_q(), "gripper").position
     assert np.linalg.norm(tool - report.target.position) < 3e-3
-    assert report.following.held > 20  # the film is shorter
+    # The film is shorter than the run.
+    assert report.following.held > 20
 
 
 @pytest.mark.parametrize(
@@ -161,19 +177,23 @@ def test_a_calibration_for_another_size(look: Any, photos: Path) -> None:
 
 def test_the_pushed_marker_rests_wanders_and_rests() -> None:
     path = partial(wandering, Pose((0.1, 0.2, 0.3)), 10.0, 6.0, 0.05)
-    early, late = path(9.0).position, path(30.0).position
+    early = path(9.0).position
+    late = path(30.0).position
     np.testing.assert_array_equal(path(10.0).position, early)
-    np.testing.assert_array_equal(path(14.5).position, late)  # still for the last second and a half
+    # The marker rests in the last second and a half.
+    np.testing.assert_array_equal(path(14.5).position, late)
     assert np.linalg.norm(late - early) > 0.03
     places = np.array([path(t).position for t in np.linspace(9, 17, 801)])
     assert np.abs(np.diff(places, axis=0)).max() < 0.003 and np.ptp(places[:, 2]) == 0.0
 
 
 class Counting:
-    """A goal source that counts how often it looked; raises what it is asked to."""
+    """A goal source that counts its observations and raises a given error."""
 
     def __init__(self, delay: float = 0.0) -> None:
-        self.count, self.delay, self.error = 0, delay, None
+        self.count = 0
+        self.delay = delay
+        self.error = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
         time.sleep(self.delay)
@@ -186,7 +206,8 @@ class Counting:
 
 
 def test_on_virtual_time_pictures_come_at_their_rate() -> None:
-    goals, clock = Counting(), VirtualClock()
+    goals = Counting()
+    clock = VirtualClock()
     with LatestGoals(goals, clock, 10.0) as latest:
         for k in range(100):
             clock.sleep_until(0.01 * k)
@@ -199,9 +220,12 @@ def test_on_virtual_time_pictures_come_at_their_rate() -> None:
 
 
 def test_looking_never_holds_up_the_loop(real_time: None) -> None:
-    goals, clock, before = Counting(delay=0.2), RealClock(), sys.getswitchinterval()
+    goals = Counting(delay=0.2)
+    clock = RealClock()
+    before = sys.getswitchinterval()
     with LatestGoals(goals, clock, None) as latest:
-        assert latest.poll(7.0) == (0, 7.0)  # nobody waits for the first picture
+        # The loop does not wait for the first picture.
+        assert latest.poll(7.0) == (0, 7.0)
         wait_for(lambda: latest.poll(7.0) == (1, 7.0), "no goal comes")
         slowest = 0.0
         for _ in range(200):
@@ -215,7 +239,10 @@ def test_looking_never_holds_up_the_loop(real_time: None) -> None:
 def test_what_looking_raises_comes_out_in_the_loop() -> None:
     goals = Counting()
     goals.error = CameraError("lens cap")
-    with LatestGoals(goals, RealClock(), None) as latest, pytest.raises(CameraError, match="lens cap"):
+    with (
+        LatestGoals(goals, RealClock(), None) as latest,
+        pytest.raises(CameraError, match="lens cap"),
+    ):
         for _ in range(30_000):
             latest.poll(time.monotonic())
             time.sleep(0.01)

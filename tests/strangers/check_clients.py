@@ -46,13 +46,28 @@ def serve(tmp_path: Path) -> Serve:
 
     @contextmanager
     def serving(
-        models: list[str], *options: str, baud: int = 1_000_000, faults: str = "", mode: str = "position"
+        models: list[str],
+        *options: str,
+        baud: int = 1_000_000,
+        faults: str = "",
+        mode: str = "position",
     ) -> Iterator[Path]:
-        arm, link = tmp_path / "arm.toml", tmp_path / "port"
+        arm = tmp_path / "arm.toml"
+        link = tmp_path / "port"
         joints = [_JOINT.format(id=k, model=m, mode=mode) for k, m in enumerate(models, 1)]
-        head = f'schema = 1\nname = "strangers"\nrobot = "none"\n[bus]\nbaud = {baud}\nwatchdog_ms = 0\n'
+        head = 'schema = 1\nname = "strangers"\nrobot = "none"\n[bus]\n'
+        head += f"baud = {baud}\nwatchdog_ms = 0\n"
         arm.write_text(head + "".join(joints))
-        command = [sys.executable, "-m", "robot_ik", "sim-bus", "--arm", str(arm), "--link", str(link)]
+        command = [
+            sys.executable,
+            "-m",
+            "robot_ik",
+            "sim-bus",
+            "--arm",
+            str(arm),
+            "--link",
+            str(link),
+        ]
         if faults:
             (tmp_path / "faults.toml").write_text(faults)
             command += ["--faults", str(tmp_path / "faults.toml")]
@@ -115,7 +130,7 @@ def test_lerobot_sets_a_fresh_motor_up(serve: Serve) -> None:
 
 
 def test_lerobot_calibrates_and_drives(serve: Serve) -> None:
-    """Somebody turns the joints by hand, again and again, while the ranges are recorded."""
+    """Turn the joints as a hand does, again and again, while the ranges are recorded."""
     turns = []
     for k in range(200):
         way = (60.0, -120.0, 60.0)[k % 3]

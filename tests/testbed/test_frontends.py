@@ -248,10 +248,9 @@ def test_view_that_is_ended_from_outside_writes_its_log(
 ) -> None:
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.cli import view
-    from robot_ik.cli.main import Terminated
 
     def ended(*_: object) -> None:
-        raise Terminated
+        raise SystemExit(143)
 
     monkeypatch.setattr(view, "_loop", ended)
     log = tmp_path / "log.jsonl"

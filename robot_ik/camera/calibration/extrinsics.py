@@ -16,15 +16,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from robot_ik.camera.calibration.handeye import (
-    HandEyeSample,
-    Mount,
-    compress,
-    corner_residuals,
-)
-from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
+from robot_ik.camera.calibration.least_squares import cauchy_weight
 from robot_ik.camera.calibration.pose_means import robust_mean_pose
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.minimise import Minimum, minimise
 from robot_ik.camera.targets import Observation
 from robot_ik.config import Position, SchemaVersion, Table, Wxyz, read_table
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
@@ -34,8 +29,6 @@ from robot_ik.ports import Array
 
 logger = logging.getLogger("robot_ik.camera")
 
-# The unknowns: the twist of the camera. The board's is not free.
-_UNKNOWNS = np.arange(6)
 # The stated standard deviation of a pixel weighs as much as this many measured numbers.
 _PRIOR = 6.0
 # Corners of a resting board before a resting camera move less than this between pictures, px: a
@@ -45,6 +38,12 @@ _MAX_MOTION = 2.0
 _MAX_ERROR = 3.0
 # Median of the length of a Gaussian pair, standard deviations.
 _MEDIAN_LENGTH = 1.1774
+# Points nearer than this, or behind the camera, are treated as if they were this far away, metres.
+_MIN_DEPTH = 1e-3
+# Largest number of fits. The weights of the corners change before each.
+_REWEIGHTINGS = 30
+# The weights have settled if the camera moves less than this, metres and rad.
+_MOVE_TOLERANCE = 1e-8
 # Smallest scale of the distances between pictures, px.
 _MIN_DISTANCE = 0.01
 # Digits after the point, metres, with which a point is the same in two pictures.
@@ -151,8 +150,7 @@ class CameraExtrinsics:
         if intrinsics is not None and intrinsics.digest != extrinsics.intrinsics_hash:
             raise CalibrationError(
                 "these extrinsics were found with another calibration "
-                f"({extrinsics.intrinsics_hash}) than "
-                f"the one given ({intrinsics.digest})",
+                f"({extrinsics.intrinsics_hash}) than the one given ({intrinsics.digest})",
                 hint="give that calibration, or find the pose again with robot-ik camera locate or "
                 "handeye",
             )
@@ -192,40 +190,36 @@ def locate_camera(
         raise CameraError("the board was seen in no picture, so the camera's pose is not known")
     start = robust_mean_pose([view.pose for view in views])
     view = _averaged(views, start)
-    sample = HandEyeSample(Pose(), view)
+    points = pose_world_board.apply(view.points)
+    fit = _fit(points, view, intrinsics, pose_world_board.compose(start.inverse()))
+    camera = fit.x
 
-    def linear(
-        mount: Mount, weights: Sequence[Array] | None
-    ) -> tuple[LinearViews, Sequence[Array]]:
-        views, left = compress(mount, [sample], intrinsics, weights)
-        return views, corner_residuals(left, _scale(left[0]))
-
-    mount = Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand")
-    mount, normal = fit_views(linear, mount, _UNKNOWNS)
     # Error of each corner, in stated standard deviations.
-    left = np.linalg.norm(mount.residual(sample, intrinsics), axis=1) / view.sigma
-    weights = cauchy_weight(left / np.sqrt(2.0) / _scale(left))
-    squares = float(weights @ left**2)
+    residual, _ = _linearise(camera, points, view, intrinsics)
+    errors = np.linalg.norm(residual.reshape(-1, 2), axis=1)
+    weights = _weights(errors)
+    squares = float(weights @ errors**2)
     redundancy = max(2.0 * float(weights.sum()) - 6.0, 0.0)
-    covariance = (_PRIOR + squares) / (_PRIOR + redundancy) * normal.covariance[:6, :6]
+    inverse = np.linalg.pinv(fit.jacobian.T @ fit.jacobian, hermitian=True)
+    covariance = np.asarray((_PRIOR + squares) / (_PRIOR + redundancy) * inverse, dtype=float)
     pixels = view.sigma * float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
-    depth = float(np.median(mount.pose_camera_board(sample).apply(view.points)[:, 2]))
-    if not (np.isfinite(pixels) and depth > 0.0):
+    depths = camera.inverse().apply(points)[:, 2]
+    if not (np.isfinite(pixels) and depths.min() > 0.0):
         raise CameraError(
             "no pose of the camera explains what was seen of the board",
             hint="check the sizes of the board and that the whole of it is flat and in the picture",
         )
-    far = view.sigma * float(np.median(left))
-    if far > _MAX_ERROR:
+    median_error = view.sigma * float(np.median(errors))
+    if median_error > _MAX_ERROR:
         raise CalibrationError(
-            f"the best pose of the camera leaves the board's corners {far:.1f} px off (median); a "
-            "good one "
-            f"leaves some tenths, and beyond {_MAX_ERROR:g} px it is wrong",
+            f"the best pose of the camera leaves the board's corners {median_error:.1f} px off "
+            f"(median); a good one leaves some tenths, and beyond {_MAX_ERROR:g} px it is wrong",
             hint="check the sizes of the board as printed, its layout, and the calibration",
         )
-    millimetres = 1e3 * pixels * depth / (0.5 * (intrinsics.fx + intrinsics.fy))
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+    millimetres = 1e3 * pixels * float(np.median(depths)) / focal
     return CameraExtrinsics(
-        mount.pose_parent_camera,
+        camera,
         parent,
         covariance,
         pixels,
@@ -236,34 +230,83 @@ def locate_camera(
     )
 
 
-def _scale(left: Array) -> float:
-    """Return the standard deviation of the pixels in units of the stated one, at least 1."""
-    return max(float(np.median(left)) / _MEDIAN_LENGTH, 1.0)
+def _fit(
+    points: Array, view: Observation, intrinsics: CameraIntrinsics, start: Pose
+) -> Minimum[Pose]:
+    """Fit the pose of the camera with Cauchy weights of the corners.
+
+    Args:
+        points: (n, 3) points of the board in the parent frame, metres.
+        view: Their pixels.
+        intrinsics: Intrinsics of the picture.
+        start: First pose of the camera.
+    """
+    weights = np.ones(len(points))
+    camera = start
+    for _ in range(_REWEIGHTINGS):
+        roots = np.repeat(np.sqrt(weights), 2)
+
+        def weighted(pose: Pose, roots: Array = roots) -> tuple[Array, Array]:
+            residual, jacobian = _linearise(pose, points, view, intrinsics)
+            return roots * residual, roots[:, None] * jacobian
+
+        fit = minimise(weighted, camera, Pose.plus)
+        move = float(np.abs(fit.x.minus(camera)).max())
+        camera = fit.x
+        is_weighted = bool((weights < 1.0).any())
+        if is_weighted and move < _MOVE_TOLERANCE:
+            break
+        residual, _ = _linearise(camera, points, view, intrinsics)
+        weights = _weights(np.linalg.norm(residual.reshape(-1, 2), axis=1))
+    return fit
+
+
+def _linearise(
+    camera: Pose, points: Array, view: Observation, intrinsics: CameraIntrinsics
+) -> tuple[Array, Array]:
+    """Return the residual (2 n,) in stated standard deviations and its Jacobian (2 n, 6).
+
+    The unknowns are the step of ``Pose.plus``. ``points`` (n, 3) are in the parent frame.
+    """
+    in_camera = camera.inverse().apply(points)
+    in_camera[:, 2] = np.maximum(in_camera[:, 2], _MIN_DEPTH)
+    residual = intrinsics.project(in_camera) - view.pixels
+    by_point = intrinsics.point_jacobian(in_camera) @ camera.rotation.T
+    cross = np.cross(np.eye(3), (points - camera.position)[:, None])
+    jacobian = np.concatenate([-by_point, by_point @ cross], axis=2)
+    return residual.ravel() / view.sigma, jacobian.reshape(-1, 6) / view.sigma
+
+
+def _weights(errors: Array) -> Array:
+    """Return Cauchy's weights (n,) of the distances of corners, in stated standard deviations."""
+    # Standard deviation of the pixels in units of the stated one.
+    scale = max(float(np.median(errors)) / _MEDIAN_LENGTH, 1.0)
+    return cauchy_weight(errors / np.sqrt(2.0) / scale)
 
 
 def _averaged(views: Sequence[Observation], start: Pose) -> Observation:
     """Return one observation whose pixels are robust means of all pictures, point by point."""
-    seen: dict[tuple[float, ...], list[Array]] = {}
+    pixels_of: dict[tuple[float, ...], list[Array]] = {}
     for view in views:
         for point, pixel in zip(view.points, view.pixels, strict=True):
-            seen.setdefault(tuple(np.round(point, _POINT_DIGITS)), []).append(pixel)
+            pixels_of.setdefault(tuple(np.round(point, _POINT_DIGITS)), []).append(pixel)
     # Something hid a point that is visible in few pictures.
-    enough = [point for point, pixels in seen.items() if 2 * len(pixels) >= len(views)]
-    points = enough if len(enough) >= 4 else list(seen)
+    frequent = [point for point, pixels in pixels_of.items() if 2 * len(pixels) >= len(views)]
+    points = frequent if len(frequent) >= 4 else list(pixels_of)
     means = []
     motions = []
     for point in points:
-        pixels = np.array(seen[point])
-        far = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
-        motions.append(float(np.median(far)))
-        weights = cauchy_weight(far / max(float(np.median(far)), _MIN_DISTANCE))
+        pixels = np.array(pixels_of[point])
+        distances = np.linalg.norm(pixels - np.median(pixels, axis=0), axis=1)
+        motion = float(np.median(distances))
+        motions.append(motion)
+        weights = cauchy_weight(distances / max(motion, _MIN_DISTANCE))
         means.append(np.average(pixels, axis=0, weights=weights))
     # Of two pictures the residuals show which one is wrong.
     if len(views) > 2 and np.median(motions) > _MAX_MOTION:
         raise CalibrationError(
-            f"the board's corners move by {np.median(motions):.1f} px between the pictures: a "
-            "pose can be "
-            "found only of a camera and a board that both rest",
+            f"the board's corners move by {np.median(motions):.1f} px between the pictures: a pose "
+            "can be found only of a camera and a board that both rest",
             hint="take one picture, or a film in which nothing moves; for a carried camera use "
             "robot-ik camera handeye",
         )

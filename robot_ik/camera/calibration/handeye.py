@@ -37,10 +37,10 @@ Mounting = Literal["eye_in_hand", "eye_to_hand"]
 MOUNTINGS: tuple[Mounting, ...] = ("eye_in_hand", "eye_to_hand")
 
 #: Smallest number of views.
-LEAST_VIEWS = 4
+MIN_VIEWS = 4
 #: Smallest standard deviation of the rotations, rad: about the axis they are spread most about, and
 #: about the second one.
-LEAST_SPREAD = np.deg2rad((6.0, 3.0))
+MIN_SPREAD = np.deg2rad((6.0, 3.0))
 # Rotations by nearly half a circle have no axis that can be told from its opposite, rad.
 _MAX_ANGLE = np.deg2rad(170.0)
 # Points nearer than this, or behind the camera, are treated as if they were this far away, metres.
@@ -207,7 +207,7 @@ def compress(
         np.array(rows),
         sources=np.zeros((0, len(samples), 6, 6)),
         prior=np.zeros((12, 12)),
-        off=np.zeros(12),
+        prior_error=np.zeros(12),
     )
     return views, rests
 
@@ -227,26 +227,26 @@ def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
     Raises:
         CalibrationError: Too few views, or too small rotations.
     """
-    if len(samples) < LEAST_VIEWS:
+    if len(samples) < MIN_VIEWS:
         raise CalibrationError(
             f"{len(samples)} views are too few to find how a camera is mounted; at least "
-            f"{LEAST_VIEWS} are needed",
+            f"{MIN_VIEWS} are needed",
             hint="15 views, rotated by 30 degrees and more about two axes, give a good answer",
         )
     spread = rotation_spread([sample.pose_world_hand.wxyz for sample in samples])
     first, second = np.degrees(spread[:2])
     hint = "rotate the hand by 30 degrees and more to each side, about at least two axes"
-    if spread[0] < LEAST_SPREAD[0]:
+    if spread[0] < MIN_SPREAD[0]:
         raise CalibrationError(
             f"the hand was hardly turned between the views (standard deviation {first:.1f} "
-            f"degrees; at least {np.degrees(LEAST_SPREAD[0]):.0f} are needed)",
+            f"degrees; at least {np.degrees(MIN_SPREAD[0]):.0f} are needed)",
             hint=hint,
         )
-    if spread[1] < LEAST_SPREAD[1]:
+    if spread[1] < MIN_SPREAD[1]:
         raise CalibrationError(
             f"the hand was turned about one axis only (standard deviation {first:.1f} degrees "
             f"about it, {second:.1f} about any other; at least "
-            f"{np.degrees(LEAST_SPREAD[1]):.0f} are needed), so the position of the camera along "
+            f"{np.degrees(MIN_SPREAD[1]):.0f} are needed), so the position of the camera along "
             "that axis cannot be known",
             hint=hint,
         )

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.camera.calibration.handeye import (
-    LEAST_VIEWS,
+    MIN_VIEWS,
     HandEye,
     HandEyeSample,
     Mount,
@@ -54,9 +54,9 @@ ANYWHERE = (0.05, math.radians(5.0))
 _OUTLIER_DISTANCE = 5e-4
 # Standard deviation of a combination of offsets up to which it is determined, rad.
 _MAX_SIGMA = math.radians(0.25)
-# A zero is doubted if it is off by more than this, rad, and by this many standard deviations. With
-# 12 views one that is off by 0.5 degrees is found, and ticks of servos and noise of corners raise
-# no doubt.
+# A zero is doubted if its offset is larger than this, rad, and than this many standard deviations.
+# With 12 views an offset of 0.5 degrees is detected. Servo ticks and the noise of corners raise no
+# doubt.
 _DOUBTED_ZERO = math.radians(0.25)
 _DOUBTED_SIGMAS = 5.0
 
@@ -167,9 +167,9 @@ class ArmModel:
         prior = np.zeros((n + POSES, n + POSES))
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
-        off = np.zeros(n + POSES)
-        off[n : n + 6] = state.mount.pose_parent_camera.minus(self.camera.pose)
-        off[n + 6 :] = state.mount.pose_other_board.minus(self.board.pose)
+        prior_error = np.zeros(n + POSES)
+        prior_error[n : n + 6] = state.mount.pose_parent_camera.minus(self.camera.pose)
+        prior_error[n + 6 :] = state.mount.pose_other_board.minus(self.board.pose)
         scale = pixel_scale(rests)
         views = LinearViews(
             views.pseudo_measurement,
@@ -177,7 +177,7 @@ class ArmModel:
             rows=np.concatenate([-by_joint, views.rows], axis=2),
             sources=(by_joint @ by_joint.transpose(0, 2, 1))[None],
             prior=prior,
-            off=off,
+            prior_error=prior_error,
         )
         return views, corner_residuals(rests, scale)
 
@@ -304,7 +304,7 @@ class ZeroOffsets:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
     @property
-    def found(self) -> tuple[str, ...]:
+    def determined(self) -> tuple[str, ...]:
         """Joints whose offset was determined."""
         return tuple(name for name, s in zip(self.joints, self.sigma, strict=True) if s > 0.0)
 
@@ -328,10 +328,10 @@ def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
     """
     robot = model.robot
     count = len(model.views)
-    if count < LEAST_VIEWS:
+    if count < MIN_VIEWS:
         raise CalibrationError(
             f"{count} views are too few to find the offsets of joints; "
-            f"at least {LEAST_VIEWS} are needed",
+            f"at least {MIN_VIEWS} are needed",
             hint="take 30 that bend every joint",
         )
     if robot.nq != robot.nv:
@@ -400,16 +400,16 @@ def doubted_zeros(
     robot: Robot,
     frame: str,
     intrinsics: CameraIntrinsics,
-    found: HandEye,
+    result: HandEye,
 ) -> dict[str, tuple[float, float]]:
-    """Return the joints whose zero is off by the views of a hand-eye calibration.
+    """Return the joints whose zero is wrong according to the views of a hand-eye calibration.
 
     Args:
         views: The views of the calibration.
         robot: The robot.
         frame: As in ``ArmModel``.
         intrinsics: Intrinsics of the pictures.
-        found: Result of the calibration.
+        result: Result of the calibration.
 
     Returns:
         By joint: its offset and the standard deviation of the offset, rad. Joints that these views
@@ -419,9 +419,9 @@ def doubted_zeros(
         return {}
     kinds = zip(robot.joints, robot.tree.kind, strict=True)
     slides = [name for name, kind in kinds if kind == SLIDE]
-    camera = KnownPose.within(found.pose_parent_camera, *ANYWHERE)
-    board = KnownPose.within(found.pose_other_board, *ANYWHERE)
-    model = ArmModel(robot, frame, intrinsics, views, camera, board, found.mounting)
+    camera = KnownPose.within(result.pose_parent_camera, *ANYWHERE)
+    board = KnownPose.within(result.pose_other_board, *ANYWHERE)
+    model = ArmModel(robot, frame, intrinsics, views, camera, board, result.mounting)
     try:
         fit = fit_zero_offsets(model, slides)
     except CalibrationError:

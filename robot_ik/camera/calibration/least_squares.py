@@ -1,4 +1,4 @@
-"""Least squares of hand-eye, extrinsics and joint zeros, with errors of pixels and of the arm.
+"""Least squares of hand-eye calibration and joint zeros, with errors of pixels and of the arm.
 
 Each view is summed up by the twist of the hand that its picture asks for, e_i (6,). A step x of the
 unknowns leaves e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki. P_i is that of the
@@ -60,7 +60,7 @@ class LinearViews:
         rows: (n, 6, m) its derivative by the unknowns.
         sources: (k, n, 6, 6) its covariance by each source of the arm's error, of size 1.
         prior: (m, m) information on the unknowns.
-        off: (m,) unknowns minus their prior means.
+        prior_error: (m,) unknowns minus their prior means.
     """
 
     pseudo_measurement: Array
@@ -68,7 +68,7 @@ class LinearViews:
     rows: Array
     sources: Array
     prior: Array
-    off: Array
+    prior_error: Array
 
     def covariances(self, sizes: Array) -> Array:
         """Return the covariances (..., n, 6, 6) of pixels and arm for sizes (..., k)."""
@@ -78,7 +78,7 @@ class LinearViews:
         """Return the cost with fixed noise: squares of the views and of the prior."""
         weighted = np.linalg.solve(noise.covariances, self.pseudo_measurement[..., None])[..., 0]
         squares = noise.weights * np.einsum("ni,ni->n", self.pseudo_measurement, weighted)
-        return float(squares.sum() + self.off @ self.prior @ self.off)
+        return float(squares.sum() + self.prior_error @ self.prior @ self.prior_error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ class NormalEquations:
     def step(self, damping: float = 0.0) -> Array:
         """Return the step (m,), damped (Levenberg-Marquardt); 0 for unknowns that are not free."""
         scaled, scale = _balanced(self.matrix, damping)
-        return self._whole(np.linalg.lstsq(scaled, self.right / scale, rcond=1e-15)[0] / scale)
+        return self._with_fixed(np.linalg.lstsq(scaled, self.right / scale, rcond=1e-15)[0] / scale)
 
     @property
     def covariance(self) -> Array:
@@ -162,23 +162,25 @@ class NormalEquations:
         outer = np.outer(scale, scale)
         others = (self.matrix - self.parts[view]) / outer + _NO_PRIOR * np.eye(len(scale))
         covariance = np.linalg.inv(others) / outer
-        step = self._whole(covariance @ (self.right - self.rights[view]))
+        step = self._with_fixed(covariance @ (self.right - self.rights[view]))
         rows = self.views.rows[view]
         rest = self.views.pseudo_measurement[view] + rows @ step
         expected = self.noise.covariances[view] + rows @ self._spread_out(covariance) @ rows.T
         sigmas = float(np.sqrt(max(rest @ np.linalg.solve(expected, rest), 0.0)))
         return LeftOut(step, rest, expected, sigmas)
 
-    def _whole(self, step: Array) -> Array:
-        whole = np.zeros(len(self.views.off))
-        whole[self.free] = step
-        return whole
+    def _with_fixed(self, step: Array) -> Array:
+        """Return a step (m,) of all unknowns for one of the free ones (f,)."""
+        full = np.zeros(len(self.views.prior_error))
+        full[self.free] = step
+        return full
 
     def _spread_out(self, matrix: Array) -> Array:
-        count = len(self.views.off)
-        whole = np.zeros((count, count))
-        whole[np.ix_(self.free, self.free)] = matrix
-        return whole
+        """Return a matrix (m, m) of all unknowns for one of the free ones (f, f)."""
+        count = len(self.views.prior_error)
+        full = np.zeros((count, count))
+        full[np.ix_(self.free, self.free)] = matrix
+        return full
 
 
 def normal_equations(
@@ -196,7 +198,7 @@ def normal_equations(
     parts = np.einsum("nik,nil->nkl", rows, weighted)
     rights = -np.einsum("nik,ni->nk", weighted, views.pseudo_measurement)
     prior = views.prior[np.ix_(free, free)]
-    right = rights.sum(axis=0) - prior @ views.off[free]
+    right = rights.sum(axis=0) - prior @ views.prior_error[free]
     return NormalEquations(views, noise, parts.sum(axis=0) + prior, right, parts, rights, free)
 
 
@@ -250,13 +252,13 @@ def _descent_step(
     damping: float,
 ) -> tuple[Array, float]:
     """Return a step that lowers the cost, or zeros, and the damping of the next one."""
-    now = normal.views.cost(normal.noise)
+    cost = normal.views.cost(normal.noise)
     for _ in range(_MAX_TRIALS):
         step = normal.step(damping)
         if np.abs(step).max() < _LINEAR_STEP:
             return step, damping
-        there, _ = linear(state.plus(step), corners)
-        if there.cost(normal.noise) < now:
+        moved, _ = linear(state.plus(step), corners)
+        if moved.cost(normal.noise) < cost:
             return step, max(0.1 * damping, _FIRST_DAMPING)
         damping = 10.0 * max(damping, _MIN_TRIAL_DAMPING)
     return np.zeros_like(step), damping
@@ -298,10 +300,10 @@ def estimate_noise(
 
 
 def _first_weights(views: LinearViews) -> Array:
-    """Return small weights for views that are far off compared with the median view."""
-    off = np.abs(views.pseudo_measurement)
-    scale = np.maximum(1.4826 * np.median(off, axis=0), 1e-12)
-    return np.asarray(np.maximum(1.0, (off / scale).max(axis=1) / 4.0) ** -2.0)
+    """Return small weights for views whose errors are far larger than the median."""
+    size = np.abs(views.pseudo_measurement)
+    scale = np.maximum(1.4826 * np.median(size, axis=0), 1e-12)
+    return np.asarray(np.maximum(1.0, (size / scale).max(axis=1) / 4.0) ** -2.0)
 
 
 def _most_likely(
@@ -327,7 +329,7 @@ def _likelihood(views: LinearViews, free: NDArray[np.int64], weights: Array, siz
     """
     rows = views.rows[:, :, free]
     prior = views.prior[np.ix_(free, free)]
-    off = views.off[free]
+    prior_error = views.prior_error[free]
     covariances = views.covariances(sizes)
     inverses = np.linalg.inv(covariances) * weights[:, None, None]
     flat = rows.reshape(-1, len(free))
@@ -335,7 +337,7 @@ def _likelihood(views: LinearViews, free: NDArray[np.int64], weights: Array, siz
     normal = flat.T @ (inverses @ rows).reshape(len(sizes), -1, len(free)) + prior
     weighted = (inverses @ views.pseudo_measurement[..., None]).reshape(len(sizes), -1)
     scaled, scale = _balanced(normal, _NO_PRIOR)
-    right = (weighted @ flat + prior @ off) / scale
+    right = (weighted @ flat + prior @ prior_error) / scale
     fitted = np.linalg.solve(scaled, right[..., None])[..., 0]
     squares = weighted @ measured - np.sum(right * fitted, axis=1)
     logs = np.linalg.slogdet(covariances)[1].sum(axis=1) + np.linalg.slogdet(scaled)[1]

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.camera.drawing.drawn_robot import cast_shadow
+from robot_ik.camera.drawing.drawn_robot import SHADOW_STRENGTH, cast_shadow
 from robot_ik.camera.drawing.faces import (
     EMPTY,
     Faces,
@@ -42,9 +42,6 @@ from robot_ik.ports import Array, Mask
 #: Reflectance of toner and of paper.
 INK = 0.07
 PAPER = 0.93
-# Share of the light that the robot takes from what lies in its shadow. Most light of a room is
-# diffuse, and the robot often works right above the markers.
-_SHADOW_STRENGTH = 0.1
 # An object hides paper if it is nearer by this, metres. Paper lies on other surfaces.
 _SLACK = 1.5e-3
 # A sheet lies on the table if it is this near to it, metres, and this level (cosine).
@@ -182,7 +179,7 @@ class PaintedScene:
         if not shadow.coverage.size:
             return
         x0, y0, x1, y1 = shadow.box
-        dark = _SHADOW_STRENGTH * _share(shadow.coverage)
+        dark = SHADOW_STRENGTH * _share(shadow.coverage)
         if self._table is not None:
             dark *= self._surroundings.table[y0:y1, x0:x1]
         light[y0:y1, x0:x1] *= 1.0 - dark[..., None]
@@ -218,7 +215,7 @@ class PaintedScene:
         x0, y0, x1, y1 = seen.box
         tone = (PAPER + (INK - PAPER) * seen.ink) * float(light_on(-pose.rotation[:, 2]))
         if not placed.on_robot:
-            tone *= 1.0 - _SHADOW_STRENGTH * self._shadow_on(placed, faces, shadow, seen.box)
+            tone *= 1.0 - SHADOW_STRENGTH * self._shadow_on(placed, faces, shadow, seen.box)
         cover = seen.coverage[..., None].astype(np.float32)
         view = light[y0:y1, x0:x1]
         beside = _beside(view, seen, robot, behind, on_robot=placed.on_robot)
@@ -334,7 +331,7 @@ def _surroundings(
     shadow = cast_shadow(faces, intrinsics, pose_camera_floor)
     if shadow.coverage.size:
         x0, y0, x1, y1 = shadow.box
-        light[y0:y1, x0:x1] *= 1.0 - _SHADOW_STRENGTH * _share(shadow.coverage)[..., None]
+        light[y0:y1, x0:x1] *= 1.0 - SHADOW_STRENGTH * _share(shadow.coverage)[..., None]
     buffer = SurfaceBuffer((0, 0, width, height))
     buffer.fill(faces, geom_paint(model))
     layer = buffer.layer()

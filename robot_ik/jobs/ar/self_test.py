@@ -1,4 +1,4 @@
-"""How well drawings lie on pictures, in pixels: against ``cv2.projectPoints`` and exact truth."""
+"""Errors of drawings in pictures, in pixels: against ``cv2.projectPoints`` and exact truth."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ _SETTLING = 0.5
 
 
 @dataclass(frozen=True)
-class Misses:
+class DrawingErrors:
     """Distances between where things are drawn and where they belong, px.
 
     Attributes:
@@ -89,8 +89,8 @@ class Misses:
     count: int
 
     @classmethod
-    def of(cls, offsets: Sequence[Array]) -> Misses:
-        """Return the summary of offsets, each (2,) or (n, 2); NaN without any."""
+    def of(cls, offsets: Sequence[Array]) -> DrawingErrors:
+        """Return the statistics of offsets, each (2,) or (n, 2). NaN without any."""
         errors = np.vstack([np.zeros((0, 2)), *offsets])
         if not len(errors):
             return cls(float("nan"), float("nan"), float("nan"), 0)
@@ -117,29 +117,29 @@ def self_test() -> Iterator[tuple[str, Quantity]]:
 def projection(seed: int = 1) -> Iterator[Quantity]:
     """Measure the middles of drawn spheres against OpenCV's projection."""
     for kind, lens in (("pinhole", PINHOLE), ("with distortion", DISTORTED)):
-        misses = projection_misses(lens, seed=seed)
-        yield from _figures(f"painter against projectPoints, {kind}", misses, _SPHERE_LIMITS[kind])
+        errors = projection_errors(lens, seed=seed)
+        yield from _figures(f"painter against projectPoints, {kind}", errors, _SPHERE_LIMITS[kind])
 
 
 def overlay(seed: int = 1, count: int = 60) -> Iterator[Quantity]:
     """Measure points of a robot on a 2×2 board, drawn with the pose found in ``count`` pictures."""
     for distance in _OVERLAY_DISTANCES:
-        misses = overlay_misses(distance, count, seed=seed)
-        yield from _figures(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_LIMITS)
+        errors = overlay_errors(distance, count, seed=seed)
+        yield from _figures(f"overlay on a 2×2 board at {distance} m", errors, _OVERLAY_LIMITS)
 
 
 def latency(seconds: float = 4.0) -> Iterator[Quantity]:
     """Measure what is left of a delay with each remedy. These figures have no limits."""
-    for name, misses in latency_misses(seconds=seconds).items():
-        yield from _figures(name, misses, (None, None))
+    for name, errors in latency_errors(seconds=seconds).items():
+        yield from _figures(name, errors, (None, None))
 
 
-def projection_misses(
+def projection_errors(
     intrinsics: CameraIntrinsics = DISTORTED,
     *,
     seed: int = 3,
     drawn_through: CameraIntrinsics | None = None,
-) -> Misses:
+) -> DrawingErrors:
     """Compare the centroids of drawn spheres with those that OpenCV projects.
 
     Spheres of 8 px radius at random depths fill the picture. The outline of a sphere is the circle
@@ -175,7 +175,7 @@ def projection_misses(
         y0 = max(y - half, 0)
         middle = np.array([x0, y0]) + _centroid(coverage[y0 : y + half, x0 : x + half])
         offsets.append(middle - _outline_centroid(centre, radius, intrinsics))
-    return Misses.of(offsets)
+    return DrawingErrors.of(offsets)
 
 
 def robot_points(seed: int = 0) -> Array:
@@ -186,7 +186,7 @@ def robot_points(seed: int = 0) -> Array:
     return rng.uniform(lower, upper, (_POINT_COUNT, 3))
 
 
-def overlay_misses(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
+def overlay_errors(distance: float, count: int = 20, *, seed: int = 0) -> DrawingErrors:
     """Compare points of a robot on a 2 x 2 board (112 mm), from picture to overlay, with truth.
 
     The pictures have blur, noise, uneven light, and tilts up to 60 degrees.
@@ -201,16 +201,16 @@ def overlay_misses(distance: float, count: int = 20, *, seed: int = 0) -> Misses
     offsets = []
     for number in range(count):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=_BOARD_SIDE)
-        seen = _BOARD.find(_board_frame(pose, rng, number), STANDARD_CAMERA)
-        if seen is None:
+        observation = _BOARD.find(_board_frame(pose, rng, number), STANDARD_CAMERA)
+        if observation is None:
             continue
         true = STANDARD_CAMERA.project(pose.apply(points))
-        drawn = STANDARD_CAMERA.project(seen.pose.apply(points))
+        drawn = STANDARD_CAMERA.project(observation.pose.apply(points))
         offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(offsets)
+    return DrawingErrors.of(offsets)
 
 
-def latency_misses(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Misses]:
+def latency_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, DrawingErrors]:
     """Return the registration errors of a robot on a moving board with each remedy for delay.
 
     All remedies are measured on the same pictures, with points of a robot on the board.
@@ -226,7 +226,7 @@ def latency_misses(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Miss
     # All remedies use the same observations.
     tracker = _RecordedTracker(frames)
     return {
-        name: _latency_misses(options, round(share * steps), frames, tracker)
+        name: _latency_errors(options, round(share * steps), frames, tracker)
         for name, (share, options) in REMEDIES.items()
     }
 
@@ -255,17 +255,17 @@ class _RecordedTracker(BoardTracker):
         return self._observations[frame.sequence]
 
 
-def _latency_misses(
+def _latency_errors(
     options: LatencyOptions, steps: int, frames: list[Frame], tracker: BoardTracker
-) -> Misses:
+) -> DrawingErrors:
     """Return the errors of one remedy. The tracker is ``steps`` pictures late."""
     points = robot_points(0)
     nothing = DrawnRobot(mujoco.MjSpec().compile())
     registrar = Registrar(tracker, nothing, STANDARD_CAMERA, options)
     offsets = []
     for k in range(steps, len(frames)):
-        seen = registrar.track(frames[k - steps])
-        pose, motion = registrar.place(seen, frames[k])
+        observation = registrar.track(frames[k - steps])
+        pose, motion = registrar.place(observation, frames[k])
         if pose is None or frames[k].time < _SETTLING:
             continue
         true = STANDARD_CAMERA.project(hand_motion(frames[k].time).apply(points))
@@ -273,12 +273,15 @@ def _latency_misses(
         if motion is not None:
             drawn = drawn @ motion[:, :2].T + motion[:, 2]
         offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(offsets)
+    return DrawingErrors.of(offsets)
 
 
 def _board_frame(pose: Pose, rng: np.random.Generator, number: int, time: float = 0.0) -> Frame:
     """Return a webcam's picture of the board at ``pose_camera_board``."""
-    placed = {id: (side, pose.compose(on_board)) for id, (side, on_board) in _BOARD.markers.items()}
+    placed = {
+        marker_id: (side, pose.compose(pose_board_marker))
+        for marker_id, (side, pose_board_marker) in _BOARD.markers.items()
+    }
     image = render_markers(
         STANDARD_CAMERA, placed, rng, dictionary=_BOARD.dictionary, margin=_PAPER, sensor=WEBCAM
     )
@@ -317,8 +320,8 @@ def _outline_centroid(centre: Array, radius: float, intrinsics: CameraIntrinsics
 
 
 def _figures(
-    name: str, misses: Misses, limits: tuple[float | None, float | None]
+    name: str, errors: DrawingErrors, limits: tuple[float | None, float | None]
 ) -> Iterator[Quantity]:
     """Return RMS and largest error with their limits."""
-    yield Quantity(f"{name}, RMS", misses.rms, "px", limits[0])
-    yield Quantity(f"{name}, worst", misses.worst, "px", limits[1])
+    yield Quantity(f"{name}, RMS", errors.rms, "px", limits[0])
+    yield Quantity(f"{name}, worst", errors.worst, "px", limits[1])

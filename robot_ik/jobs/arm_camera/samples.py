@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, ValidationError
 
 from robot_ik.camera.calibration.extrinsics import Covariance, today
-from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
+from robot_ik.camera.calibration.handeye import MIN_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.targets import Observation
@@ -76,10 +76,10 @@ class SampleSet:
         Raises:
             MarkerNotFoundError: There are too few samples.
         """
-        if len(self) < LEAST_VIEWS:
+        if len(self) < MIN_VIEWS:
             raise MarkerNotFoundError(
                 f"the board was seen at {len(self)} of {stations} stations; "
-                f"{LEAST_VIEWS} are the least",
+                f"{MIN_VIEWS} are the least",
                 hint=f"check board, dictionary and light, and {hint}",
             )
 

@@ -1,12 +1,14 @@
-"""An arm checked by a camera: where a board that it carries really is, and by how much zeros are off.
+"""Measure the errors of an arm with a camera, and the zero offsets of its joints.
 
-The camera's pose must come from elsewhere than the arm: a board on the table (``robot-ik camera locate``).
+The arm carries a board. The pose of the camera must not be measured with the arm: it comes from a
+board on the table (``robot-ik camera locate``).
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,82 +35,41 @@ from robot_ik.hardware import SIMULATED
 from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
-from robot_ik.jobs.arm_camera.handeye import (
-    ArmCameraReport,
+from robot_ik.jobs.arm_camera.camera_and_board import (
+    CameraAndBoard,
     HandEyeRequest,
-    HandEyeScene,
-    open_scene,
-    visit_stations,
+    open_camera_and_board,
 )
+from robot_ik.jobs.arm_camera.error_map import summary
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
-from robot_ik.jobs.results import png_of, require_plots
+from robot_ik.jobs.arm_camera.stations import ArmCameraReport, visit_stations
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# The sums of an error map: over all poses, and over the halves of the space they were in.
-
-
-_AXES = "xyz"
-
-
-@dataclass(frozen=True)
-class Region:
-    """Some of the poses: RMS, median and largest of the distances; RMS of the angles.
-
-    ``sigma_m`` is the RMS of the stated standard deviations.
-    """
-
-    name: str
-    poses: int
-    rms_m: float
-    median_m: float
-    largest_m: float
-    rms_rad: float
-    sigma_m: float
-
-
-def summary(errors: Sequence[PoseError], name: str = "all") -> Region:
-    """Over some poses; at least one."""
-    distances = np.array([one.distance for one in errors])
-    return Region(
-        name, len(errors),
-        float(np.sqrt(np.mean(distances**2))), float(np.median(distances)), float(distances.max()),
-        float(np.sqrt(np.mean([one.angle**2 for one in errors]))),
-        float(np.sqrt(np.mean([one.sigma**2 for one in errors]))),
-    )  # fmt: skip
-
-
-def regions(errors: Sequence[PoseError]) -> tuple[Region, ...]:
-    """All poses, then the lower and the upper half along each axis of the world, split in the middle."""
-    positions = np.array([one.position for one in errors])
-    found = [summary(errors)]
-    for k, axis in enumerate(_AXES):
-        middle = 0.5 * float(positions[:, k].min() + positions[:, k].max())
-        for sign, side in (("<", positions[:, k] < middle), (">=", positions[:, k] >= middle)):
-            chosen = [one for one, inside in zip(errors, side, strict=True) if inside]
-            if chosen and len(chosen) < len(errors):
-                found.append(summary(chosen, f"{axis} {sign} {1e3 * middle:.0f} mm"))
-    return tuple(found)
-
-
-# ------------------------------------------------------------------------------------------
-# What ``run_verify`` shall do.
-
-
-#: How well the board's pose on the arm is known unless said otherwise, each axis: metres, rad.
-BOARD_SIGMA = (2e-4, float(np.deg2rad(0.1)))
+#: Standard deviation of the board's pose on the arm by default, each axis: metres, rad.
+BOARD_SIGMA = (2e-4, math.radians(0.1))
+# Number of pictures of the marker on the table by which the simulated camera is located.
+_LOCATE_PICTURES = 5
+# Standard deviation of a camera's pose that was measured with the arm, each axis: metres, rad. It
+# contains the errors of the arm.
+_SIGMA_BY_ARM = (0.05, math.radians(5.0))
+# A view is uncertain if its standard deviation is larger than the median by this factor.
+_UNCERTAIN_FACTOR = 5.0
+# Added to the covariance of the camera's pose, m^2 and rad^2. It keeps the covariance regular.
+_MIN_COVARIANCE = 1e-12 * np.eye(6)
 
 
 @dataclass(frozen=True)
 class VerifyRequest(HandEyeRequest):
-    """An arm that carries a board (``pose_other_board``) before a standing camera.
+    """An arm that carries a board (``pose_other_board``) in front of a resting camera.
 
     Attributes:
-        extrinsics: File of the camera's pose; needed for a real camera, the simulated one is located first.
-        board_sigma: How well the board's pose is known, each axis: metres, rad.
-        fit: Whether to estimate the joints' zero offsets.
+        views: Number of pictures.
+        extrinsics: File with the pose of the camera. A real camera needs it. The simulated camera
+            is located first.
+        board_sigma: Standard deviation of the board's pose, each axis: metres, rad.
+        fit: Whether to estimate the zero offsets of the joints.
     """
 
     views: int = 30
@@ -117,23 +78,17 @@ class VerifyRequest(HandEyeRequest):
     fit: bool = False
 
 
-# Pictures of the marker on the table by which the simulated camera is located.
-_LOCATE_PICTURES = 5
-# A camera's pose found by moving the arm has the arm's errors in it: it is worth so little, metres and rad.
-_BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
-# A view that is so many times less sure than the middle one does not count.
-_UNSURE = 5.0
-# No pose is known better than this (m and rad, squared): keeps its covariance regular.
-_LEAST = 1e-12 * np.eye(6)
-
-
 @dataclass(eq=False, kw_only=True)
 class VerifyReport(ArmCameraReport):
-    """What came out.
+    """Result of the measurement.
 
     Attributes:
-        errors: Of each view, with the joints as the servos say; empty for a dry run.
-        fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
+        samples: The measurements and the prior knowledge.
+        robot: The robot.
+        config: The arm file. None without servos.
+        errors: Error of each view with the joint angles of the servos. Empty for a dry run.
+        fit: Zero offsets of the joints. Its ``errors`` are those of views that were left out. None
+            unless requested.
     """
 
     samples: VerifySamples
@@ -143,93 +98,132 @@ class VerifyReport(ArmCameraReport):
     fit: ZeroOffsets | None = None
 
     def compare(self, *, fit: bool) -> None:
-        """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
+        """Compute the errors and, if requested, the zero offsets. Nothing moves.
+
+        Args:
+            fit: Whether to fit the zero offsets.
 
         Raises:
-            MarkerNotFoundError: The board was seen at too few of the stations.
+            MarkerNotFoundError: The board was found at too few stations.
         """
         samples = self.samples
         samples.require(len(self.stations), "where camera and board are said to be")
-        views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
-        known = samples.camera, samples.board
-        model = ArmModel(self.robot, samples.frame, samples.intrinsics, views, *known)
+        views = [
+            CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)
+        ]
+        model = ArmModel(
+            self.robot, samples.frame, samples.intrinsics, views, samples.camera, samples.board
+        )
         if samples.by_arm:
-            # The pose as the arm's views have it: what is left are the errors that change from view to view.
+            # The views determine the camera's pose. Only errors that differ between views remain.
             self.errors = fit_zero_offsets(model, self.robot.joints).errors
         else:
             self.errors = measure_errors(model)
         self.fit = fit_zero_offsets(model) if fit else None
 
     @property
-    def unsure(self) -> tuple[int, ...]:
-        """Numbers of the views that tell far less than the others, or contradict them: they do not count."""
-        limit = _UNSURE * float(np.median([one.sigma for one in self.errors]))
-        wrong = () if self.fit is None else self.fit.outliers
-        return tuple(k for k, one in enumerate(self.errors) if one.sigma > limit or k in wrong)
+    def excluded(self) -> tuple[int, ...]:
+        """Indices of the views that do not count.
+
+        They are far less certain than the others or contradict them.
+        """
+        limit = _UNCERTAIN_FACTOR * float(np.median([error.sigma for error in self.errors]))
+        outliers = () if self.fit is None else self.fit.outliers
+        return tuple(
+            k for k, error in enumerate(self.errors) if error.sigma > limit or k in outliers
+        )
 
     def judged(self, *, corrected: bool) -> tuple[PoseError, ...]:
-        """What a verdict is about: the arm as it is or, if fitted, corrected; without the unsure views."""
+        """Return the errors that count.
+
+        Args:
+            corrected: Use the errors with the zero offsets of the fit, if there is one.
+        """
         errors = self.fit.errors if corrected and self.fit is not None else self.errors
-        unsure = self.unsure
-        return tuple(one for k, one in enumerate(errors) if k not in unsure)
+        excluded = self.excluded
+        return tuple(error for k, error in enumerate(errors) if k not in excluded)
+
+    def error_maps(self) -> list[tuple[str, tuple[PoseError, ...]]]:
+        """Return the errors that count, with a title: as measured and, if fitted, corrected."""
+        maps = [("as it is", self.judged(corrected=False))]
+        if self.fit is not None:
+            maps.append(("with new zeros", self.judged(corrected=True)))
+        return maps
 
     def passed(self, allowed: float, *, corrected: bool = False) -> bool:
-        """Whether no pose is farther off than ``allowed`` metres."""
+        """Return whether no error is larger than ``allowed``, metres."""
         return summary(self.judged(corrected=corrected)).largest_m <= allowed
 
     @property
     def better(self) -> bool:
-        """Whether the zeros that were found explain poses that they were not found from."""
-        return self.fit is not None and (
-            summary(self.judged(corrected=True)).rms_m < summary(self.judged(corrected=False)).rms_m
-        )
+        """Whether the zero offsets reduce the errors of views that were left out of the fit."""
+        if self.fit is None:
+            return False
+        before = summary(self.judged(corrected=False)).rms_m
+        return summary(self.judged(corrected=True)).rms_m < before
 
     def zero_ticks(self) -> dict[str, tuple[int, int]]:
-        """Servo -> zero of the arm file as it is, and as it should be, ticks; of those that are to change."""
+        """Return the zeros that change, by servo: that of the arm file and the new one, ticks."""
         if self.config is None:
             return {}
-        pairs = zip(self.config.drives, zeros_moved(self.config, self.offsets()).drives, strict=True)
-        zeros = {was.name: (was.servo.zero_ticks, new.servo.zero_ticks) for was, new in pairs}
-        return {name: both for name, both in zeros.items() if both[0] != both[1]}
+        corrected = zeros_moved(self.config, self.offsets())
+        zeros = {
+            old.name: (old.servo.zero_ticks, new.servo.zero_ticks)
+            for old, new in zip(self.config.drives, corrected.drives, strict=True)
+        }
+        return {name: (old, new) for name, (old, new) in zeros.items() if old != new}
 
     def offsets(self) -> dict[str, float]:
-        """Joint -> rad, of those that could be determined."""
+        """Return the offsets that could be determined, by joint, rad."""
         if self.fit is None:
             return {}
         return {
             name: float(value)
             for name, value in zip(self.fit.joints, self.fit.offsets, strict=True)
-            if name in self.fit.found
+            if name in self.fit.determined
         }
 
 
 def run_verify(
     request: VerifyRequest,
     *,
-    keep: Callable[[SampleSet], None] = lambda samples: None,
-    progress: Progress = lambda phase, share: None,
+    keep: Callable[[SampleSet], None] = lambda _samples: None,
+    progress: Progress = lambda _phase, _share: None,
 ) -> VerifyReport:
-    """Locates the camera, plans, moves, looks, compares; ``keep`` as in ``run_handeye``.
+    """Locate the camera, plan views, drive the arm through them, and compare.
+
+    Args:
+        request: Arm, camera and board.
+        keep: Called with all samples after each station.
+        progress: Called with the phase and its finished share.
 
     Raises:
-        RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
+        RobotIkError: The input or the environment is wrong, or the board on the arm or on the table
+            was found in too few pictures.
     """
     if request.rehearsal.zero_offset_deg and request.camera != "synthetic":
         raise ConfigError(
             "a zero offset can be rehearsed before the synthetic camera only",
-            file="command line", key="--rehearse-zero-offset", allowed=f"--camera synthetic, {SIMULATED}",
-        )  # fmt: skip
+            file="command line",
+            key="--rehearse-zero-offset",
+            allowed=f"--camera synthetic, {SIMULATED}",
+        )
     with contextlib.ExitStack() as stack:
         setup = prepare_robot(request)
         if request.camera != "synthetic" and request.extrinsics is None:
             raise CalibrationError(
-                f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
-                hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
+                f"where the camera {request.camera!r} stands is not known, so it cannot judge the "
+                "arm",
+                hint="lay a board on the table, find it (robot-ik camera locate), give "
+                "--camera-extrinsics",
             )
-        scene = open_scene(request, setup, stack)
-        extrinsics = _given_extrinsics(request, scene.task.intrinsics)
+        scene = open_camera_and_board(request, setup, stack)
+        extrinsics = _load_extrinsics(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
-        samples = _locate(request, setup, scene, extrinsics, progress)
+        if extrinsics is None:
+            progress("locating the camera", 0.0)
+            extrinsics = _locate(setup, scene)
+        samples = _empty_samples(request, setup, scene, extrinsics)
         report = VerifyReport(robot=setup.robot, config=setup.config, samples=samples)
         mount = Mount(samples.camera.pose, samples.board.pose, "eye_to_hand")
         scene = replace(scene, task=replace(scene.task, mount=mount))
@@ -241,38 +235,48 @@ def run_verify(
     return report
 
 
-def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
-    """Judges again what was measured before.
+def verify_from_samples(
+    samples: VerifySamples, request: VerifyRequest, *, board_sigma: bool
+) -> VerifyReport:
+    """Compare earlier measurements again. Nothing moves.
 
-    Of the request count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics`` and
-    ``pose_other_board``; with ``board_sigma`` its ``board_sigma``, too.
+    Args:
+        samples: The measurements.
+        request: Its ``fit`` and ``arm_file`` are used. Its ``intrinsics``, ``extrinsics`` and
+            ``pose_other_board`` replace those of the samples if they are given.
+        board_sigma: Whether its ``board_sigma`` replaces the one of the samples.
 
     Raises:
-        ConfigError: The arm file is not the one the joints were read with.
-        CalibrationError: Other intrinsics without extrinsics that were found with them.
+        ConfigError: The joints were read with another arm file.
+        CalibrationError: The intrinsics differ, but no extrinsics found with them are given.
     """
     if request.intrinsics is not None:
-        lens = CameraIntrinsics.load(request.intrinsics)
-        lens.require_size(*samples.intrinsics.size)
-        if lens.digest != samples.intrinsics.digest and request.extrinsics is None:
+        intrinsics = CameraIntrinsics.load(request.intrinsics)
+        intrinsics.require_size(*samples.intrinsics.size)
+        if intrinsics.digest != samples.intrinsics.digest and request.extrinsics is None:
             raise CalibrationError(
                 "the camera's pose on file was found with another calibration",
                 hint="give the extrinsics that were found with this one: --camera-extrinsics FILE",
             )
-        samples = replace(samples, intrinsics=lens)
-    extrinsics = _given_extrinsics(request, samples.intrinsics)
-    camera = {} if extrinsics is None else _known_camera(extrinsics)
+        samples = replace(samples, intrinsics=intrinsics)
+    extrinsics = _load_extrinsics(request, samples.intrinsics)
+    if extrinsics is not None:
+        samples = replace(samples, **_camera_knowledge(extrinsics))
     board = replace(samples.board, pose=request.pose_other_board or samples.board.pose)
     if board_sigma:
         board = KnownPose.within(board.pose, *request.board_sigma)
     config = None if request.arm_file is None else samples.arm(request.arm_file)
-    samples, robot = replace(samples, board=board, **camera), samples.load_robot()
-    report = VerifyReport(robot=robot, config=config, samples=samples, stations=tuple(samples.q))
+    samples = replace(samples, board=board)
+    report = VerifyReport(
+        robot=samples.load_robot(), config=config, samples=samples, stations=tuple(samples.q)
+    )
     report.compare(fit=request.fit)
     return report
 
 
-def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
+def _load_extrinsics(
+    request: VerifyRequest, intrinsics: CameraIntrinsics
+) -> CameraExtrinsics | None:
     if request.extrinsics is None:
         return None
     extrinsics = CameraExtrinsics.load(request.extrinsics, intrinsics)
@@ -280,102 +284,55 @@ def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> C
     return extrinsics
 
 
-def _locate(
-    request: VerifyRequest,
-    setup: RobotSetup,
-    scene: HandEyeScene,
-    extrinsics: CameraExtrinsics | None,
-    progress: Progress,
+def _empty_samples(
+    request: VerifyRequest, setup: RobotSetup, scene: CameraAndBoard, extrinsics: CameraExtrinsics
 ) -> VerifySamples:
-    """What is known before the first sample; without extrinsics the camera is located here."""
-    if extrinsics is None:
-        progress("locating the camera", 0.0)
-        extrinsics = _located(setup, scene)
-    task, config, truth, joints = scene.task, setup.config, scene.truth, setup.robot.joints
+    """Return the prior knowledge of the measurement, without a sample."""
+    joints = setup.robot.joints
+    truth = scene.truth
     pose = request.pose_other_board
     if pose is None:
         pose = Pose() if truth is None else truth.pose_other_board
-    offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
+    true_offsets = None
+    if truth is not None:
+        offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
+        true_offsets = np.deg2rad(offsets_deg)
     return VerifySamples(
-        request.robot, joints, task.frame, "eye_to_hand", task.intrinsics,
-        **_known_camera(extrinsics),
+        request.robot,
+        joints,
+        scene.task.frame,
+        "eye_to_hand",
+        scene.task.intrinsics,
+        **_camera_knowledge(extrinsics),
         board=KnownPose.within(pose, *request.board_sigma),
-        true_offsets=None if truth is None else np.deg2rad(offsets_deg),
-        servos=() if config is None else tuple(map(plain, config.joints)),
-    )  # fmt: skip
+        true_offsets=true_offsets,
+        servos=() if setup.config is None else tuple(map(plain, setup.config.joints)),
+    )
 
 
-def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
-    """The simulated camera is located by the marker on the table, as a person would have it done."""
-    around, lens = scene_for(setup.robot, setup.frame), scene.task.intrinsics
-    sheet = marker(around.marker_id, around.marker_size, around.dictionary)
-    views = [sheet.find(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
-    seen = [view for view in views if view is not None]
-    if not seen:
-        raise MarkerNotFoundError(
-            "the marker on the table is hidden, so the simulated camera does not know where it stands",
-            hint="give where it is: --camera-extrinsics FILE",
-        )
-    return locate_camera(seen, around.pose_world_marker, lens)
-
-
-def _known_camera(extrinsics: CameraExtrinsics) -> dict[str, Any]:
-    """What samples know of the camera: ``camera`` and ``by_arm``."""
-    pose = extrinsics.pose_parent_camera
-    if extrinsics.method.startswith("handeye"):
-        return {"camera": KnownPose.within(pose, *_BY_THE_ARM), "by_arm": True}
-    return {"camera": KnownPose(pose, extrinsics.covariance + _LEAST), "by_arm": False}
-
-
-# ------------------------------------------------------------------------------------------
-# The error map as a picture: from above and from the side, as it is and corrected.
-
-
-_DPI = 100
-# World axes across and up of each view.
-_VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
-# The longest arrow, as a share of the space that the poses take.
-_LONGEST = 0.25
-
-
-def error_picture(report: VerifyReport) -> bytes:
-    """PNG: an arrow for each pose, in each row of the same scale and colours; no OpenGL.
+def _locate(setup: RobotSetup, scene: CameraAndBoard) -> CameraExtrinsics:
+    """Locate the simulated camera by the marker on the table.
 
     Raises:
-        MissingExtraError: matplotlib is not installed.
+        MarkerNotFoundError: The marker is hidden.
     """
-    require_plots("drawing the errors")
-    from matplotlib.figure import Figure
-
-    rows = [("as it is", report.judged(corrected=False))]
-    if report.fit is not None:
-        rows.append(("with new zeros", report.judged(corrected=True)))
-    figure = Figure(figsize=(10.0, 4.4 * len(rows)), dpi=_DPI, layout="constrained")
-    grid = figure.subplots(len(rows), len(_VIEWS), squeeze=False)
-    for line, (title, errors) in zip(grid, rows, strict=True):
-        for axes, (view, across, up) in zip(line, _VIEWS, strict=True):
-            arrows, scale = _draw(axes, errors, across, up)
-            axes.set_title(f"{title}, {view}, arrows ×{scale:.0f}")
-        figure.colorbar(arrows, ax=list(line), label="off by, mm")
-    return png_of(figure)
+    surroundings = scene_for(setup.robot, setup.frame)
+    intrinsics = scene.task.intrinsics
+    sheet = marker(surroundings.marker_id, surroundings.marker_size, surroundings.dictionary)
+    observations = [sheet.find(scene.take(), intrinsics) for _ in range(_LOCATE_PICTURES)]
+    views = [view for view in observations if view is not None]
+    if not views:
+        raise MarkerNotFoundError(
+            "the marker on the table is hidden, so the simulated camera does not know where it "
+            "stands",
+            hint="give where it is: --camera-extrinsics FILE",
+        )
+    return locate_camera(views, surroundings.pose_world_marker, intrinsics)
 
 
-def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple[Any, float]:
-    positions = 1e3 * np.array([one.position for one in errors])
-    vectors = 1e3 * np.array([one.vector for one in errors])
-    length = np.linalg.norm(vectors, axis=1)
-    scale = _LONGEST * float(np.ptp(positions, axis=0).max()) / max(float(length.max()), 1e-9)
-    arrows = axes.quiver(
-        positions[:, across], positions[:, up], vectors[:, across], vectors[:, up], length,
-        angles="xy", scale_units="xy", scale=1.0 / max(scale, 1e-9), cmap="viridis", width=0.005,
-    )  # fmt: skip
-    arrows.set_clim(0.0, float(length.max()))
-    axes.plot(positions[:, across], positions[:, up], ".", color="#999999", markersize=4, zorder=0)
-    axes.plot(0.0, 0.0, "s", color="#444444", markersize=8)  # the origin of the world: the arm's base
-    tips = positions + scale * vectors  # arrows do not count for the limits of themselves
-    axes.update_datalim(tips[:, (across, up)])
-    axes.autoscale_view()
-    axes.set_xlabel(f"{'xyz'[across]}, mm")
-    axes.set_ylabel(f"{'xyz'[up]}, mm")
-    axes.set_aspect("equal", adjustable="datalim")
-    return arrows, scale
+def _camera_knowledge(extrinsics: CameraExtrinsics) -> dict[str, Any]:
+    """Return the fields ``camera`` and ``by_arm`` of ``VerifySamples``."""
+    pose = extrinsics.pose_parent_camera
+    if extrinsics.method.startswith("handeye"):
+        return {"camera": KnownPose.within(pose, *_SIGMA_BY_ARM), "by_arm": True}
+    return {"camera": KnownPose(pose, extrinsics.covariance + _MIN_COVARIANCE), "by_arm": False}

@@ -10,26 +10,31 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from robot_ik.budget import Budget
-from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
+from robot_ik.camera.calibration.handeye import MIN_VIEWS, HandEyeSample, Mount, compress
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.painted import SceneTable
 from robot_ik.camera.targets import Observation, Squares, marker_points
-from robot_ik.errors import CameraError
+from robot_ik.collision.avoidance import CollisionAvoidance
+from robot_ik.collision.obstacles import Box, Obstacle
+from robot_ik.collision.scene import Scene
+from robot_ik.errors import CameraError, MotionBlockedError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.jobs.scene import in_view
+from robot_ik.motion.certificate import certify
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 
-# Largest rotation of a joint between two checks of a straight joint move, rad.
-_STEP = 0.06
-# Least distance between the arm and the table, metres.
+# Least distance of the arm from itself, its surroundings and the table, metres.
 _AIR = 0.01
+# Least thickness of a table, metres.
+_THINNEST = 0.03
+# A geom may begin this far before a point that is seen on it, metres.
+_SIGHT_SLACK = 2e-3
 # Border of the picture that is kept free at each side, as a share of its size. The guess of the
 # poses is off by about as much.
 _MARGIN = 0.06
@@ -63,77 +68,59 @@ _NEAR = Tolerance(position=1e-3, angle=5e-3)
 _TRY = Budget(iterations=300, restarts=1)
 
 
-class Clearance:
-    """Contacts of the arm with itself, its surroundings in the model, and a table.
+def condition_at(
+    robot: Robot,
+    start: Array,
+    table: SceneTable | None = None,
+    collisions: CollisionAvoidance | None = None,
+) -> CollisionAvoidance:
+    """Return the condition that the arm touches neither itself, its surroundings nor a table.
 
-    Contacts at the configuration ``free`` (nq,) are ignored: neighbouring links, or a base on the
-    table. Contacts with the table are conservative: each link is its bounding box.
+    Parts that are near each other at ``start`` (nq,) are left out: neighbouring links, or a base on
+    the table.
+
+    Args:
+        robot: The robot.
+        start: Where the arm stands (nq,).
+        table: The table. None for none.
+        collisions: Condition of the arm file, whose obstacles count too. None for none.
     """
+    obstacles: list[Obstacle] = []
+    margin = _AIR
+    ignore: Sequence[Sequence[str]] = ()
+    if collisions is not None:
+        obstacles += collisions.scene.obstacles
+        margin = max(margin, collisions.margin)
+        ignore = collisions.ignore
+    if table is not None:
+        obstacles.append(_block(table))
+    condition = CollisionAvoidance(Scene(robot, obstacles), margin, ignore=ignore)
+    return condition.without(condition.near(start))
 
-    def __init__(self, robot: Robot, free: Array, table: SceneTable | None = None) -> None:
-        self._robot = robot
-        self._table = table
-        self._data = mujoco.MjData(robot.model)
-        model = robot.model
-        moving = model.body_weldid[model.geom_bodyid] > 0
-        self._geoms = np.flatnonzero(moving)
-        signs = np.array(
-            [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float
-        )
-        box = model.geom_aabb[self._geoms]
-        # Corners (g, 8, 3) in the frames of the geoms.
-        self._corners = box[:, None, :3] + signs * box[:, None, 3:]
-        self._place(free)
-        self._allowed = self._touching()
-        self._on_table = self._at_table()
 
-    def free(self, q: Array) -> bool:
-        """Return whether the arm touches nothing at ``q`` (nq,)."""
-        self._place(q)
-        return self._at_table() <= self._on_table and self._touching() <= self._allowed
+def _block(table: SceneTable) -> Box:
+    """Return a table as an obstacle that reaches down to the floor."""
+    thickness = max(table.height - table.floor_height, _THINNEST)
+    size = (table.x[1] - table.x[0], table.y[1] - table.y[0], thickness)
+    middle = (0.5 * sum(table.x), 0.5 * sum(table.y), table.height - 0.5 * thickness)
+    return Box("table of the scene", size=size, pose=Pose(middle))
 
-    def path_is_free(self, start: Array, end: Array) -> bool:
-        """Return whether the arm touches nothing on a straight move between two configurations."""
-        count = max(2, int(np.ceil(np.abs(end - start).max() / _STEP)))
-        # From the middle outwards: contacts are most likely there.
-        shares = sorted(np.arange(1, count) / count, key=lambda share: abs(share - 0.5))
-        return all(self.free(start + share * (end - start)) for share in shares)
 
-    def sees(self, q: Array, eye: Array, points: Array) -> bool:
-        """Return whether no geom at ``q`` hides points (n, 3), world, from an eye."""
-        self._place(q)
-        return in_view(self._robot.model, self._data, eye, points, 2e-3)
+def path_is_free(condition: CollisionAvoidance, start: Array, end: Array) -> bool:
+    """Return whether a straight joint move between two configurations (nq,) is free."""
+    try:
+        return certify([start, end], condition).certified
+    except MotionBlockedError:
+        return False
 
-    def _place(self, q: Array) -> None:
-        self._data.qpos[:] = self._robot.qpos(q)
-        mujoco.mj_kinematics(self._robot.model, self._data)
 
-    def _touching(self) -> set[tuple[int, int]]:
-        mujoco.mj_collision(self._robot.model, self._data)
-        pairs = self._data.contact.geom[np.asarray(self._data.contact.dist) < 0.0]
-        return {(int(a), int(b)) for a, b in np.sort(pairs, axis=1)}
-
-    def _at_table(self) -> set[int]:
-        table = self._table
-        if table is None or not len(self._geoms):
-            return set()
-        rotation = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
-        corners = (
-            self._corners @ rotation.transpose(0, 2, 1) + self._data.geom_xpos[self._geoms][:, None]
-        )
-        low = corners.min(axis=1)
-        high = corners.max(axis=1)
-        over = (
-            (high[:, 0] > table.x[0] - _AIR)
-            & (low[:, 0] < table.x[1] + _AIR)
-            & (high[:, 1] > table.y[0] - _AIR)
-            & (low[:, 1] < table.y[1] + _AIR)
-        )
-        return {int(g) for g in self._geoms[over & (low[:, 2] < table.height + _AIR)]}
+def is_visible(robot: Robot, q: Array, eye: Array, points: Array) -> bool:
+    """Return whether no geom at ``q`` (nq,) hides points (n, 3), world, from an eye (3,)."""
+    return in_view(robot.model, robot.data_at(q), eye, points, _SIGHT_SLACK)
 
 
 def visiting_order(
-    robot: Robot, start: Array, stations: Sequence[Array], clearance: Clearance
+    robot: Robot, start: Array, stations: Sequence[Array], condition: CollisionAvoidance
 ) -> list[int]:
     """Return the indices of stations in the order of a short path without contacts.
 
@@ -148,7 +135,7 @@ def visiting_order(
                 np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity_limits)
             )
             cost[i, j] = cost[j, i] = (
-                seconds if clearance.path_is_free(configurations[i], configurations[j]) else np.inf
+                seconds if path_is_free(condition, configurations[i], configurations[j]) else np.inf
             )
     order = [0]
     left = set(range(1, len(configurations)))
@@ -225,7 +212,13 @@ class ViewTask:
 
 
 def plan_views(
-    robot: Robot, task: ViewTask, count: int = 15, *, start: Array | None = None, seed: int = 0
+    robot: Robot,
+    task: ViewTask,
+    count: int = 15,
+    *,
+    start: Array | None = None,
+    seed: int = 0,
+    collisions: CollisionAvoidance | None = None,
 ) -> list[Array]:
     """Plan joint configurations with the board in view.
 
@@ -240,6 +233,7 @@ def plan_views(
         count: Number of configurations. Fewer are returned if no more can be reached.
         start: Configuration (nq,) of the arm. None for home.
         seed: Of the random views.
+        collisions: Condition of the arm file, whose obstacles count too. None for none.
 
     Returns:
         Configurations (nq,) in the order of a short path from ``start``.
@@ -248,23 +242,23 @@ def plan_views(
         CameraError: Fewer than four can be reached.
     """
     start = robot.home if start is None else robot.check_q(start, "start")
-    clearance = Clearance(robot, start, task.table)
-    pool = _candidates(robot, task, clearance, start, max(_POOL * count, 4 * LEAST_VIEWS), seed)
+    condition = condition_at(robot, start, task.table, collisions)
+    pool = _candidates(robot, task, condition, start, max(_POOL * count, 4 * MIN_VIEWS), seed)
     ordered: list[Array] = []
     for _ in range(_REPAIRS):
         chosen = _most_informative([information for _, information in pool], count)
-        order = visiting_order(robot, start, [pool[k][0] for k in chosen], clearance)
+        order = visiting_order(robot, start, [pool[k][0] for k in chosen], condition)
         ordered = max(ordered, [pool[chosen[k]][0] for k in order], key=len)
         if len(order) == len(chosen):
             break
         # Replace the stations without a free path.
         lost = {k for index, k in enumerate(chosen) if index not in order}
         pool = [one for k, one in enumerate(pool) if k not in lost]
-    if len(ordered) < LEAST_VIEWS:
+    if len(ordered) < MIN_VIEWS:
         carried = "camera" if task.mount.mounting == "eye_in_hand" else "board"
         raise CameraError(
             f"only {len(ordered)} views were found in which the board can be seen and the arm, "
-            f"carrying the {carried}, touches nothing; {LEAST_VIEWS} are the least",
+            f"carrying the {carried}, touches nothing; {MIN_VIEWS} are the least",
             hint="give better guesses of where camera and board are, move them, "
             "or take a larger board",
         )
@@ -272,7 +266,12 @@ def plan_views(
 
 
 def _candidates(
-    robot: Robot, task: ViewTask, clearance: Clearance, start: Array, wanted: int, seed: int
+    robot: Robot,
+    task: ViewTask,
+    condition: CollisionAvoidance,
+    start: Array,
+    wanted: int,
+    seed: int,
 ) -> list[tuple[Array, Array]]:
     """Return configurations (nq,) and the information (12, 12) of each."""
     rng = np.random.default_rng(seed)
@@ -288,7 +287,7 @@ def _candidates(
             continue
         # An arm with few joints may not reach the pose, but its best approximation may suffice.
         q = robot.clip(problem.solve(near, target=hand).q)
-        information = _worth(robot, task, clearance, q)
+        information = _worth(robot, task, condition, q)
         if information is not None:
             found.append((q, information))
             if len(found) == wanted:
@@ -343,11 +342,11 @@ def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Ar
     return roll.compose(Pose(wxyz=rotation_exp(np.arctan2(sine, cosine) * axis))).wxyz
 
 
-def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Array | None:
+def _worth(robot: Robot, task: ViewTask, condition: CollisionAvoidance, q: Array) -> Array | None:
     """Return the information (12, 12) of the view at ``q``, or None if it is not usable."""
     seen = task.pose_camera_board(robot, q)
     ids = task.shown(seen)
-    if not ids or not clearance.free(q):
+    if not ids or not condition.free(q):
         return None
     hand = robot.forward(q, task.frame)
     mount = task.mount
@@ -355,7 +354,7 @@ def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Arra
     camera = parent.compose(mount.pose_parent_camera)
     markers = [task.squares[id][1].apply(marker_points(task.squares[id][0])) for id in ids]
     clear = [
-        m for m in markers if clearance.sees(q, camera.position, camera.compose(seen).apply(m))
+        m for m in markers if is_visible(robot, q, camera.position, camera.compose(seen).apply(m))
     ]
     # Half of the markers in the picture must not be hidden.
     if 2 * len(clear) < len(ids):

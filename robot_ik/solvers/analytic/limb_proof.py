@@ -15,7 +15,7 @@ import numpy as np
 
 from robot_ik.budget import Budget
 from robot_ik.geometry import Array
-from robot_ik.goals import PoseGoal, PositionGoal
+from robot_ik.goals import PoseGoal
 from robot_ik.kernels import jit, so3
 from robot_ik.kernels.block import Block, Layout
 from robot_ik.kernels.jit import inlined, kernel
@@ -23,6 +23,7 @@ from robot_ik.kernels.residuals import GOALS
 from robot_ik.kernels.search import SEARCH
 from robot_ik.kernels.tree import Tree
 from robot_ik.solution import Solution, Status
+from robot_ik.solvers.analytic import complete_goal
 from robot_ik.solvers.analytic.proofs import centre_error, may_fit, third_side
 from robot_ik.solvers.analytic.recognise import Limb, recognise_limb
 from robot_ik.solvers.analytic.subproblems import height_terms
@@ -45,17 +46,10 @@ open_run = RUN.open
 
 def limb_of(problem: Problem) -> Limb | None:
     """Return the limb of a problem with one goal that determines its wrist; else None."""
-    goal = problem.parts[0]
-    if problem.features or len(problem.parts) != 1:
+    goal = complete_goal(problem)
+    if goal is None:
         return None
-    if not isinstance(goal, PoseGoal | PositionGoal):
-        return None
-    if not problem.compiled.goal_rows[0].takes_matrix:
-        return None
-    position_weight, angle_weight = goal.weights
     full_pose = isinstance(goal, PoseGoal)
-    if position_weight <= 0.0 or (full_pose and angle_weight <= 0.0):
-        return None
     node, local = problem.robot.attachment(goal.frame)
     return recognise_limb(problem.robot.tree, node, local, full_pose=full_pose)
 

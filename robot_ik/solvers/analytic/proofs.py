@@ -391,10 +391,40 @@ def three_may_fit(form, q5, radius5, wanted, base_axis, g, g_error, tilt):
     return False
 
 
+@kernel
+def prove_crossed(address):
+    """Return whether a pose is out of reach of a spherical shoulder with a crossed wrist.
+
+    Only the elbow is followed: it alone changes the distance of shoulder and wrist.
+    """
+    run = open_run(address)
+    form = run.form
+    extra = form.extra
+    axis = so3.read_vector(form.axes, 3, 0)
+    elbow = so3.read_vector(form.axes, 3, 3)
+    to_shoulder = so3.subtract(so3.read_vector(extra, 5, 0), elbow)
+    to_wrist = so3.subtract(so3.read_vector(extra, 0, 0), elbow)
+    between = so3.subtract(centre(form.target, extra), so3.read_vector(extra, 5, 0))
+    error = centre_error(run.goals.tolerance, so3.norm(so3.read_vector(extra, 1, 0)))
+    constant, amplitude, middle = height_terms(to_shoulder, axis, to_wrist)
+    squares = so3.dot(to_wrist, to_wrist) + so3.dot(to_shoulder, to_shoulder)
+    half, radius, possible = third_side(
+        squares - 2.0 * constant, so3.norm(between), error, amplitude
+    )
+    if not possible:
+        return True
+    lower = form.lower[3]
+    upper = form.upper[3]
+    return not (
+        may_fit(middle + half, radius, lower, upper) or may_fit(middle - half, radius, lower, upper)
+    )
+
+
 # Compiled when a goal is first missed.
 PROOFS: dict[Family, Callable[[Any], bool]] = {
     Family.PLANAR_TWO_LINK: prove_planar,
     Family.SPHERICAL_WRIST: prove_wrist,
     Family.SPHERICAL_SHOULDER: prove_shoulder,
     Family.THREE_PARALLEL: prove_parallel,
+    Family.CROSSED_WRIST: prove_crossed,
 }

@@ -32,6 +32,7 @@ class Family(enum.IntEnum):
     THREE_PARALLEL = 2
     SPHERICAL_SHOULDER = 3
     FIVE_JOINT = 4
+    CROSSED_WRIST = 5
 
 
 # Names of the two solutions of each choice, for ``solve_all``. Row 4·first + 2·second + third.
@@ -40,6 +41,7 @@ BRANCH_NAMES: dict[Family, tuple[str, ...]] = {
     Family.SPHERICAL_WRIST: ("shoulder", "elbow", "wrist"),
     Family.THREE_PARALLEL: ("shoulder", "wrist", "elbow"),
     Family.SPHERICAL_SHOULDER: ("wrist", "elbow", "shoulder"),
+    Family.CROSSED_WRIST: ("elbow", "wrist", "shoulder"),
 }
 
 
@@ -52,13 +54,30 @@ class Form:
         nodes: Joints of the chain, root first; tool first for a spherical shoulder.
         axes: (n, 6) direction and a point of each joint axis at q = 0, world.
         extra: (5, 3) wrist centre in the world at q = 0, the same in the tool, rows of the
-            tool's rotation at q = 0.
+            tool's rotation at q = 0. A crossed wrist has a sixth row: the centre of the shoulder.
     """
 
     family: Family
     nodes: tuple[int, ...]
     axes: Array
     extra: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LastJoint:
+    """The last of seven hinges, before which six have the closed form of a crossed wrist.
+
+    Attributes:
+        node: Node of the last joint.
+        form: Closed form of the six joints, with the last joint at 0.
+        axis: (6,) direction and a point of the last axis at q = 0, world.
+        tool: (12,) pose of the frame at q = 0, world.
+    """
+
+    node: int
+    form: Form
+    axis: Array
+    tool: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +117,21 @@ def recognise(tree: Tree, node: int, local: Array, full_pose: bool) -> Form | No
     if len(chain) == 2 and _parallel(axes, 0, 1):
         return _form(Family.PLANAR_TWO_LINK, chain, axes, tool, tool.position)
     return None
+
+
+def recognise_before_last(tree: Tree, node: int, local: Array) -> LastJoint | None:
+    """Return the last joint of an arm of seven hinges whose other six have a crossed wrist.
+
+    Arguments as for ``recognise``; None for other arms.
+    """
+    chain = tree.ancestors(node)
+    if len(chain) != 7 or any(int(tree.kind[k]) != HINGE for k in chain):
+        return None
+    axes, tool = axes_at_zero(tree, chain, local)
+    form = _six_axes(chain[:6], axes[:6], tool, _size(axes, tool))
+    if form is None or form.family is not Family.CROSSED_WRIST:
+        return None
+    return LastJoint(chain[6], form, axes[6].copy(), tool.row)
 
 
 def is_five_joint(axes: Array) -> bool:
@@ -154,7 +188,12 @@ def _six_axes(chain: list[int], axes: Array, tool: Pose, scale: float) -> Form |
     parallel = _parallel(axes, 1, 2) and _parallel(axes, 2, 3)
     if centre is not None and parallel and not _parallel(axes, 0, 1) and not _parallel(axes, 3, 4):
         return _form(Family.THREE_PARALLEL, chain, axes, tool, centre)
-    return None
+    shoulder = _centre(axes[:3], scale)
+    if shoulder is None or centre is None:
+        return None
+    if any(_on_axis(axes[3], point, scale, _ELBOW_OFFSET) for point in (shoulder, centre)):
+        return None  # the elbow does not change the distance of shoulder and wrist
+    return _form(Family.CROSSED_WRIST, chain, axes, tool, centre, shoulder)
 
 
 def _wrist_centre(axes: Array, scale: float) -> Array | None:
@@ -191,8 +230,10 @@ def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, Pos
     return np.array(axes), pose.compose(Pose.from_row(local))
 
 
-def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array) -> Form:
-    extra = np.vstack([centre, tool.inverse().apply(centre), tool.rotation])
+def _form(
+    family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array, *more: Array
+) -> Form:
+    extra = np.vstack([centre, tool.inverse().apply(centre), tool.rotation, *more])
     return Form(family, tuple(chain), np.ascontiguousarray(axes), np.ascontiguousarray(extra))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.camera import accuracy
 from benchmarks.camera.rows import ROWS, Effort
-from robot_ik.jobs.ar.self_test import PINHOLE, projection_misses
+from robot_ik.jobs.ar.self_test import PINHOLE, projection_errors
 from robot_ik.jobs.quantity import Quantity
 
 
@@ -71,7 +71,7 @@ def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen() -> 
     assert len(found) == 4 and all(one.passed for one in found.values()), found
     # A painter that takes the middle of a pixel for its corner.
     shifted = replace(PINHOLE, cx=PINHOLE.cx + 0.5)
-    assert projection_misses(PINHOLE, drawn_through=shifted).rms > 0.4
+    assert projection_errors(PINHOLE, drawn_through=shifted).rms > 0.4
 
 
 def test_handeye_comes_near_and_says_how_near() -> None:

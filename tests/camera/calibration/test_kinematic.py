@@ -1,4 +1,4 @@
-"""Joint zero offsets from pictures of a carried board: exact corners, noise, what cannot be told, errors."""
+"""Joint zero offsets and errors of an arm, from pictures of a carried board."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ Array = NDArray[np.float64]
 FRAME = "flange"
 CAMERA = Pose((0.75, -0.5, 0.45), (0.50099, -0.74367, -0.36714, 0.24733))
 BOARD = Pose((0.01, -0.02, 0.05), (0.9, 0.2, -0.3, 0.1))
-# Corners that are seen from everywhere.
-POINTS = 0.03 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+# Corners that are visible from all sides.
+POINTS = 0.03 * np.array(
+    [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float
+)
 EXACT = 1e-6, 1e-6
 
 
@@ -44,8 +46,18 @@ def robot() -> Robot:
 def views_of(
     robot: Robot, offsets: Array, count: int, seed: int, *, pixel: float = 0.0, joint: float = 0.0
 ) -> list[CalibrationStation]:
-    """What camera and servos say; ``offsets`` (nv,) rad, ``pixel`` px and ``joint`` rad of noise."""
-    rng, views = np.random.default_rng(seed), []
+    """Return random views.
+
+    Args:
+        robot: The robot.
+        offsets: (nv,) zero offsets of the joints, rad.
+        count: Number of views.
+        seed: Of the random views.
+        pixel: Standard deviation of the corners, px.
+        joint: Standard deviation of the joint angles, rad.
+    """
+    rng = np.random.default_rng(seed)
+    views = []
     while len(views) < count:
         q = robot.clip(robot.home + rng.uniform(0.1, 0.6) * (robot.sample(rng) - robot.home))
         seen = CAMERA.inverse().compose(robot.forward(q + offsets, FRAME)).compose(BOARD)
@@ -71,17 +83,19 @@ def fit(views: list[CalibrationStation], robot: Robot, *, hold: Any = (), **chan
 def test_exact_corners_give_exact_offsets(robot: Robot, degrees: list[float], seed: int) -> None:
     offsets = np.deg2rad(degrees)
     found = fit(views_of(robot, offsets, 8, seed), robot)
-    assert found.unobservable == () and found.found == robot.joints and found.outliers == ()
+    assert found.unobservable == () and found.determined == robot.joints and found.outliers == ()
     np.testing.assert_allclose(found.offsets, offsets, atol=2e-6)
     assert found.residual_px < 1e-2
-    assert max(one.distance for one in found.errors) < 2e-5
+    assert max(error.distance for error in found.errors) < 2e-5
 
 
-def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
-    """The same pictures: whether world or hand is called the parent is a matter of names."""
-    rng, views = np.random.default_rng(5), []
+def test_a_camera_on_the_arm_determines_the_same_offsets(robot: Robot) -> None:
+    """The equations are the same, with world and hand exchanged."""
+    rng = np.random.default_rng(5)
+    views = []
     offsets = np.deg2rad([1.0, -2.0, 1.5, 2.0, -1.0, 2.5])
-    camera, board = Pose((0.02, 0.0, -0.05)), Pose((0.3, 0.0, -0.3), (0.0, 1.0, 0.0, 0.0))
+    camera = Pose((0.02, 0.0, -0.05))
+    board = Pose((0.3, 0.0, -0.3), (0.0, 1.0, 0.0, 0.0))
     while len(views) < 10:
         q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
         seen = robot.forward(q + offsets, FRAME).compose(camera).inverse().compose(board)
@@ -91,7 +105,7 @@ def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
     known = {"camera": KnownPose.within(camera, *EXACT), "board": KnownPose.within(board, *EXACT)}
     found = fit(views, robot, mounting="eye_in_hand", **known)
     np.testing.assert_allclose(found.offsets, offsets, atol=1e-5)
-    assert max(one.distance for one in found.errors) < 2e-5
+    assert max(error.distance for error in found.errors) < 2e-5
     errors = measure_errors(model_of(views, robot, mounting="eye_in_hand", **known))
     for one, view in zip(errors, views, strict=True):
         said, really = (robot.forward(q, FRAME).compose(camera) for q in (view.q, view.q + offsets))
@@ -99,20 +113,25 @@ def test_the_camera_on_the_arm_tells_as_much(robot: Robot) -> None:
         assert 0.0 < one.sigma < 2e-4
 
 
-def test_stated_uncertainty_is_that_of_the_errors(robot: Robot) -> None:
-    """Over seeds, everything that is said to be uncertain drawn anew: pixels, joints, camera and board."""
-    camera, board = KnownPose.within(CAMERA, 5e-4, 5e-4), KnownPose.within(BOARD, 2e-4, 1e-3)
-    off, stated, noise = [], [], []
+def test_stated_uncertainty_agrees_with_the_errors(robot: Robot) -> None:
+    """Each seed draws all uncertain values: pixels, joints, pose of camera and board."""
+    camera = KnownPose.within(CAMERA, 5e-4, 5e-4)
+    board = KnownPose.within(BOARD, 2e-4, 1e-3)
+    off = []
+    stated = []
+    noise = []
     for seed in range(8):
         rng = np.random.default_rng(100 + seed)
         offsets = np.deg2rad(rng.uniform(-3, 3, 6))
         views = views_of(robot, offsets, 12, seed, pixel=0.2, joint=5e-4)
         said = [
-            KnownPose(one.pose.plus(rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance)
+            KnownPose(
+                one.pose.plus(rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance
+            )
             for one in (camera, board)
         ]
         found = fit(views, robot, camera=said[0], board=said[1])
-        assert found.found == robot.joints
+        assert found.determined == robot.joints
         off.append(found.offsets - offsets)
         stated.append(found.sigma)
         noise.append(found.joint_noise)
@@ -123,28 +142,36 @@ def test_stated_uncertainty_is_that_of_the_errors(robot: Robot) -> None:
     assert 2e-4 < np.median(noise) < 1e-3
 
 
-def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
+def test_indistinguishable_offsets_are_named_and_held(robot: Robot) -> None:
     offsets = np.deg2rad([2.0, -1.5, 1.0, -2.0, 2.5, -3.0])
     views = views_of(robot, offsets, 12, 3)
-    loose = {"camera": KnownPose.within(CAMERA, 0.1, 0.2), "board": KnownPose.within(BOARD, 0.1, 0.2)}
+    loose = {
+        "camera": KnownPose.within(CAMERA, 0.1, 0.2),
+        "board": KnownPose.within(BOARD, 0.1, 0.2),
+    }
     found = fit(views, robot, **loose)
     assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
-    assert found.found == ("joint2", "joint3", "joint4", "joint5")
+    assert found.determined == ("joint2", "joint3", "joint4", "joint5")
     texts = {one.joint: unobservable_text(one, "link6") for one in found.unobservable}
-    assert "the offset of joint1 and the rotation of the camera about z of the world" in texts["joint1"]
+    assert (
+        "the offset of joint1 and the rotation of the camera about z of the world"
+        in texts["joint1"]
+    )
     assert "the offset of joint6 and the rotation of the board about" in texts["joint6"]
     np.testing.assert_allclose(found.offsets[1:5], offsets[1:5], atol=np.deg2rad(0.02))
     assert found.offsets[0] == found.offsets[5] == found.sigma[0] == found.sigma[5] == 0.0
-    # camera and board took the turns instead: the pictures are explained all the same
+    # The poses of camera and board absorb both offsets, so the residual is small.
     assert found.residual_px < 0.05
-    # the same pictures tell all six where camera and board are known
+    # With known poses of camera and board the same pictures determine all six offsets.
     assert fit(views, robot).unobservable == ()
-    # one known place decides one of the two
-    (left,) = fit(views, robot, camera=KnownPose.within(CAMERA, *EXACT), board=loose["board"]).unobservable
+    # One known pose determines one of the two offsets.
+    (left,) = fit(
+        views, robot, camera=KnownPose.within(CAMERA, *EXACT), board=loose["board"]
+    ).unobservable
     assert left.joint == "joint6" and np.degrees(left.sigma) > 1.0
 
 
-def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
+def test_a_joint_that_does_not_move_the_board_is_named(robot: Robot) -> None:
     def seen_from_link5(one: CalibrationStation) -> CalibrationStation:
         seen = CAMERA.inverse().compose(robot.forward(one.q, "link5")).compose(BOARD)
         return CalibrationStation(
@@ -163,7 +190,7 @@ def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
     assert held.unobservable == () and held.offsets[1] == held.sigma[1] == 0.0
 
 
-def test_a_pose_that_contradicts_the_others_is_named_and_not_believed(robot: Robot) -> None:
+def test_a_pose_that_contradicts_the_others_is_an_outlier(robot: Robot) -> None:
     offsets = np.deg2rad([1.0, 2.0, -1.0, 2.0, -2.0, 1.0])
     views = views_of(robot, offsets, 12, 4, pixel=0.1, joint=2e-4)
     wrong = views[7].q + np.deg2rad([0, 0, 4.0, 0, 0, 0])
@@ -173,7 +200,7 @@ def test_a_pose_that_contradicts_the_others_is_named_and_not_believed(robot: Rob
     np.testing.assert_allclose(found.offsets, offsets, atol=np.deg2rad(0.1))
 
 
-def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: Robot) -> None:
+def test_errors_are_true_positions_minus_reported_positions(robot: Robot) -> None:
     offsets = np.deg2rad([0.0, 2.0, 0.0, 0.0, 1.0, 0.0])
     views = views_of(robot, offsets, 5, 2)
     known = KnownPose.within(CAMERA, 1e-3, 1e-6), KnownPose.within(BOARD, 1e-6, 1e-6)
@@ -183,9 +210,9 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
         np.testing.assert_allclose(one.vector, really.position - said.position, atol=1e-9)
         np.testing.assert_allclose(one.position, said.position, atol=1e-12)
         assert one.angle == pytest.approx(really.distance(said)[1], abs=1e-7)
-        # the camera's millimetre moves all that it sees, in three axes; the corners add little
+        # The camera's millimetre in three axes dominates; the corners add little.
         assert 1.7e-3 < one.sigma < 1.9e-3
-    # a camera turned by a little moves what it sees by as much as it is far
+    # A small rotation of the camera moves the board in proportion to its distance.
     turned = KnownPose.within(CAMERA, 1e-6, 1e-3), known[1]
     errors = measure_errors(model_of(views, robot, camera=turned[0], board=turned[1]))
     for one, view in zip(errors, views, strict=True):
@@ -196,7 +223,8 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
 def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
     offsets = np.deg2rad([1.0, 2.0, -1.0, 2.0, -2.0, 1.0])
     views = views_of(robot, offsets, 12, 6, pixel=0.2, joint=1e-3)
-    camera, board = KnownPose.within(CAMERA, 1e-3, 1e-3), KnownPose.within(BOARD, 1e-3, 1e-3)
+    camera = KnownPose.within(CAMERA, 1e-3, 1e-3)
+    board = KnownPose.within(BOARD, 1e-3, 1e-3)
     whole = fit(views, robot, camera=camera, board=board)
     apart = []
     for k in (0, 3, 6, 9):
@@ -204,7 +232,9 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
         others = fit([*views[:k], *views[k + 1 :]], robot, camera=camera, board=board)
         corrected = CalibrationStation(view.q + others.offsets, view.view)
         poses = (others.pose_parent_camera, others.pose_other_board)
-        known = dict(zip(("camera", "board"), (KnownPose.within(p, *EXACT) for p in poses), strict=True))
+        known = dict(
+            zip(("camera", "board"), (KnownPose.within(p, *EXACT) for p in poses), strict=True)
+        )
         (one,) = measure_errors(model_of([corrected], robot, **known))
         apart.append((np.linalg.norm(one.vector - whole.errors[k].vector), one.distance))
     miss, size = np.sqrt(np.mean(np.square(apart), axis=0))
@@ -216,7 +246,7 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
 def test_hand_eye_views_show_a_zero_that_is_off_by_half_a_degree(
     robot: Robot, off: str | None, seed: int
 ) -> None:
-    """With 12 views, the ticks of a servo and 0.1 px; nothing is known of camera and board."""
+    """12 views with servo ticks and 0.1 px. The poses of camera and board are unknown."""
     offsets = np.deg2rad([0.5 if name == off else 0.0 for name in robot.joints])
     views = views_of(robot, offsets, 12, seed, pixel=0.1, joint=np.deg2rad(0.03))
     samples = [HandEyeSample(robot.forward(one.q, FRAME), one.view) for one in views]
@@ -227,7 +257,7 @@ def test_hand_eye_views_show_a_zero_that_is_off_by_half_a_degree(
         assert degrees == pytest.approx(0.5, abs=0.15) and sigma < 0.07
 
 
-def test_what_cannot_be_is_reported(robot: Robot) -> None:
+def test_invalid_input_is_reported(robot: Robot) -> None:
     views = views_of(robot, np.zeros(6), 4, 0)
     with pytest.raises(CalibrationError, match="3 views are too few"):
         fit(views[:3], robot)

@@ -1,4 +1,4 @@
-"""Which pictures become views: of folders all, of moving sources the still and new ones."""
+"""Choice of views: all pictures of a folder; of a moving source those that are still and new."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from robot_ik.geometry import Pose, rotation_exp
 
 
 class ScriptedPattern(ChessboardPattern):
-    """A chessboard whose corners the test says: a frame's sequence is the number of its place."""
+    """A chessboard with corners from a list of poses. The first pixel of a frame is the index."""
 
     places: list[Pose]
 
@@ -24,9 +24,13 @@ class ScriptedPattern(ChessboardPattern):
         number = int(image[0, 0, 0])
         if number == 255:
             return None
-        points = np.stack([*np.meshgrid(np.arange(9.0), np.arange(6.0)), np.zeros((6, 9))], -1).reshape(-1, 3)
+        points = np.stack(
+            [*np.meshgrid(np.arange(9.0), np.arange(6.0)), np.zeros((6, 9))], -1
+        ).reshape(-1, 3)
         points *= self.square
-        return FoundPattern(points, STANDARD_CAMERA.project(self.places[number].apply(points)), np.arange(54))
+        return FoundPattern(
+            points, STANDARD_CAMERA.project(self.places[number].apply(points)), np.arange(54)
+        )
 
 
 def frame(value: int, size: tuple[int, int] = (640, 480)) -> Frame:
@@ -40,10 +44,20 @@ def at(x: float, y: float, z: float = 0.6, lean: tuple[float, float] = (0.0, 0.0
 @pytest.fixture
 def gatherer() -> ViewGatherer:
     pattern = ScriptedPattern(9, 6, 0.025)
-    object.__setattr__(pattern, "places", [
-        at(-0.1, -0.05), at(-0.1002, -0.05), at(-0.05, -0.05), at(0.05, 0.02), at(0.05, 0.02),
-        at(-0.1, -0.05, lean=(25.0, 0.0)), at(-0.1, -0.05, lean=(-25.0, 0.0)), at(-0.1, -0.05, 0.8),
-    ])  # fmt: skip
+    object.__setattr__(
+        pattern,
+        "places",
+        [
+            at(-0.1, -0.05),
+            at(-0.1002, -0.05),
+            at(-0.05, -0.05),
+            at(0.05, 0.02),
+            at(0.05, 0.02),
+            at(-0.1, -0.05, lean=(25.0, 0.0)),
+            at(-0.1, -0.05, lean=(-25.0, 0.0)),
+            at(-0.1, -0.05, 0.8),
+        ],
+    )
     return ViewGatherer(pattern)
 
 
@@ -66,7 +80,9 @@ def test_only_what_is_still_and_new_is_taken(gatherer: ViewGatherer) -> None:
 
 def test_of_pictures_all_are_taken(gatherer: ViewGatherer) -> None:
     assert all(gatherer.offer(frame(0), "same", selective=False) for _ in range(3))
-    with pytest.raises(FrameSizeError, match=r"big\.png has 1280x960 px, the pictures before it 640x480"):
+    with pytest.raises(
+        FrameSizeError, match=r"big\.png has 1280x960 px, the pictures before it 640x480"
+    ):
         gatherer.offer(frame(0, (1280, 960)), "big.png", selective=False)
 
 
@@ -76,7 +92,7 @@ def test_missing_text_is_short() -> None:
 
 
 def picture(pattern: Pattern) -> Frame:
-    """Seen squarely, in half a second's worth of pixels."""
+    """Return a picture of a pattern that faces the camera."""
     boxes = pattern.black()
     boxes[:, :2] += 0.03 - np.array(pattern.origin)
     width, height = (round((length + 0.06) * 2000.0) for length in pattern.size)
@@ -117,7 +133,9 @@ def test_a_wrong_board_before_a_live_camera_is_reported_soon() -> None:
 def test_nothing_there_is_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(8, 6, 0.03, 0.022))
     gatherer.offer(frame(120), "wall.png", selective=False)
-    with pytest.raises(CalibrationError, match=r"no ChArUco board of 8x6 squares .* in any of the pictures"):
+    with pytest.raises(
+        CalibrationError, match=r"no ChArUco board of 8x6 squares .* in any of the pictures"
+    ):
         gatherer.finish()
 
 
@@ -129,7 +147,11 @@ def test_nothing_there_is_reported() -> None:
             CharucoPattern(6, 4, 0.03, 0.022),
             "DICT_5X5_50:",
         ),
-        (CharucoPattern(8, 6, 0.03, 0.022), CharucoPattern(4, 3, 0.03, 0.022), "check --columns, --rows"),
+        (
+            CharucoPattern(8, 6, 0.03, 0.022),
+            CharucoPattern(4, 3, 0.03, 0.022),
+            "check --columns, --rows",
+        ),
         (CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(4, 3, 0.025), "--pattern chessboard"),
     ],
 )
@@ -149,7 +171,7 @@ def test_pictures_without_the_board_are_named(gatherer: ViewGatherer) -> None:
 
 
 def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() -> None:
-    """A 7x5 board holds markers of the 8x6 one; its corners must not be taken for that one's."""
+    """A 7x5 board has markers of the 8x6 board. Its corners must not count as the other's."""
     rng = np.random.default_rng(0)
     pose = Pose((-0.1, -0.07, 0.45), rotation_exp([0.3, 0.2, 0.0]))
     image = render_pattern(
@@ -161,7 +183,7 @@ def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() ->
 def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
     gatherer: ViewGatherer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # In photographs OpenCV finds parts of a board too; in clean drawings it does not.
+    # OpenCV finds parts of a board in photographs, but not in clean drawings.
     there = gatherer.pattern.find(frame(0).image)
 
     def find(pattern: ChessboardPattern, image: np.ndarray) -> FoundPattern | None:
@@ -171,8 +193,8 @@ def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
     assert gatherer.offer(frame(0), "photo", selective=False)
     gatherer.finish()
     assert gatherer.notices == [
-        "only a part of the board is used: it is a chessboard of 10x6 inner corners (squares 25 mm): "
-        "--columns 10 --rows 6"
+        "only a part of the board is used: it is a chessboard of 10x6 inner corners "
+        "(squares 25 mm): --columns 10 --rows 6"
     ]
 
 
@@ -186,5 +208,6 @@ def test_a_chance_find_does_not_hide_a_wrong_count() -> None:
         assert not gatherer.offer(right, f"photo {k}", selective=False)
     gatherer.finish()
     assert gatherer.notices[0] == (
-        "most of the pictures show a chessboard of 7x4 inner corners (squares 25 mm): --columns 7 --rows 4"
+        "most of the pictures show a chessboard of 7x4 inner corners (squares 25 mm): "
+        "--columns 7 --rows 4"
     )

@@ -22,7 +22,9 @@ from robot_ik.robot import load_robot
 
 LENS = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
 PINHOLE = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
-WIDE = CameraIntrinsics(1280, 720, 1100.0, 1100.0, 639.5, 359.5, (-0.12, 0.05, 0.0005, -0.0003, 0.0))
+WIDE = CameraIntrinsics(
+    1280, 720, 1100.0, 1100.0, 639.5, 359.5, (-0.12, 0.05, 0.0005, -0.0003, 0.0)
+)
 VIEW = Pose.look_at((-1.55, -1.25, 1.45), (-0.22, -0.08, 0.78))
 
 SHAPES = {
@@ -36,7 +38,7 @@ SHAPES = {
 
 @cache
 def _rays_through(lens: CameraIntrinsics) -> np.ndarray:
-    """Directions (h w, 3) of the rays through every pixel, in the camera's frame."""
+    """Return the directions (h w, 3) of the rays of all pixels, camera frame."""
     pixels = (
         np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1)
         .reshape(-1, 1, 2)
@@ -52,22 +54,38 @@ def _rays_through(lens: CameraIntrinsics) -> np.ndarray:
     return np.concatenate([normalized.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
 
 
-def seen_by_rays(model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:
-    """Geom id of every pixel (h, w), -1 for none: OpenCV undoes the lens, MuJoCo intersects."""
+def seen_by_rays(
+    model: mujoco.MjModel, qpos: np.ndarray, lens: CameraIntrinsics, camera: Pose
+) -> np.ndarray:
+    """Return the geom of each pixel (h, w) by OpenCV's lens and MuJoCo's rays. -1: none."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
     rays = _rays_through(lens) @ camera.rotation.T
-    geom, depth = np.full(len(rays), -1, np.int32), np.zeros(len(rays))
+    geom = np.full(len(rays), -1, np.int32)
+    depth = np.zeros(len(rays))
     groups = np.array([1, 1, 1, 0, 0, 0], np.uint8)
     mujoco.mj_multiRay(
-        model, data, camera.position, rays.ravel(), groups, True, -1, geom, depth, None, len(rays), 1e10
+        model,
+        data,
+        camera.position,
+        rays.ravel(),
+        groups,
+        True,
+        -1,
+        geom,
+        depth,
+        None,
+        len(rays),
+        1e10,
     )
     return geom.reshape(lens.height, lens.width)
 
 
-def painted_geoms(model: mujoco.MjModel, qpos: ArrayLike, lens: CameraIntrinsics, camera: Pose) -> np.ndarray:
-    """Geom id of every pixel (h, w), -1 for none: each geom is filled in a colour of its own."""
+def painted_geoms(
+    model: mujoco.MjModel, qpos: ArrayLike, lens: CameraIntrinsics, camera: Pose
+) -> np.ndarray:
+    """Return the geom of each pixel (h, w) by the painter. -1: none."""
     faces = faces_in_picture(model, qpos, lens, camera)
     faces.lit[:] = (1.0, 0.0)
     paint = geom_paint(model)
@@ -82,7 +100,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def farthest(a: np.ndarray, b: np.ndarray) -> float:
-    """How far, in pixels, the outline of one mask lies from the other at most."""
+    """Return the largest distance of a pixel of one mask from the other mask, px."""
     gap = 0.0
     for one, other in ((a, b), (b, a)):
         away = cv2.distanceTransform((~other).astype(np.uint8), cv2.DIST_L2, 5)
@@ -91,14 +109,15 @@ def farthest(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def visible_corners(faces: Faces) -> np.ndarray:
-    """Pixels of the corners of faces that look this way."""
+    """Return the pixels of the corners of faces that face the camera."""
     corners = faces.pixels[faces.faces]
-    across, along = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+    across = corners[:, 2] - corners[:, 0]
+    along = corners[:, 3] - corners[:, 1]
     return corners[across[:, 0] * along[:, 1] < across[:, 1] * along[:, 0]].reshape(-1, 2)
 
 
 def centroid_of_sphere(centre: np.ndarray, radius: float, lens: CameraIntrinsics) -> np.ndarray:
-    """Pixel centroid of a sphere's outline: the circle at which rays touch it, projected by OpenCV."""
+    """Return the centroid of the outline of a sphere, px, projected by OpenCV."""
     distance = np.linalg.norm(centre)
     axis = centre / distance
     side = np.cross(axis, [0.0, 1.0, 0.0])
@@ -111,9 +130,9 @@ def centroid_of_sphere(centre: np.ndarray, radius: float, lens: CameraIntrinsics
     )
     touching = centre * (1 - (radius / distance) ** 2) + ring
     coefficients = np.array(lens.distortion) if lens.distortion else None
-    pixels = cv2.projectPoints(touching, np.zeros(3), np.zeros(3), lens.matrix, coefficients)[0].reshape(
-        -1, 2
-    )
+    pixels = cv2.projectPoints(touching, np.zeros(3), np.zeros(3), lens.matrix, coefficients)[
+        0
+    ].reshape(-1, 2)
     moments = cv2.moments((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
     return pixels[0] + [moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]]
 
@@ -164,21 +183,31 @@ def test_a_painted_primitive_covers_the_pixels_that_rays_hit(
 @settings(max_examples=3)
 @given(turn=st.tuples(*[st.floats(-3, 3)] * 3), x=st.floats(-0.1, 0.1), z=st.floats(0.5, 2.0))
 def test_the_outline_of_a_round_thing_is_true_to_a_part_of_a_pixel(
-    model_of: Callable[..., mujoco.MjModel], kind: str, turn: tuple[float, float, float], x: float, z: float
+    model_of: Callable[..., mujoco.MjModel],
+    kind: str,
+    turn: tuple[float, float, float],
+    x: float,
+    z: float,
 ) -> None:
-    fine = 8  # times: picture and drawing are compared so much larger than what was asked for
+    # Picture and drawing are compared at this magnification.
+    fine = 8
     lens = CameraIntrinsics(100, 80, 110.0, 110.0, 49.5, 39.5)
     large = CameraIntrinsics(800, 640, 880.0, 880.0, 399.5, 319.5)
     quat = " ".join(f"{v:.9f}" for v in rotation_exp(turn))
     model = model_of(f"<geom type='{kind}' {SHAPES[kind][0]} pos='{x} 0 {z}' quat='{quat}'/>")
     faces = faces_in_picture(model, [], lens, Pose())
-    mask = paint_mask((640, 800), replace(faces, pixels=(faces.pixels + 0.5) * fine - 0.5), samples=1) > 127
+    mask = (
+        paint_mask((640, 800), replace(faces, pixels=(faces.pixels + 0.5) * fine - 0.5), samples=1)
+        > 127
+    )
     rays = seen_by_rays(model, np.zeros(0), large, Pose()) >= 0
     assert farthest(rays, mask) <= ROUND_PX * fine + 1.0
 
 
 @pytest.mark.parametrize("count", [1, 3, 4])
-def test_any_number_of_samples_covers_the_same(model_of: Callable[..., mujoco.MjModel], count: int) -> None:
+def test_any_number_of_samples_covers_the_same(
+    model_of: Callable[..., mujoco.MjModel], count: int
+) -> None:
     model = model_of("<geom type='box' size='.1 .2 .15' pos='.05 -.02 1.2' euler='20 30 40'/>")
     faces = faces_in_picture(model, [], LENS, Pose())
     usual, other = (paint_mask((251, 301), faces, (200, 101), n).astype(int) for n in (2, count))
@@ -188,7 +217,9 @@ def test_any_number_of_samples_covers_the_same(model_of: Callable[..., mujoco.Mj
     assert (other[inside] == 255).all(), "a crack between faces"
 
 
-@pytest.mark.parametrize("sizes", [(".25 .2 .001", ".09 .07 .001"), (".09 .07 .001", ".25 .2 .001")])
+@pytest.mark.parametrize(
+    "sizes", [(".25 .2 .001", ".09 .07 .001"), (".09 .07 .001", ".25 .2 .001")]
+)
 def test_of_surfaces_that_lie_in_each_other_the_first_is_seen(
     model_of: Callable[..., mujoco.MjModel], sizes: tuple[str, str]
 ) -> None:
@@ -204,7 +235,9 @@ def test_of_surfaces_that_lie_in_each_other_the_first_is_seen(
     assert (painted[2][both > 0] == 0).all()
 
 
-def test_a_mesh_geom_is_painted_and_a_fine_one_is_thinned(model_of: Callable[..., mujoco.MjModel]) -> None:
+def test_a_mesh_geom_is_painted_and_a_fine_one_is_thinned(
+    model_of: Callable[..., mujoco.MjModel],
+) -> None:
     rng = np.random.default_rng(5)
     points = rng.normal(size=(3000, 3))
     points *= 0.1 / np.linalg.norm(points, axis=1, keepdims=True)
@@ -220,14 +253,20 @@ def test_a_mesh_geom_is_painted_and_a_fine_one_is_thinned(model_of: Callable[...
 
 def test_the_arm_is_painted_where_rays_see_it_and_nearer_parts_hide_farther_ones() -> None:
     robot = load_robot("puma560")
-    for q in (robot.home, robot.home + np.array([-0.12, 0.05, 0.47, 0.3, 0.2, -1.0]), robot.home * 0.3):
+    for q in (
+        robot.home,
+        robot.home + np.array([-0.12, 0.05, 0.47, 0.3, 0.2, -1.0]),
+        robot.home * 0.3,
+    ):
         faces = faces_in_picture(robot.model, robot.qpos(q), WIDE, VIEW)
         geom = seen_by_rays(robot.model, robot.qpos(q), WIDE, VIEW)
         mask = paint_mask((720, 1280), faces) > 127
         assert overlap(geom >= 0, mask) > 0.985
         assert farthest(geom >= 0, mask) <= 1.5
         both = cv2.erode(((geom >= 0) & mask).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        assert (painted_geoms(robot.model, robot.qpos(q), WIDE, VIEW)[both] == geom[both]).mean() > 0.985
+        assert (
+            painted_geoms(robot.model, robot.qpos(q), WIDE, VIEW)[both] == geom[both]
+        ).mean() > 0.985
 
 
 @pytest.mark.parametrize(("lens", "rms", "worst"), [(PINHOLE, 0.05, 0.15), (LENS, 0.08, 0.20)])
@@ -241,7 +280,9 @@ def test_projection_identity_of_spheres(
         z = rng.uniform(0.4, 2.0)
         centre = lens.unproject(pixel[None])[0] * z
         radius = 8 * z / 610
-        model = model_of(f"<geom type='sphere' size='{radius}' pos='{centre[0]} {centre[1]} {centre[2]}'/>")
+        model = model_of(
+            f"<geom type='sphere' size='{radius}' pos='{centre[0]} {centre[1]} {centre[2]}'/>"
+        )
         mask = paint_mask((480, 640), faces_in_picture(model, [], lens, Pose())).astype(float)
         middle = (
             np.array([(mask.sum(0) * np.arange(640)).sum(), (mask.sum(1) * np.arange(480)).sum()])
@@ -254,15 +295,17 @@ def test_projection_identity_of_spheres(
     assert np.abs(np.mean(misses, axis=0)).max() <= 0.02
 
 
-def test_corners_of_faces_are_where_opencv_projects_them(model_of: Callable[..., mujoco.MjModel]) -> None:
+def test_corners_of_faces_are_where_opencv_projects_them(
+    model_of: Callable[..., mujoco.MjModel],
+) -> None:
     model = model_of("<geom type='box' size='.1 .2 .15' pos='.05 -.02 1.2' euler='20 30 40'/>")
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T * (0.1, 0.2, 0.15)
     world = corners @ data.geom_xmat[0].reshape(3, 3).T + data.geom_xpos[0]
-    pixels = cv2.projectPoints(world, np.zeros(3), np.zeros(3), LENS.matrix, np.array(LENS.distortion))[
-        0
-    ].reshape(-1, 2)
+    pixels = cv2.projectPoints(
+        world, np.zeros(3), np.zeros(3), LENS.matrix, np.array(LENS.distortion)
+    )[0].reshape(-1, 2)
     drawn = visible_corners(faces_in_picture(model, [], LENS, Pose()))
     near = np.linalg.norm(pixels[:, None] - drawn[None], axis=2).min(axis=1)
     assert (near < 0.005).sum() == 7, "three faces of a box show seven corners"
@@ -274,7 +317,8 @@ def test_a_geom_through_the_lens_is_cut_and_not_folded(
 ) -> None:
     picture = np.zeros((480, 640, 3), np.uint8)
     model = model_of(
-        "<geom type='box' size='.05 .05 3' pos='.15 0 0'/><geom type='sphere' size='.3' pos='-.5 0 .1'/>"
+        "<geom type='box' size='.05 .05 3' pos='.15 0 0'/>"
+        "<geom type='sphere' size='.3' pos='-.5 0 .1'/>"
     )
     drawn = overlay.draw_robot(picture, model, [], LENS, Pose(), style=style, alpha=1.0)
     rays = seen_by_rays(model, np.zeros(0), LENS, Pose()) >= 0

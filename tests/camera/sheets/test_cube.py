@@ -1,4 +1,4 @@
-"""The cube's sheet: cut out, folded and glued by numbers, it is the body that is tracked."""
+"""The sheet of the cube: the folded net is the body that is tracked."""
 
 from __future__ import annotations
 
@@ -16,53 +16,66 @@ from robot_ik.camera.sheets.sheets import SheetRequest, body_of, make_sheet_page
 from robot_ik.camera.targets import marker_points
 from tests.camera.sheets.printing import printed
 
-DPI, EDGE = 150.0, 50.0
+DPI = 150.0
+EDGE = 50.0
 #: Faces on the net: front, right, back, left, top, bottom; x right, y down.
 PLACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
 
 
 def found(sheet: SheetRequest) -> dict[int, np.ndarray]:
-    """Id -> corners (4, 2) in mm of paper, by a detector."""
+    """Return the corners (4, 2) of each marker by id, mm on the paper, by a detector."""
     image = printed(make_sheet_page(sheet), DPI)
-    return {m.id: (m.corners + 0.5) * 25.4 / DPI for m in MarkerDetector("DICT_5X5_50").detect(image)}
+    return {
+        m.id: (m.corners + 0.5) * 25.4 / DPI for m in MarkerDetector("DICT_5X5_50").detect(image)
+    }
 
 
 def folded_at(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Paper (n, 3) folded back by a right angle along a line; what is to the right of the way is folded.
+    """Return points (n, 3) of paper after a fold of 90 degrees along a line, away from the reader.
 
-    x right, y down, z towards the reader, so "right of the way" is (-y, x) of the way.
+    x right, y down, z towards the reader. The paper to the right of the line is folded. The
+    direction to the right of a direction (x, y) is (-y, x).
     """
-    way = (end - start) / np.linalg.norm(end - start)
-    right = np.array([-way[1], way[0], 0.0])
-    off = points - start
-    # what pointed to the right now points away from the reader, what pointed at him points to the right
+    direction = (end - start) / np.linalg.norm(end - start)
+    right = np.array([-direction[1], direction[0], 0.0])
+    offset = points - start
+    # "Right" becomes "away from the reader", and "towards the reader" becomes "right".
     return np.asarray(
-        start + np.outer(off @ way, way) - np.outer(off @ right, [0, 0, 1.0]) + np.outer(off[:, 2], right)
+        start
+        + np.outer(offset @ direction, direction)
+        - np.outer(offset @ right, [0, 0, 1.0])
+        + np.outer(offset[:, 2], right)
     )
 
 
 def folded(points: np.ndarray, position: tuple[int, int], edge: float) -> np.ndarray:
-    """Points (n, 3) of the face at this place, from the middle of the cube; the front face stays."""
+    """Return points (n, 3) of a face after folding, relative to the centre of the cube."""
     e = edge / 2
     right = np.array([[e, e, 0], [e, -e, 0]])
     beyond = np.array([[3 * e, e, 0], [3 * e, -e, 0]])
     left, top, bottom = np.array(
         [[[-e, -e, 0], [-e, e, 0]], [[e, -e, 0], [-e, -e, 0]], [[-e, e, 0], [e, e, 0]]]
     )
-    ways = {(1, 0): [right], (2, 0): [beyond, right], (-1, 0): [left], (0, -1): [top], (0, 1): [bottom]}
+    ways = {
+        (1, 0): [right],
+        (2, 0): [beyond, right],
+        (-1, 0): [left],
+        (0, -1): [top],
+        (0, 1): [bottom],
+    }
     for start, end in ways.get(position, []):
         points = folded_at(points, start, end)
     return points + np.array([0, 0, e])
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Area that two convex polygons share."""
+    """Return the area of the intersection of two convex polygons."""
     return float(cv2.intersectConvexConvex(a.astype(np.float32), b.astype(np.float32))[0])
 
 
 @pytest.mark.parametrize("ids", [(20, 21, 22, 23, 24, 25), (7, 3, 11)])
 def test_the_folded_sheet_is_the_body_that_is_tracked(ids: tuple[int, ...]) -> None:
-    """Folded here along the net's lines alone, with the markers where a detector sees them."""
+    """The test folds along the lines of the net, with the markers where a detector finds them."""
     sheet = SheetRequest("cube", ids=ids)
     corners = found(sheet)
     middle = corners[ids[0]].mean(axis=0)
@@ -71,31 +84,36 @@ def test_the_folded_sheet_is_the_body_that_is_tracked(ids: tuple[int, ...]) -> N
         flat = corners[marker] - middle
         x, y = np.rint(flat.mean(axis=0) / EDGE).astype(int)
         cube = folded(np.column_stack([flat, np.zeros(4)]), (x, y), EDGE)
-        assert cube * [1, -1, 1] / 1e3 == pytest.approx(pose.apply(marker_points(size)), abs=4e-4), marker
+        assert cube * [1, -1, 1] / 1e3 == pytest.approx(
+            pose.apply(marker_points(size)), abs=4e-4
+        ), marker
 
 
 @pytest.mark.parametrize("edge", [25.0, 70.0])
 def test_tabs_hold_the_cube_and_are_in_nobodys_way(edge: float) -> None:
-    (cuts, folds, every), e = cube_paper(edge), edge / 2
+    (cuts, folds, every) = cube_paper(edge)
+    e = edge / 2
     assert len(every) == 7 and len(folds) == 12
     square = np.array([[-e, -e], [e, -e], [e, e], [-e, e]])
     faces = {position: square + edge * np.array(position) for position in PLACES}
     glued: dict[tuple[int, int], list[np.ndarray]] = {}
     for k, tab in enumerate(every):
-        # flat: beside all faces, so beside the white of every marker, and beside all other tabs
+        # Flat: outside all faces, so outside the white of every marker, and outside all other tabs.
         assert all(overlap(tab, face) < 1e-3 for face in faces.values())
         assert all(overlap(tab, other) < 1e-3 for other in every[:k])
         ends = tab[[0, 3]]
         (position,) = [
-            position for position, face in faces.items()
+            position
+            for position, face in faces.items()
             if all(np.linalg.norm(face - end, axis=1).min() < 1e-9 for end in ends)
-        ]  # fmt: skip
+        ]
         start, end = np.column_stack([ends, np.zeros(2)])
-        way, out = end - start, tab[1] - tab[0]
+        way = end - start
+        out = tab[1] - tab[0]
         if way[0] * out[1] - way[1] * out[0] < 0:  # the tab is to the left
             start, end = end, start
         cube = folded(folded_at(np.column_stack([tab, np.zeros(4)]), start, end), position, edge)
-        # folded: in the plane of one of the six sides, inside it, apart from the other tabs there
+        # Folded: in the plane of one side, inside it, apart from the other tabs there.
         (axis,) = [a for a in range(3) if np.ptp(cube[:, a]) < 1e-9]
         assert abs(cube[0, axis]) == pytest.approx(e) and np.abs(cube).max() < e + 1e-9
         there = glued.setdefault((axis, int(np.sign(cube[0, axis]))), [])
@@ -103,7 +121,7 @@ def test_tabs_hold_the_cube_and_are_in_nobodys_way(edge: float) -> None:
         assert all(overlap(lies, other) < 1e-3 for other in there)
         there.append(lies)
     assert sorted(len(tabs) for tabs in glued.values()) == [2, 2, 3]
-    # each of the seven tabs has a seam to lie behind: a cut that is no rim of a tab
+    # Each of the seven tabs lies behind a seam: a cut that is no rim of a tab.
     rims = {tuple(np.ravel([a, b]).round(6)) for tab in every for a, b in pairwise(tab)}
     seams = {tuple(cut.round(6)) for cut in cuts} - rims
     assert len(seams) == 7
@@ -122,12 +140,14 @@ def test_the_lines_are_in_the_pdf_at_true_scale() -> None:
 
 def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
     sheet = SheetRequest("cube", ids=(20, 21, 22, 23, 24, 25))
-    # Front in the middle, its neighbours round it, the back beyond the right side; all prints upright.
+    # Front in the middle, its neighbours around it, the back to the right; all prints upright.
     net_positions = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
     corners = found(sheet)
     middle = corners[20].mean(axis=0)
     for marker, corner in corners.items():
-        assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(net_positions[marker], abs=0.01)
+        assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(
+            net_positions[marker], abs=0.01
+        )
         across = corner[1] - corner[0]
         assert across[0] > 0 and abs(across[1]) < 0.01 * across[0], "upright"
     assert set(corners) == set(net_positions)

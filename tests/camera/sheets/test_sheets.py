@@ -1,4 +1,4 @@
-"""Printed sheets: parsed back from the PDF, found by the detector, refused when they do not fit."""
+"""Printed sheets: parsed from the PDF, detected, rejected if they do not fit the page."""
 
 from __future__ import annotations
 
@@ -27,35 +27,39 @@ DPI = 150.0
 
 
 def pdf_boxes(data: bytes) -> tuple[tuple[float, float], np.ndarray]:
-    """Page size and black rectangles (n, 4) in mm from the upper left corner, by the PDF's own matrix."""
+    """Return page size and black rectangles (n, 4), mm from the upper left corner."""
     text = data.decode("latin-1")
     box = re.search(r"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", text)
     matrix = re.search(r"([\d.]+) 0 0 -([\d.]+) 0 ([\d.]+) cm", text)
     assert box and matrix
     width, height = (float(v) * 25.4 / 72.0 for v in box.groups())
     across, down, top = map(float, matrix.groups())
-    boxes, ink = [], 0.0
+    boxes = []
+    ink = 0.0
     for line in text.splitlines():
         words = line.split()
         if words[1:] == ["g"]:
             ink = 1.0 - float(words[0])
         if words[4:] == ["re"] and ink == 1.0:
             x, y, w, h = map(float, words[:4])
-            # To points, as a viewer does it, and to mm of paper.
-            left, upper = across * x, float(box.group(2)) - (top - down * y)
+            # The matrix of the PDF gives points, 72 an inch.
+            left = across * x
+            upper = float(box.group(2)) - (top - down * y)
             boxes.append(np.array([left, upper, across * w, down * h]) * 25.4 / 72.0)
     return (width, height), np.array(boxes)
 
 
 def found(page_image: np.ndarray, dictionary: str = "DICT_5X5_50") -> dict[int, np.ndarray]:
-    """Id -> corners (4, 2) in mm of paper."""
+    """Return the corners (4, 2) of each marker by id, mm on the paper."""
     detector = MarkerDetector(dictionary)
     return {m.id: (m.corners + 0.5) * 25.4 / DPI for m in detector.detect(page_image)}
 
 
 @pytest.mark.parametrize("page", ["a4", "letter"])
 @pytest.mark.parametrize("kind", ["marker", "board", "charuco", "chessboard"])
-def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKind, page: str) -> None:
+def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(
+    kind: SheetKind, page: str
+) -> None:
     asked = SheetRequest(kind, ids=(3, 4) if kind == "marker" else (), page=page)
     sheet = make_sheet_page(asked)
     data = pdf_bytes(sheet)
@@ -65,7 +69,7 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
     assert b"/PrintScaling /None" in data
     rim = boxes[:, :2].min(), (np.array(size) - boxes[:, :2] - boxes[:, 2:]).min()
     assert min(rim) > 5.0, "no printer reaches the rim"
-    # The two bars: the only things that are 100 mm long.
+    # Only the two bars are 100 mm long.
     bars = boxes[np.isclose(boxes[:, 2:].max(axis=1), 100.0, atol=1e-3)]
     assert len(bars) == 2 and set(bars[:, 2:].argmax(axis=1)) == {0, 1}
     cells = boxes[boxes[:, 2:].min(axis=1) > 1.0]
@@ -73,7 +77,7 @@ def test_sizes_in_the_pdf_are_right_to_a_hundredth_of_a_millimetre(kind: SheetKi
         assert cells[:, 2:] == pytest.approx(np.full((len(cells), 2), 50.0 / 7.0), abs=0.01)
         first = cells[np.lexsort((cells[:, 0], cells[:, 1]))][0]
         side = cells[np.abs(cells[:, 1] - first[1]) < 0.01]
-        # A marker's upper row is all black: 7 cells without a gap.
+        # The upper row of a marker is black: 7 cells without a gap.
         assert side[:, 0].max() + side[0, 2] - first[0] == pytest.approx(
             50.0 if len(side) == 7 else 50.0 + asked.gap + 50.0, abs=0.01
         )
@@ -92,9 +96,9 @@ def test_the_print_is_found_by_the_detector_at_the_right_size() -> None:
     centres = {k: c.mean(axis=0) for k, c in corners.items()}
     for corner in corners.values():
         sides = np.linalg.norm(np.roll(corner, -1, axis=0) - corner, axis=1)
-        # The detector's integer corners are half a pixel inside: 0.17 mm here.
+        # The detector's integer corners are half a pixel inside, here 0.17 mm.
         assert sides == pytest.approx(np.full(4, 42.0), abs=0.3)
-    # Where the markers are is what the body says; pictures have y down.
+    # The markers are at their places on the body. Pictures have y down.
     body = body_of(asked)
     middle = np.mean(list(centres.values()), axis=0)
     for marker, (size, pose) in body.markers.items():
@@ -104,7 +108,7 @@ def test_the_print_is_found_by_the_detector_at_the_right_size() -> None:
 
 
 def test_a_cell_border_lies_where_it_should_in_the_print() -> None:
-    """To 0.1 mm, from the grey of the pixels that an edge cuts."""
+    """Accurate to 0.1 mm, by the grey values of the pixels on an edge."""
     asked = SheetRequest("marker", size_mm=50.0)
     sheet = make_sheet_page(asked)
     image = printed(sheet, DPI).astype(float)
@@ -126,7 +130,9 @@ def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
 
 
 def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
-    text = " ".join(w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).labels)
+    text = " ".join(
+        w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).labels
+    )
     for words in (
         "9x6 squares",
         "25 mm",
@@ -135,8 +141,13 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
         "100.0 mm",
     ):
         assert words in text
-    assert "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18" in text
-    labels = [w.text for w in make_sheet_page(SheetRequest("marker", ids=(4, 9), size_mm=33.5)).labels]
+    assert (
+        "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18"
+        in text
+    )
+    labels = [
+        w.text for w in make_sheet_page(SheetRequest("marker", ids=(4, 9), size_mm=33.5)).labels
+    ]
     assert "4  33.5 mm" in labels and "9  33.5 mm" in labels
 
 
@@ -166,14 +177,14 @@ def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) 
     assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.labels)
 
 
-# ------------------------------------------------------------------------------ its file
-
-
-@pytest.mark.parametrize("asked", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")])
+@pytest.mark.parametrize(
+    "asked", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")]
+)
 def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(body_file(asked, 'my "own" \\ one'))
-    body, true = load_bodies(path)['my "own" \\ one'], body_of(asked)
+    body = load_bodies(path)['my "own" \\ one']
+    true = body_of(asked)
     assert body.dictionary == asked.dictionary
     assert list(body.markers) == list(true.markers)
     for marker, (size, pose) in true.markers.items():
@@ -181,21 +192,38 @@ def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None
         assert max(body.markers[marker][1].distance(pose)) < 1e-8
 
 
-# ------------------------------------------------------------------------------- what is refused
-
-
 @pytest.mark.parametrize(
     ("asked", "message", "hint"),
     [
-        (SheetRequest("charuco", size_mm=40.0), "needs 320x240 mm; a4 has room for", "--size-mm 30 fits"),
+        (
+            SheetRequest("charuco", size_mm=40.0),
+            "needs 320x240 mm; a4 has room for",
+            "--size-mm 30 fits",
+        ),
         (SheetRequest("board", columns=4, rows=4, size_mm=52.0), "needs 264x264 mm", "--page a3"),
-        (SheetRequest("marker", ids=tuple(range(20)), size_mm=60.0), "markers 0 to 19", "--size-mm"),
+        (
+            SheetRequest("marker", ids=tuple(range(20)), size_mm=60.0),
+            "markers 0 to 19",
+            "--size-mm",
+        ),
         (SheetRequest("cube", size_mm=80.0), "cube of 100 mm", "--size-mm"),
         (SheetRequest("cube", size_mm=40.0, edge_mm=42.0), "1 mm of white", "--edge-mm 48"),
         (SheetRequest("marker", gap_mm=2.0), "gap of 2 mm is too small", "at least 8.3 mm"),
-        (SheetRequest("marker", size_mm=0.05), "a marker of 0.05 mm is not possible", "is 50 mm meant"),
-        (SheetRequest("chessboard", size_mm=0.025), "a square of 0.025 mm", "3 to 1000 mm: is 25 mm meant"),
-        (SheetRequest("cube", size_mm=-3.0), "a marker of -3 mm is not possible", "give 3 to 1000 mm"),
+        (
+            SheetRequest("marker", size_mm=0.05),
+            "a marker of 0.05 mm is not possible",
+            "is 50 mm meant",
+        ),
+        (
+            SheetRequest("chessboard", size_mm=0.025),
+            "a square of 0.025 mm",
+            "3 to 1000 mm: is 25 mm meant",
+        ),
+        (
+            SheetRequest("cube", size_mm=-3.0),
+            "a marker of -3 mm is not possible",
+            "give 3 to 1000 mm",
+        ),
         (SheetRequest("charuco", marker_mm=0.02), "a marker of 0.02 mm", "is 20 mm meant"),
         (SheetRequest("chessboard", rows=0), "9x0 inner corners is too small", "at least 3x3"),
         (SheetRequest("board", columns=0), "a board of 0 x 2 markers is not possible", "1 x 1"),

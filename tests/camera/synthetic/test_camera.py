@@ -1,4 +1,4 @@
-"""The synthetic camera against its own optics: exact corners, hidden parts, truth, repeatability."""
+"""The synthetic camera: exact corners, hidden parts, truth, repeatability."""
 
 from dataclasses import replace
 
@@ -35,14 +35,17 @@ OVERHEAD = Pose.look_at((0.05, -0.4, 0.6), (0.0, 0.0, 0.0))
 
 
 def desk(
-    *markers: SyntheticMarker, body: str = "", lens: CameraIntrinsics = LENS, camera: Pose = OVERHEAD
+    *markers: SyntheticMarker,
+    body: str = "",
+    lens: CameraIntrinsics = LENS,
+    camera: Pose = OVERHEAD,
 ) -> SyntheticScene:
     objects = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     return SyntheticScene(objects, lens, camera, markers, SceneTable(0.0, (-0.5, 0.5), (-0.4, 0.5)))
 
 
 def photograph(scene: SyntheticScene, **options: object) -> SyntheticSource:
-    """With a sensor in proportion to light, whose edges lie where they are."""
+    """Return a source with a linear sensor, which does not shift edges."""
     sensor = LINEAR_SENSOR
     for name in ("noise", "blur"):
         if name in options:
@@ -50,18 +53,21 @@ def photograph(scene: SyntheticScene, **options: object) -> SyntheticSource:
     return SyntheticSource(scene, lambda: np.zeros(0), sensor=sensor, **options)  # type: ignore[arg-type]
 
 
-def corner_misses(scene: SyntheticScene, seeds: int, **options: object) -> np.ndarray:
-    """Refined minus true corners (n, 2) of all markers, by one picture a seed."""
-    detector, misses = MarkerDetector("DICT_5X5_50"), []
+def corner_errors(scene: SyntheticScene, seeds: int, **options: object) -> np.ndarray:
+    """Return refined minus true corners (n, 2) of all markers, in one picture per seed."""
+    detector = MarkerDetector("DICT_5X5_50")
+    errors = []
     for seed in range(seeds):
         frame = photograph(scene, seed=seed, **options).read()
         assert isinstance(frame.truth, dict)
         found = {d.id: d.corners for d in detector.detect(frame.image)}
         assert set(found) == set(frame.truth["corners"])
         for id, corners in found.items():
-            (refined,) = refine_markers(frame.image, [corners], [id], "DICT_5X5_50", scene.intrinsics)
-            misses.append(refined.pixels - frame.truth["corners"][id])
-    return np.concatenate(misses)
+            (refined,) = refine_markers(
+                frame.image, [corners], [id], "DICT_5X5_50", scene.intrinsics
+            )
+            errors.append(refined.pixels - frame.truth["corners"][id])
+    return np.concatenate(errors)
 
 
 def marker_grid() -> tuple[SyntheticMarker, ...]:
@@ -79,15 +85,15 @@ def marker_grid() -> tuple[SyntheticMarker, ...]:
 
 
 def test_corners_without_noise_are_exact_to_hundredths_of_a_pixel() -> None:
-    misses = corner_misses(desk(*marker_grid()), 1, noise=0.0)
-    assert np.sqrt((misses**2).mean()) <= 0.03
-    assert np.abs(misses.mean(axis=0)).max() <= 0.01
+    errors = corner_errors(desk(*marker_grid()), 1, noise=0.0)
+    assert np.sqrt((errors**2).mean()) <= 0.03
+    assert np.abs(errors.mean(axis=0)).max() <= 0.01
 
 
 def test_corners_with_noise_have_no_bias() -> None:
-    misses = corner_misses(desk(*marker_grid()), 3, noise=4.0)
-    assert np.sqrt((misses**2).mean()) <= 0.10
-    assert np.abs(misses.mean(axis=0)).max() <= 0.03
+    errors = corner_errors(desk(*marker_grid()), 3, noise=4.0)
+    assert np.sqrt((errors**2).mean()) <= 0.10
+    assert np.abs(errors.mean(axis=0)).max() <= 0.03
 
 
 def test_a_sheet_is_painted_like_an_average_of_very_many_samples() -> None:
@@ -108,21 +114,22 @@ def test_a_sheet_is_painted_like_an_average_of_very_many_samples() -> None:
         )
         rays = LENS.unproject(pixels.reshape(-1, 2))
         point = pose.inverse().apply(rays * ((normal @ pose.position) / (rays @ normal))[:, None])
-        u, v = (point[:, 0] / 0.05 + 0.5) * 7, (0.5 - point[:, 1] / 0.05) * 7
+        u = (point[:, 0] / 0.05 + 0.5) * 7
+        v = (0.5 - point[:, 1] / 0.05) * 7
         tone = np.full(len(u), 0.5)
         tone[(np.abs(u - 3.5) < 4.5) & (np.abs(v - 3.5) < 4.5)] = PAPER
         print_ = (np.abs(u - 3.5) < 3.5) & (np.abs(v - 3.5) < 3.5)
         tone[print_] = np.where(bits[v[print_].astype(int), u[print_].astype(int)] > 0, PAPER, INK)
         expected += tone.reshape(y1 - y0, x1 - x0, 12).mean(axis=2) / 12
     away = grey - expected
-    # 0.02 of the contrast is an edge displaced by 0.02 px in that pixel
+    # 0.02 of the contrast is an edge displaced by 0.02 px in that pixel.
     assert np.abs(away).max() < 0.03 * (PAPER - INK)
     assert np.sqrt((away**2).mean()) < 0.003
     assert abs(away.mean()) < 2e-4
 
 
 def test_something_in_front_hides_part_of_a_marker_along_its_exact_outline() -> None:
-    # the box covers the marker's left half as seen from straight above
+    # The box covers the left half of the marker, seen from straight above.
     above = Pose.look_at((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), up=(0, 1, 0))
     body = "<geom type='box' size='.05 .1 .02' pos='-.05 0 .1' rgba='0 1 0 1'/>"
     marker = SyntheticMarker(3, 0.06, Pose(), margin=0.01)
@@ -132,8 +139,10 @@ def test_something_in_front_hides_part_of_a_marker_along_its_exact_outline() -> 
     free = photograph(desk(marker, camera=above), blur=0.0, noise=0.0).read()
     x = round(LENS.project(above.inverse().apply([0.0, 0.0, 0.0]))[0])
     y = slice(150, 320)
-    assert (frame.image[y, x - 20 : x - 1, 1] > frame.image[y, x - 20 : x - 1, 2] + 40).all(), "green box"
-    # right of the box the print is untouched but for the box's shadow
+    assert (frame.image[y, x - 20 : x - 1, 1] > frame.image[y, x - 20 : x - 1, 2] + 40).all(), (
+        "green box"
+    )
+    # To the right of the box only the shadow changes the print.
     ink = free.image[y, x + 2 : x + 30].mean(axis=2) < 60
     assert ink.any() and (frame.image[y, x + 2 : x + 30].mean(axis=2)[ink] < 60).all()
 
@@ -153,17 +162,24 @@ def test_truth_says_what_is_the_case_and_can_be_taken_away() -> None:
     source = photograph(desk(SyntheticMarker(9, 0.05, pose)), clock=clock)
     assert isinstance(source, FrameSource)
     with source:
-        first, second = source.read(), source.read()
+        first = source.read()
+        second = source.read()
     assert (first.sequence, second.sequence, first.time) == (0, 1, 5.0)
     truth = first.truth
     assert isinstance(truth, dict)
     assert truth["pose_world_camera"] is OVERHEAD
-    assert OVERHEAD.compose(truth["pose_camera_marker"][9]).distance(pose) == pytest.approx((0, 0), abs=1e-9)
+    assert OVERHEAD.compose(truth["pose_camera_marker"][9]).distance(pose) == pytest.approx(
+        (0, 0), abs=1e-9
+    )
     half = 0.025
     corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
     seen = OVERHEAD.inverse().compose(pose)
     expected = cv2.projectPoints(
-        corners, cv2.Rodrigues(seen.rotation)[0], seen.position, LENS.matrix, np.array(LENS.distortion)
+        corners,
+        cv2.Rodrigues(seen.rotation)[0],
+        seen.position,
+        LENS.matrix,
+        np.array(LENS.distortion),
     )
     assert truth["corners"][9] == pytest.approx(expected[0].reshape(4, 2), abs=1e-6)
     assert first.without_truth().truth is None
@@ -172,7 +188,8 @@ def test_truth_says_what_is_the_case_and_can_be_taken_away() -> None:
 def test_one_seed_gives_one_picture_and_another_seed_another() -> None:
     scene = desk(SyntheticMarker(9, 0.05), lens=SMALL)
     one, same, other = (photograph(scene, seed=s) for s in (3, 3, 4))
-    a, b = one.read().image, one.read().image
+    a = one.read().image
+    b = one.read().image
     assert (a == same.read().image).all() and (b == same.read().image).all()
     assert (a != b).any(), "noise differs from picture to picture"
     assert (a != other.read().image).any()
@@ -186,7 +203,9 @@ def test_covered_and_blank_markers_cannot_be_found() -> None:
         SyntheticMarker(2, 0.05),
         SyntheticMarker(3, 0.05, Pose((0.1, 0, 0))),
     )
-    frame = photograph(scene.with_marker(1, condition="covered").with_marker(2, condition="blank")).read()
+    frame = photograph(
+        scene.with_marker(1, condition="covered").with_marker(2, condition="blank")
+    ).read()
     assert isinstance(frame.truth, dict) and set(frame.truth["corners"]) == {3}
     assert [d.id for d in MarkerDetector("DICT_5X5_50").detect(frame.image)] == [3]
     with pytest.raises(CameraError, match="no marker 8"):
@@ -195,8 +214,12 @@ def test_covered_and_blank_markers_cannot_be_found() -> None:
 
 def test_carried_markers_go_with_the_true_joint_angles() -> None:
     robot = load_robot("puma560")
-    lens = CameraIntrinsics(640, 360, 1100.0, 1100.0, 319.5, 179.5, (-0.12, 0.05, 0.0005, -0.0003, 0.0))
-    markers = [SyntheticMarker(20 + k, 0.07, frame=f"marker_{20 + k}", margin=0.007) for k in range(4)]
+    lens = CameraIntrinsics(
+        640, 360, 1100.0, 1100.0, 319.5, 179.5, (-0.12, 0.05, 0.0005, -0.0003, 0.0)
+    )
+    markers = [
+        SyntheticMarker(20 + k, 0.07, frame=f"marker_{20 + k}", margin=0.007) for k in range(4)
+    ]
     camera = Pose.look_at((-1.2, -0.9, 1.3), (-0.5, -0.1, 1.05))
     where = [robot.home]
     scene = SyntheticScene(
@@ -218,15 +241,17 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
         found = {d.id: d.corners for d in detector.detect(frame.image)}
         for id in seen:
             side = robot.forward(where[0], f"marker_{id}")
-            assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx((0, 0), abs=1e-9)
+            assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx(
+                (0, 0), abs=1e-9
+            )
             (refined,) = refine_markers(frame.image, [found[id]], [id], "DICT_5X5_50", lens)
             assert np.abs(refined.pixels - frame.truth["corners"][id]).max() < 0.5
 
 
 def test_corners_beside_an_object_with_its_shadow_are_exact() -> None:
     scene = desk(*marker_grid(), body="<geom type='sphere' size='.05' pos='.2 .15 .05'/>")
-    misses = corner_misses(scene, 1, noise=0.0)
-    assert np.sqrt((misses**2).mean()) <= 0.03
+    errors = corner_errors(scene, 1, noise=0.0)
+    assert np.sqrt((errors**2).mean()) <= 0.03
 
 
 def test_a_moving_marker_is_where_it_is_at_that_time() -> None:
@@ -242,11 +267,14 @@ def test_a_moving_marker_is_where_it_is_at_that_time() -> None:
 
 @settings(max_examples=12)
 @given(st.tuples(*[st.floats(-0.12, 0.12)] * 3), st.tuples(*[st.floats(-3, 3)] * 3))
-@example((0.0, 0.0, 0.0), (0.0, 3.0, 2.0))  # some pixels beyond the fold of the lens, along the paper
+@example((0.0, 0.0, 0.0), (0.0, 3.0, 2.0))
 def test_a_camera_anywhere_takes_a_picture(
     place: tuple[float, float, float], turn: tuple[float, float, float]
 ) -> None:
-    body = "<geom type='sphere' size='.04' pos='0 0 .05'/><geom type='box' size='.03 .03 .1' pos='.1 0 .1'/>"
+    body = (
+        "<geom type='sphere' size='.04' pos='0 0 .05'/>"
+        "<geom type='box' size='.03 .03 .1' pos='.1 0 .1'/>"
+    )
     camera = Pose((place[0], place[1], place[2] + 0.05), rotation_exp(turn))
     tiny = CameraIntrinsics(64, 48, 40.0, 40.0, 31.5, 23.5, (-0.2, 0.05, 0, 0, 0))
     frame = photograph(
@@ -272,12 +300,17 @@ def test_scenes_that_cannot_be_are_refused() -> None:
 
 @pytest.mark.parametrize(
     "lens",
-    [LENS, CameraIntrinsics(640, 480, 400, 400, 319.5, 239.5, (0.05, -0.01, 0.002, 0.001), "equidistant")],
+    [
+        LENS,
+        CameraIntrinsics(
+            640, 480, 400, 400, 319.5, 239.5, (0.05, -0.01, 0.002, 0.001), "equidistant"
+        ),
+    ],
 )
 def test_interpolated_rays_are_those_of_the_lens(lens: CameraIntrinsics) -> None:
     field = ray_field(lens)
     pixels = np.random.default_rng(1).uniform((-0.5, -0.5), (639.5, 479.5), (500, 2))
-    assert np.abs(field.points(pixels) - lens.undistort(pixels)).max() * lens.fx < 5e-3  # px
+    assert np.abs(field.points(pixels) - lens.undistort(pixels)).max() * lens.fx < 5e-3
     centres = np.stack(np.meshgrid(np.arange(10.0, 13.0), np.arange(20.0, 22.0)), -1)
     block = field.points(centres.reshape(-1, 2)).reshape(centres.shape)
     assert field.box(10, 20, 13, 22) == pytest.approx(block, abs=1e-12)

@@ -1,4 +1,4 @@
-"""The virtual bus packet by packet: who answers which instruction, and how."""
+"""The virtual bus packet by packet: which servos answer which instruction, and how."""
 
 from __future__ import annotations
 
@@ -36,9 +36,13 @@ def test_ping_of_the_manual(clock: VirtualClock) -> None:
 
 
 def test_sync_read_of_the_manual(clock: VirtualClock) -> None:
-    servos = [VirtualServo("XM430-W350", id, clock, position_ticks=p) for id, p in ((1, 166), (2, 2079))]
+    servos = [
+        VirtualServo("XM430-W350", id, clock, position_ticks=p) for id, p in ((1, 166), (2, 2079))
+    ]
     reply = VirtualBus(servos, clock).handle(_hex("FFFFFD00 FE 0900 82 8400 0400 0102 CEFA"))
-    assert reply == _hex("FFFFFD00 01 0800 55 00 A6000000 8CC0 FFFFFD00 02 0800 55 00 1F080000 BABE")
+    assert reply == _hex(
+        "FFFFFD00 01 0800 55 00 A6000000 8CC0 FFFFFD00 02 0800 55 00 1F080000 BABE"
+    )
 
 
 def test_broadcast_ping_is_answered_in_order_of_ids(
@@ -61,7 +65,7 @@ def test_broadcast_ping_is_answered_in_order_of_ids(
         build(254, 0x77),
     ],
 )
-def test_nobody_answers(bus: VirtualBus, packet: bytes) -> None:
+def test_requests_without_a_reply(bus: VirtualBus, packet: bytes) -> None:
     assert bus.handle(packet) == b""
 
 
@@ -71,7 +75,9 @@ def test_broadcast_write_reaches_all(bus: VirtualBus) -> None:
 
 
 def test_sync_and_bulk_write_reach_those_named(bus: VirtualBus) -> None:
-    bus.handle(build(254, I.SYNC_WRITE, _word(116) + _word(4) + b"\x01" + _int(150) + b"\x02" + _int(170)))
+    bus.handle(
+        build(254, I.SYNC_WRITE, _word(116) + _word(4) + b"\x01" + _int(150) + b"\x02" + _int(170))
+    )
     bus.handle(
         build(
             254,
@@ -80,7 +86,11 @@ def test_sync_and_bulk_write_reach_those_named(bus: VirtualBus) -> None:
         )
     )
     got = {
-        s.id: (s.memory.values["goal_position"], s.memory.values["profile_velocity"], s.memory.values["led"])
+        s.id: (
+            s.memory.values["goal_position"],
+            s.memory.values["profile_velocity"],
+            s.memory.values["led"],
+        )
         for s in bus.servos
     }
     assert got == {1: (150, 0, 1), 2: (170, 0, 0), 3: (300, 7, 0)}
@@ -94,14 +104,17 @@ def test_a_sync_write_with_lengths_that_do_not_add_up_is_ignored(bus: VirtualBus
 def test_bulk_read_may_ask_each_for_something_else(
     bus: VirtualBus, parse: Callable[[bytes], list[Packet]]
 ) -> None:
-    request = build(254, I.BULK_READ, b"\x02" + _word(132) + _word(4) + b"\x01" + _word(144) + _word(2))
+    request = build(
+        254, I.BULK_READ, b"\x02" + _word(132) + _word(4) + b"\x01" + _word(144) + _word(2)
+    )
     assert [(a.id, a.data) for a in parse(bus.handle(request))] == [(2, _int(200)), (1, _word(120))]
 
 
 def _split_fast(reply: bytes, sizes: list[int]) -> list[tuple[int, int, bytes]]:
-    """(error, id, data) of each part, every part's own checksum checked over all bytes before it."""
+    """Return (error, id, data) of each part after checking the checksum of each part."""
     assert reply[:5] == _hex("FFFFFD00FE") and reply[7] == I.STATUS
-    parts, at = [], 8
+    parts = []
+    at = 8
     for size in sizes:
         end = at + 2 + size
         assert crc16(reply[:end]) == int.from_bytes(reply[end : end + 2], "little")
@@ -129,7 +142,7 @@ def test_a_fast_read_ends_before_the_first_that_is_missing(bus: VirtualBus) -> N
     assert bus.handle(request) == b""
 
 
-def test_a_sync_read_goes_on_behind_the_missing(
+def test_a_sync_read_continues_behind_a_missing_servo(
     bus: VirtualBus, parse: Callable[[bytes], list[Packet]]
 ) -> None:
     bus.inject(Fault("silent", 2))
@@ -149,7 +162,9 @@ def test_status_return_level(bus: VirtualBus, level: int, answered: list[Instruc
     assert bus.servo(1).memory.values["led"] == 1  # obeyed, answered or not
 
 
-def test_unknown_instruction_and_bad_checksum_are_answered_with_their_error(bus: VirtualBus) -> None:
+def test_unknown_instruction_and_bad_checksum_are_answered_with_their_error(
+    bus: VirtualBus,
+) -> None:
     assert bus.handle(build(1, 0x77)) == build_status(1, 2)
     spoiled = bytearray(build(1, I.WRITE, _word(65) + b"\x01"))
     spoiled[-3] = 0
@@ -164,7 +179,10 @@ def test_reg_write_and_action(bus: VirtualBus) -> None:
     assert bus.servo(1).memory.values["registered_instruction"] == 1
     assert bus.servo(1).memory.values["led"] == 0
     bus.handle(build(254, I.ACTION))
-    assert (bus.servo(1).memory.values["led"], bus.servo(1).memory.values["registered_instruction"]) == (1, 0)
+    assert (
+        bus.servo(1).memory.values["led"],
+        bus.servo(1).memory.values["registered_instruction"],
+    ) == (1, 0)
 
 
 def test_a_broadcast_factory_reset_of_everything_is_ignored(bus: VirtualBus) -> None:
@@ -206,7 +224,8 @@ def test_a_secondary_id_changes_no_eeprom(bus: VirtualBus) -> None:
     """ROBOTIS-GIT/emanual _includes/en/dxl/x/shadow_id.md."""
     servo = bus.servo(1)
     servo.memory.set("secondary_id", 2)
-    new_id, delay = _word(7) + b"\x09", _word(9)
+    new_id = _word(7) + b"\x09"
+    delay = _word(9)
     assert bus.handle(build(2, I.WRITE, new_id)) == build_status(2, 0)
     bus.handle(build(254, I.SYNC_WRITE, delay + _word(1) + b"\x02\x00" + b"\x09\x00"))
     assert (servo.id, servo.memory.values["return_delay_time"]) == (1, 250)

@@ -69,11 +69,19 @@ def _entry(text: str) -> str:
         (_entry('kind = "drop"\nvalue = 1.5'), "faults[0].value", "0..1"),
         (_entry('kind = "drop"\nvalue = "0.5"'), "faults[0].value", "number"),
         (_entry('kind = "drop"\nvalue = nan'), "faults[0].value", "finite"),
-        (_entry('kind = "drop"\nvalue = 0.1\njoint = "joint1"'), "faults[0].joint", "not of one servo"),
+        (
+            _entry('kind = "drop"\nvalue = 0.1\njoint = "joint1"'),
+            "faults[0].joint",
+            "not of one servo",
+        ),
         (_entry('kind = "return_delay"\nvalue = 0.5\nid = 1'), "faults[0].value", "whole number"),
         (_entry('kind = "silent"\nat_s = -1.0'), "faults[0].at_s", "allowed: >= 0"),
-        (_entry('kind = "silent"\nat_s = 1.0\nat_packet = 3'), "faults[0].at_packet", "say the same"),
-        (_entry('kind = "silent"\nid = 1\njoint = "joint1"'), "faults[0].id", "say the same"),
+        (
+            _entry('kind = "silent"\nat_s = 1.0\nat_packet = 3'),
+            "faults[0].at_packet",
+            "exclude each other",
+        ),
+        (_entry('kind = "silent"\nid = 1\njoint = "joint1"'), "faults[0].id", "exclude each other"),
     ],
 )
 def test_a_mistake_is_named(text: str, key: str, said: str, arm_config: ArmConfig) -> None:

@@ -1,4 +1,4 @@
-"""Faults that happen while a virtual bus runs: each kind, its time, its end, and the random ones."""
+"""Faults while a virtual bus runs: each kind, its time, its end, and the random ones."""
 
 from __future__ import annotations
 
@@ -33,32 +33,34 @@ def sim(bus: VirtualBus) -> SimBus:
     return sim
 
 
-def who(sim: SimBus) -> list[int]:
+def answering(sim: SimBus) -> list[int]:
     """Of a control cycle: other reads wait for late replies after a miss."""
     reads = sim.exchange(TABLE["goal_position"], {}, dict.fromkeys(IDS, PRESENT))
     return [id for id, status in reads.items() if status.data is not None]
 
 
-def test_silent_for_one_cycle_and_at_its_time(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
+def test_silent_for_one_cycle_and_at_its_time(
+    bus: VirtualBus, sim: SimBus, clock: VirtualClock
+) -> None:
     bus.inject(Fault("silent", 2, at_s=1.0, for_s=0.05))
     seen = []
     for k in range(10):
         clock.sleep_until(0.93 + 0.02 * k)
-        seen.append(who(sim))
+        seen.append(answering(sim))
     assert seen == [[1, 2, 3]] * 4 + [[1, 3]] * 2 + [[1, 2, 3]] * 4 or seen.count([1, 3]) == 3
 
 
 def test_by_number_of_packets(bus: VirtualBus, sim: SimBus) -> None:
     bus.inject(Fault("silent", 1, at_packet=3, for_packets=2))
-    assert [len(who(sim)) for _ in range(6)] == [3, 3, 2, 2, 3, 3]
+    assert [len(answering(sim)) for _ in range(6)] == [3, 3, 2, 2, 3, 3]
 
 
 def test_everybody_silent_and_power_lost(bus: VirtualBus, sim: SimBus) -> None:
     bus.inject(Fault("silent", for_packets=1))
-    assert who(sim) == [] and who(sim) == [1, 2, 3]
+    assert answering(sim) == [] and answering(sim) == [1, 2, 3]
     sim.write(1, TABLE["led"], 1)
     bus.inject(Fault("supply", value=0.0, for_packets=1))
-    assert who(sim) == [] and who(sim) == [1, 2, 3]
+    assert answering(sim) == [] and answering(sim) == [1, 2, 3]
     assert sim.read(1, TABLE["led"]).data == 0  # it has started anew
     assert sim.read(1, TABLE["present_input_voltage"]).data == 120
 
@@ -67,7 +69,9 @@ def test_each_servo_gets_its_own_supply_back_whichever_fault_of_it_ends_first(
     bus: VirtualBus, sim: SimBus, clock: VirtualClock
 ) -> None:
     bus.servo(2).set_supply(11.0)
-    bus.inject(Fault("supply", value=9.7, for_s=3.0), Fault("supply", value=10.0, at_s=1.0, for_s=1.0))
+    bus.inject(
+        Fault("supply", value=9.7, for_s=3.0), Fault("supply", value=10.0, at_s=1.0, for_s=1.0)
+    )
     seen = {}
     for now in (0.5, 1.5, 2.5, 3.5):
         clock.sleep_until(now)
@@ -75,9 +79,9 @@ def test_each_servo_gets_its_own_supply_back_whichever_fault_of_it_ends_first(
     assert seen == {0.5: [97] * 3, 1.5: [100] * 3, 2.5: [97] * 3, 3.5: [120, 110, 120]}
     bus.inject(Fault("supply", value=9.7, for_s=1.0), Fault("supply", value=0.0, for_s=2.0))
     clock.sleep_until(5.0)  # the first has ended under the second
-    assert who(sim) == []
+    assert answering(sim) == []
     clock.sleep_until(6.0)
-    assert who(sim) == [1, 2, 3]
+    assert answering(sim) == [1, 2, 3]
     assert [bus.servo(id).shaft.volts for id in (1, 2, 3)] == [12.0, 11.0, 12.0]
 
 
@@ -92,10 +96,16 @@ def test_each_servo_gets_its_own_supply_back_whichever_fault_of_it_ends_first(
     ],
 )
 def test_of_two_faults_the_later_one_counts_and_both_leave_nothing(
-    kind: str, id: int | None, low: float, high: float, read: Callable[[VirtualBus], float],
-    bus: VirtualBus, clock: VirtualClock,
-) -> None:  # fmt: skip
-    own, seen = read(bus), []
+    kind: str,
+    id: int | None,
+    low: float,
+    high: float,
+    read: Callable[[VirtualBus], float],
+    bus: VirtualBus,
+    clock: VirtualClock,
+) -> None:
+    own = read(bus)
+    seen = []
     bus.inject(Fault(kind, id, low, for_s=1.0), Fault(kind, id, high, at_s=0.5, for_s=1.0))
     for now in (0.2, 0.7, 1.2, 1.7):
         clock.sleep_until(now)
@@ -106,15 +116,18 @@ def test_of_two_faults_the_later_one_counts_and_both_leave_nothing(
 
 def test_faults_are_taken_back_by_kind_or_all(bus: VirtualBus, sim: SimBus) -> None:
     bus.inject(
-        Fault("silent", 1), Fault("overload", 2), Fault("silent", 3, at_s=9.0), Fault("drop", value=1.0)
+        Fault("silent", 1),
+        Fault("overload", 2),
+        Fault("silent", 3, at_s=9.0),
+        Fault("drop", value=1.0),
     )
-    assert bus.clear("drop") == 1 and who(sim) == [2, 3]
-    assert bus.clear("silent") == 2 and who(sim) == [1, 2, 3]
+    assert bus.clear("drop") == 1 and answering(sim) == [2, 3]
+    assert bus.clear("silent") == 2 and answering(sim) == [1, 2, 3]
     assert sim.read(2, TABLE["hardware_error_status"]).data
     assert bus.clear() == 1 and bus.clear() == 0
     assert sim.read(2, TABLE["hardware_error_status"]).data == 0  # it has started anew
     bus.clock.sleep_until(10.0)
-    assert who(sim) == [1, 2, 3]  # what was cleared before its time does not come
+    assert answering(sim) == [1, 2, 3]  # what was cleared before its time does not come
 
 
 def test_a_brown_out_of_one_servo(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
@@ -155,7 +168,9 @@ def test_what_a_servo_says_of_itself(bus: VirtualBus, sim: SimBus) -> None:
         Fault("model", 1, 70_000)
 
 
-def test_a_baud_rate_of_its_own(bus: VirtualBus, parse: Callable[[bytes], list[Packet]]) -> None:
+def test_a_servo_with_another_baud_rate(
+    bus: VirtualBus, parse: Callable[[bytes], list[Packet]]
+) -> None:
     bus.inject(Fault("baud", 2, 57_600, for_packets=2))
     ping = build(254, Instruction.PING)
     assert [p.id for p in parse(bus.handle(ping, 1_000_000))] == [1, 3]
@@ -208,15 +223,17 @@ def test_shafts(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
     assert sim.read(1, TABLE["hardware_error_status"]).data == 0b100
 
 
-def test_the_port_goes_away_in_process_too(bus: VirtualBus, sim: SimBus, clock: VirtualClock) -> None:
+def test_the_port_goes_away_in_process_too(
+    bus: VirtualBus, sim: SimBus, clock: VirtualClock
+) -> None:
     bus.inject(Fault("port_unplugged", at_s=1.0, for_s=0.5))
-    assert who(sim) == [1, 2, 3]
+    assert answering(sim) == [1, 2, 3]
     clock.sleep_until(1.2)
     with pytest.raises(BusDisconnectedError):
         sim.read(1, PRESENT)
     clock.sleep_until(1.6)
     sim.open()
-    assert who(sim) == [1, 2, 3]
+    assert answering(sim) == [1, 2, 3]
 
 
 @pytest.mark.parametrize("rate", sorted({*SPOILS, "echo"}))
@@ -262,7 +279,7 @@ def test_what_cannot_be_is_refused(bus: VirtualBus) -> None:
         Fault("silnt")
     with pytest.raises(ValueError, match="takes no value"):
         Fault("silent", value=1.0)
-    with pytest.raises(ValueError, match="joint and id say the same"):
+    with pytest.raises(ValueError, match="joint and id exclude each other"):
         Fault("silent", 1, joint="joint1")
     with pytest.raises(ValueError, match=r"0\.\.1"):
         Fault("drop", value=2.0)

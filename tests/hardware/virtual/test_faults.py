@@ -20,7 +20,7 @@ from robot_ik.ports import VirtualClock
 PRESENT = X_TABLES["XM430-W350"]["present_position"]
 
 
-def test_zero_offset_is_seen_by_nobody_on_the_bus(make_bench: Callable[..., Any]) -> None:
+def test_zero_offset_does_not_show_on_the_bus(make_bench: Callable[..., Any]) -> None:
     bench = make_bench()
     bench.servo.zero_offset_ticks = 22.75
     assert bench.read("present_position") == 2048
@@ -70,7 +70,9 @@ def test_zero_offset_by_joint_moves_the_truth_only(
     honest = arm_bus.true_angles(arm_config)
     # joint2 is reversed, joint3 is geared: the offset is one of the joint all the same
     offsets = {"joint2": 2.0, "joint3": -1.0}
-    arm_bus.inject(*(joint_offset(arm_config.joint(name), degrees) for name, degrees in offsets.items()))
+    arm_bus.inject(
+        *(joint_offset(arm_config.joint(name), degrees) for name, degrees in offsets.items())
+    )
     assert sim.sync_read(arm_config.servo_ids, PRESENT) == before
     moved = np.degrees(arm_bus.true_angles(arm_config) - honest)
     assert moved == pytest.approx([0, 2, -1, 0, 0, 0], abs=1e-9)
@@ -92,7 +94,9 @@ def test_faults_name_what_exists(arm_config: ArmConfig, arm_bus: VirtualBus) -> 
 
 
 def test_a_fault_names_its_servo_by_id_or_joint(arm_config: ArmConfig, arm_bus: VirtualBus) -> None:
-    arm_bus.inject(Fault("silent", joint="joint2"), Fault("silent", arm_config.joint("joint4").servo.id))
+    arm_bus.inject(
+        Fault("silent", joint="joint2"), Fault("silent", arm_config.joint("joint4").servo.id)
+    )
     assert [servo.id for servo in arm_bus.servos if servo.silent] == [2, 4]
 
 

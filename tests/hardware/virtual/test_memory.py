@@ -24,7 +24,9 @@ def fits(register: Register, value: int) -> bool:
 
 
 @pytest.mark.parametrize("model", X_TABLES)
-def test_every_register_starts_as_the_manual_says(model: str, make_bench: Callable[..., Any]) -> None:
+def test_every_register_starts_as_the_manual_says(
+    model: str, make_bench: Callable[..., Any]
+) -> None:
     bench = make_bench(model)
     own = {"id", "baud_rate", "operating_mode"}
     for register in bench.servo.table:
@@ -34,12 +36,16 @@ def test_every_register_starts_as_the_manual_says(model: str, make_bench: Callab
 
 
 @pytest.mark.parametrize("model", X_TABLES)
-def test_every_register_keeps_its_range_and_access(model: str, make_bench: Callable[..., Any]) -> None:
+def test_every_register_keeps_its_range_and_access(
+    model: str, make_bench: Callable[..., Any]
+) -> None:
     bench = make_bench(model)
     for register in bench.servo.table:
-        # Pointers would redirect the data registers behind them; the others have rules of their own,
-        # tested below.
-        if register.name.startswith(("indirect_address", "goal_", "operating", "drive", "torque", "bus_")):
+        # Pointers would redirect the data registers behind them; the others have rules of their
+        # own, tested below.
+        if register.name.startswith(
+            ("indirect_address", "goal_", "operating", "drive", "torque", "bus_")
+        ):
             continue
         if not register.writable:
             value = bench.read(register.name)
@@ -97,7 +103,9 @@ def test_one_write_over_several_registers_is_all_or_nothing(make_bench: Callable
 
 
 @pytest.mark.parametrize("address,length", [(148, 4), (662, 1), (0, 0), (600, 100)])
-def test_reads_of_nothing_are_refused(address: int, length: int, make_bench: Callable[..., Any]) -> None:
+def test_reads_of_nothing_are_refused(
+    address: int, length: int, make_bench: Callable[..., Any]
+) -> None:
     data, error = make_bench().servo.read(address, length)
     assert data == b"" and error != ErrorCode.NONE
 
@@ -105,7 +113,8 @@ def test_reads_of_nothing_are_refused(address: int, length: int, make_bench: Cal
 @pytest.mark.parametrize("model", X_TABLES)
 def test_indirect_data_are_other_registers(model: str, make_bench: Callable[..., Any]) -> None:
     bench = make_bench(model)
-    present, goal = bench.servo.table["present_position"], bench.servo.table["goal_position"]
+    present = bench.servo.table["present_position"]
+    goal = bench.servo.table["goal_position"]
     for k in range(4):
         bench.set(
             **{
@@ -136,8 +145,12 @@ def test_one_turn_mode_obeys_the_position_limits_and_extended_does_not(
     assert bench.write("goal_position", 1_048_576) == ErrorCode.DATA_RANGE
 
 
-@pytest.mark.parametrize("name,limit", [("goal_velocity", 200), ("goal_pwm", 885), ("goal_current", 1193)])
-def test_goals_end_at_the_limit_registers(name: str, limit: int, make_bench: Callable[..., Any]) -> None:
+@pytest.mark.parametrize(
+    "name,limit", [("goal_velocity", 200), ("goal_pwm", 885), ("goal_current", 1193)]
+)
+def test_goals_end_at_the_limit_registers(
+    name: str, limit: int, make_bench: Callable[..., Any]
+) -> None:
     bench = make_bench()
     assert bench.write(name, limit) == bench.write(name, -limit) == ErrorCode.NONE
     bench.set(**{name.removeprefix("goal_") + "_limit": limit - 10})
@@ -147,7 +160,8 @@ def test_goals_end_at_the_limit_registers(name: str, limit: int, make_bench: Cal
 
 def test_drive_mode_has_the_bits_of_the_model(make_bench: Callable[..., Any]) -> None:
     bench = make_bench()
-    assert bench.write("drive_mode", 2) == ErrorCode.DATA_RANGE  # the slave bit is for larger servos
+    # the slave bit is for larger servos
+    assert bench.write("drive_mode", 2) == ErrorCode.DATA_RANGE
     assert bench.write("drive_mode", 13) == ErrorCode.NONE
 
 
@@ -163,39 +177,52 @@ def test_torque_by_goal(make_bench: Callable[..., Any]) -> None:
 
 
 @pytest.mark.parametrize("model,last", [("XM430-W350", 661), ("XL330-M288", 227)])
-def test_an_indirect_address_points_into_ram(model: str, last: int, make_bench: Callable[..., Any]) -> None:
+def test_an_indirect_address_points_into_ram(
+    model: str, last: int, make_bench: Callable[..., Any]
+) -> None:
     bench = make_bench(model)
     for address in (0, 63, last + 1, 65535):
         assert bench.write("indirect_address_1", address) == ErrorCode.DATA_RANGE
     bench.set(indirect_address_1=150)  # a gap between registers
-    assert bench.write("indirect_data_1", 77) == ErrorCode.ACCESS and bench.read("indirect_data_1") == 0
+    assert (
+        bench.write("indirect_data_1", 77) == ErrorCode.ACCESS
+        and bench.read("indirect_data_1") == 0
+    )
 
 
-@pytest.mark.parametrize("model,mode,error", [
-    ("XM430-W350", 0, ErrorCode.NONE),
-    ("XM430-W350", 2, ErrorCode.DATA_RANGE),
-    ("XM430-W350", 5, ErrorCode.NONE),
-    ("XL430-W250", 5, ErrorCode.DATA_RANGE),  # the model has no current sensor
-    ("XL430-W250", 4, ErrorCode.NONE),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "model,mode,error",
+    [
+        ("XM430-W350", 0, ErrorCode.NONE),
+        ("XM430-W350", 2, ErrorCode.DATA_RANGE),
+        ("XM430-W350", 5, ErrorCode.NONE),
+        ("XL430-W250", 5, ErrorCode.DATA_RANGE),  # the model has no current sensor
+        ("XL430-W250", 4, ErrorCode.NONE),
+    ],
+)
 def test_modes(model: str, mode: int, error: ErrorCode, make_bench: Callable[..., Any]) -> None:
     assert make_bench(model).write("operating_mode", mode) == error
 
 
 def test_a_mode_change_resets_gains_and_profile(make_bench: Callable[..., Any]) -> None:
     bench = make_bench()
-    bench.set(profile_velocity=50, profile_acceleration=7, position_p_gain=900, operating_mode=EXTENDED)
+    bench.set(
+        profile_velocity=50, profile_acceleration=7, position_p_gain=900, operating_mode=EXTENDED
+    )
     names = ("profile_velocity", "profile_acceleration", "position_p_gain")
     assert [bench.read(n) for n in names] == [0, 0, 800]
 
 
-@pytest.mark.parametrize("offset,mode,reading", [
-    (500, OperatingMode.POSITION, 2548),
-    (-1024, OperatingMode.POSITION, 1024),
-    (1025, OperatingMode.POSITION, 2048),  # beyond a quarter revolution: ignored
-    (1025, EXTENDED, 3073),
-    (-9000, EXTENDED, -6952),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "offset,mode,reading",
+    [
+        (500, OperatingMode.POSITION, 2548),
+        (-1024, OperatingMode.POSITION, 1024),
+        (1025, OperatingMode.POSITION, 2048),  # beyond a quarter revolution: ignored
+        (1025, EXTENDED, 3073),
+        (-9000, EXTENDED, -6952),
+    ],
+)
 def test_homing_offset(
     offset: int, mode: OperatingMode, reading: int, make_bench: Callable[..., Any]
 ) -> None:

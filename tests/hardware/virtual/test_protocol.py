@@ -1,4 +1,6 @@
-"""The codec against the manual's example packets, against the official SDK's checksum and against noise."""
+"""The codec against the manual's example packets, against the official SDK's checksum and against
+noise.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,8 @@ def test_pieces_of_any_size_give_the_same_packets(
 ) -> None:
     stream = b"".join(build(id, I.WRITE, body) for id, body in packets)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
-    parser, found = Parser(), []
+    parser = Parser()
+    found = []
     for first, last in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         found += parser.feed(stream[first:last], 0.0)
     assert [(p.id, p.params) for p in found] == packets
@@ -162,7 +165,8 @@ def test_a_checksum_that_looks_like_a_header_is_read_through() -> None:
 
 def test_a_partial_packet_is_dropped_after_a_gap() -> None:
     raw = build(1, I.READ, b"\x84\x00\x04\x00")
-    late, soon = Parser(), Parser()
+    late = Parser()
+    soon = Parser()
     assert late.feed(raw[:-1], 0.0) == soon.feed(raw[:-1], 0.0) == []
     assert late.feed(raw[-1:], 1.1 * PACKET_GAP) == []
     assert len(soon.feed(raw[-1:], 0.9 * PACKET_GAP)) == 1

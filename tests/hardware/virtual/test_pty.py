@@ -1,4 +1,4 @@
-"""The virtual bus over a real pty, driven by the official SDK exactly as a stranger's program would."""
+"""The virtual bus over a real pty, driven by the official SDK."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ from robot_ik.ports import RealClock, VirtualClock
 from tests.waiting import LONG, wait_for
 
 SDK = PacketHandler(2.0)
-TORQUE, GOAL, PRESENT, ERROR_STATUS, WATCHDOG = 64, 116, 132, 70, 98
+TORQUE = 64
+GOAL = 116
+PRESENT = 132
+ERROR_STATUS = 70
+WATCHDOG = 98
 pytestmark = pytest.mark.usefixtures("real_time")
 
 
@@ -59,7 +63,7 @@ def test_ping_and_broadcast_ping(port: PortHandler) -> None:
     }
 
 
-def test_nobody_answers_to_a_free_id(port: PortHandler) -> None:
+def test_a_free_id_gets_no_reply(port: PortHandler) -> None:
     assert SDK.ping(port, 77)[1] == COMM_RX_TIMEOUT
 
 
@@ -91,7 +95,7 @@ def test_sync_write_and_both_sync_reads(port: PortHandler, clock: VirtualClock, 
         assert torque.addParam(id, [1])
         assert goals.addParam(id, list((1000 + 100 * id).to_bytes(4, "little")))
     assert torque.txPacket() == goals.txPacket() == COMM_SUCCESS
-    SDK.ping(port, 1)  # nobody answers a sync write: wait until it has been read before time moves
+    SDK.ping(port, 1)  # a sync write has no reply: wait until it was read before time moves
     clock.sleep_until(clock.now() + 5.0)
     reader = GroupSyncRead(port, SDK, PRESENT, 4)
     for id in ids:
@@ -102,10 +106,13 @@ def test_sync_write_and_both_sync_reads(port: PortHandler, clock: VirtualClock, 
 
 def test_reg_write_waits_for_the_action(port: PortHandler, clock: VirtualClock) -> None:
     SDK.write1ByteTxRx(port, 1, TORQUE, 1)
-    assert SDK.regWriteTxRx(port, 1, GOAL, 4, list((2500).to_bytes(4, "little"))) == (COMM_SUCCESS, 0)
+    assert SDK.regWriteTxRx(port, 1, GOAL, 4, list((2500).to_bytes(4, "little"))) == (
+        COMM_SUCCESS,
+        0,
+    )
     clock.sleep_until(clock.now() + 5.0)
     assert SDK.read4ByteTxRx(port, 1, PRESENT)[0] == 2048
-    SDK.action(port, 254)  # the SDK waits for no reply to it, so ask all: nobody answers that
+    SDK.action(port, 254)  # the SDK waits for no reply, so send it to all: a broadcast has none
     SDK.ping(port, 1)
     clock.sleep_until(clock.now() + 5.0)
     assert SDK.read4ByteTxRx(port, 1, PRESENT)[0] == 2500
@@ -139,7 +146,8 @@ def test_match_baud(arm_bus: VirtualBus, client: int, heard: bool) -> None:
 def test_every_servo_keeps_its_own_rate(arm_bus: VirtualBus) -> None:
     with PtyPort(arm_bus, match_baud=True) as pty:
         for port in _open(pty, 1_000_000):
-            assert SDK.write1ByteTxRx(port, 2, 8, 1) == (COMM_SUCCESS, 0)  # answered at the old rate
+            # answered at the old rate
+            assert SDK.write1ByteTxRx(port, 2, 8, 1) == (COMM_SUCCESS, 0)
             assert SDK.ping(port, 2)[1] == COMM_RX_TIMEOUT
             assert SDK.ping(port, 1)[1] == COMM_SUCCESS
         for port in _open(pty, 57_600):

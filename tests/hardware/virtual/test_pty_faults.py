@@ -35,12 +35,15 @@ def opened(path: str) -> Iterator[PortHandler]:
         port.closePort()
 
 
-def test_the_port_is_pulled_and_comes_back_under_its_link(arm_bus: VirtualBus, tmp_path: Path) -> None:
+def test_the_port_is_pulled_and_comes_back_under_its_link(
+    arm_bus: VirtualBus, tmp_path: Path
+) -> None:
     link = tmp_path / "arm"
     with PtyPort(arm_bus, link) as pty:
         before = pty.path
         with opened(str(link)) as port:
-            wait_for(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)  # a busy machine may be late once
+            # a busy machine may be late once
+            wait_for(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)
             arm_bus.inject(Fault("port_unplugged"))  # while the port sleeps
             wait_for(lambda: not os.path.lexists(link))
             with pytest.raises((serial.SerialException, OSError, termios.error)):
@@ -55,7 +58,9 @@ def test_the_port_is_pulled_and_comes_back_under_its_link(arm_bus: VirtualBus, t
     assert not os.path.lexists(link)
 
 
-def test_a_booked_unplugging_happens_though_nobody_asks(arm_config: ArmConfig, tmp_path: Path) -> None:
+def test_a_scheduled_unplugging_happens_without_a_request(
+    arm_config: ArmConfig, tmp_path: Path
+) -> None:
     bus = VirtualBus.from_config(arm_config, RealClock())
     link = tmp_path / "arm"
     with PtyPort(bus, link):

@@ -1,4 +1,4 @@
-"""The port of the virtual bus as the system sees it: bytes, time, files, threads, and its link."""
+"""The port of the virtual bus: bytes, time, files, threads, and its link."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_client_that_sets_nothing_gets_its_bytes_unchanged(pty: PtyPort) -> No
         os.close(client)
 
 
-def test_a_packet_in_pieces_is_answered_when_whole(pty: PtyPort) -> None:
+def test_a_packet_in_pieces_is_answered_when_complete(pty: PtyPort) -> None:
     with serial.Serial(pty.path, 1_000_000, timeout=0.1) as client:
         request = build(1, Instruction.PING)
         client.write(request[:5])
@@ -124,5 +124,5 @@ def test_link_never_overwrites_a_file(arm_bus: VirtualBus, tmp_path: Path) -> No
     with pytest.raises(OutputError, match="not a symbolic link"):
         PtyPort(arm_bus, precious)
     assert precious.read_text() == "keep me"
-    with pytest.raises(OutputError, match="cannot be made"):
+    with pytest.raises(OutputError, match="cannot make the link"):
         PtyPort(arm_bus, tmp_path / "missing" / "link")

@@ -54,7 +54,9 @@ def test_no_backup_with_torque_and_none_to_restore() -> None:
 
 def test_startup_configuration(make_bench: Make) -> None:
     bench = make_bench()
-    bench.set(startup_configuration=0b10, position_p_gain=500, profile_velocity=33, indirect_address_1=132)
+    bench.set(
+        startup_configuration=0b10, position_p_gain=500, profile_velocity=33, indirect_address_1=132
+    )
     bench.servo.reboot()
     assert bench.read("position_p_gain") == 800  # there is no backup yet
     bench.set(position_p_gain=500, profile_velocity=33, indirect_address_1=132, led=1)
@@ -68,7 +70,9 @@ def test_startup_configuration(make_bench: Make) -> None:
     assert not bench.servo.torque and bench.servo.deaf
     bench.servo.switch(on=True)
     bench.wait(1.0)
-    assert bench.servo.torque and bench.read("present_position") == bench.read("goal_position") == 2348
+    assert (
+        bench.servo.torque and bench.read("present_position") == bench.read("goal_position") == 2348
+    )
 
 
 def test_power_loss_forgets_what_is_not_eeprom(make_bench: Make) -> None:
@@ -78,7 +82,8 @@ def test_power_loss_forgets_what_is_not_eeprom(make_bench: Make) -> None:
     bench.servo.switch(on=False)
     bench.servo.switch(on=True)
     found = [
-        bench.read(n) for n in ("led", "return_delay_time", "profile_velocity", "registered_instruction")
+        bench.read(n)
+        for n in ("led", "return_delay_time", "profile_velocity", "registered_instruction")
     ]
     assert found == [0, 9, 0, 0]
     assert bench.servo.action() == ErrorCode.INSTRUCTION
@@ -92,7 +97,9 @@ def test_old_firmware_knows_no_backup_and_no_fast_read() -> None:
     assert bus.handle(build(254, Instruction.SYNC_READ, read)) != b""
     assert bus.handle(build(1, Instruction.PING))[-3] == 44
     older = _bus("XM430-W350", firmware=37)
-    assert older.handle(build(1, Instruction.READ, b"\x62\x00\x01\x00")) == build_status(1, ErrorCode.ACCESS)
+    assert older.handle(build(1, Instruction.READ, b"\x62\x00\x01\x00")) == build_status(
+        1, ErrorCode.ACCESS
+    )
     assert older.handle(build(254, Instruction.FACTORY_RESET, b"\xff")) == b""
     assert older.servo(1).baud == 57_600  # it was obeyed: the guard came with firmware 42
     assert _bus("XM430-W350").servo(1).baud == 1_000_000
@@ -104,7 +111,7 @@ def test_old_firmware_knows_no_backup_and_no_fast_read() -> None:
     writes=st.lists(st.tuples(st.integers(0, 670), st.binary(max_size=8)), max_size=25),
 )
 def test_memory_is_bytes_with_rules(model: str, writes: list[tuple[int, bytes]]) -> None:
-    """Against a plain array of bytes: what was accepted is there, what was refused changed nothing."""
+    """An array of bytes is the judge: accepted writes are there, refused ones changed nothing."""
     table = X_TABLES[model]
     memory = Memory(table)
     plain = {r.name: r.initial or 0 for r in table}
@@ -125,7 +132,7 @@ def test_memory_is_bytes_with_rules(model: str, writes: list[tuple[int, bytes]])
 
 
 @pytest.mark.parametrize("option,kept", [(0xFF, (1, 1)), (1, (7, 1)), (2, (7, 3))])
-def test_factory_reset_keeps_what_it_is_told_to(option: int, kept: tuple[int, int]) -> None:
+def test_factory_reset_keeps_the_requested_registers(option: int, kept: tuple[int, int]) -> None:
     bus = _bus()
     bus.servo(1).memory.set("id", 7)
     reply = bus.handle(build(7, Instruction.FACTORY_RESET, bytes([option])))

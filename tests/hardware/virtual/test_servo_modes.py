@@ -1,4 +1,4 @@
-"""Modes that give a torque, and what a load does to current, PWM, temperature and shutdown."""
+"""Torque modes, and what a load does to current, PWM, temperature and shutdown."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import pytest
 
 from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.registers import OperatingMode
-from robot_ik.hardware.virtual.motor import Load
+from robot_ik.hardware.virtual.electrics import Load
 from robot_ik.hardware.virtual.protocol import ErrorCode
 
-CURRENT, PWM, HOLDING = OperatingMode.CURRENT, OperatingMode.PWM, OperatingMode.CURRENT_BASED_POSITION
-VELOCITY, EXTENDED = OperatingMode.VELOCITY, OperatingMode.EXTENDED_POSITION
+CURRENT = OperatingMode.CURRENT
+PWM = OperatingMode.PWM
+HOLDING = OperatingMode.CURRENT_BASED_POSITION
+VELOCITY = OperatingMode.VELOCITY
+EXTENDED = OperatingMode.EXTENDED_POSITION
 HEAVY = Load(gravity=1.0, friction=0.1)  # N m; XM430-W350: 4.1 N m at 2.3 A and 12 V
 MILLIAMPERES_PER_NM = 1000 * 2.3 / 4.1
 
@@ -102,7 +105,9 @@ def test_the_mode_change_opens_the_limits_as_the_manual_says(make_bench: Make) -
     assert bench.read("present_position") == 2048
 
 
-def test_a_gripper_in_current_based_position_presses_with_its_current_and_no_more(make_bench: Make) -> None:
+def test_a_gripper_in_current_based_position_presses_with_its_current_and_no_more(
+    make_bench: Make,
+) -> None:
     bench = make_bench("XL330-M288", load=Load())
     bench.set(operating_mode=HOLDING)
     bench.set(goal_current=300, torque_enable=1)
@@ -112,7 +117,8 @@ def test_a_gripper_in_current_based_position_presses_with_its_current_and_no_mor
     assert bench.read("present_position") == 2500
     assert bench.read("present_current") == pytest.approx(300, abs=2)
     bench.wait(60.0)
-    assert bench.read("hardware_error_status") == 0  # a fifth of the stall current: for ever, if need be
+    # a fifth of the stall current: for ever, if need be
+    assert bench.read("hardware_error_status") == 0
     bench.set(goal_position=2000)
     bench.wait(2.0)
     assert bench.read("present_position") == 2000
@@ -171,7 +177,8 @@ def test_a_long_heavy_load_heats_until_the_limit_and_shuts_down(make_bench: Make
 
 
 def test_a_supply_out_of_range_is_an_error_that_shutdown_decides_about(make_bench: Make) -> None:
-    metal, small = make_bench("XM430-W350"), make_bench("XL330-M288")
+    metal = make_bench("XM430-W350")
+    small = make_bench("XL330-M288")
     for bench, volts in ((metal, 9.0), (small, 12.0)):
         bench.set(torque_enable=1)
         bench.servo.set_supply(volts)
@@ -210,7 +217,10 @@ def test_a_slave_of_a_dual_joint_follows_no_goal(make_bench: Make) -> None:
 
 
 def test_without_torque_one_turn_mode_counts_on_and_torque_folds_it(make_bench: Make) -> None:
-    """The manual: continuous while torque is off; in one revolution when torque goes on in position mode."""
+    """The manual: continuous while torque is off.
+
+    In one revolution when torque goes on in position mode.
+    """
     bench = make_bench(position_ticks=4000)
     bench.servo.rotate_by_hand(200.0)
     assert bench.read("present_position") == 4200
@@ -220,7 +230,7 @@ def test_without_torque_one_turn_mode_counts_on_and_torque_folds_it(make_bench: 
     assert bench.servo.true_ticks == 4200.0
 
 
-def test_lost_turns_are_seen_by_nobody_but_the_registers(make_bench: Make) -> None:
+def test_lost_turns_show_in_the_registers_only(make_bench: Make) -> None:
     bench = make_bench(mode=EXTENDED)
     bench.servo.shaft.lose_revolutions(-2)
     assert bench.read("present_position") == 2048 - 2 * 4096

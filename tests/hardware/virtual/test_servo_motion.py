@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robot_ik.hardware.registers import OperatingMode
-from robot_ik.hardware.virtual.motor import ProfileKind
+from robot_ik.hardware.virtual.profiles import ProfileKind
 
 EXTENDED = OperatingMode.EXTENDED_POSITION
 
@@ -16,7 +16,9 @@ EXTENDED = OperatingMode.EXTENDED_POSITION
 def test_trapezoid_of_the_manual(make_bench: Callable[..., Any]) -> None:
     """Ramp time t1 = 64 V / A ms and duration d / V + t1, from the manual's profile section."""
     bench = make_bench(mode=EXTENDED)
-    bench.set(profile_velocity=100, profile_acceleration=20, torque_enable=1, goal_position=2048 + 4096)
+    bench.set(
+        profile_velocity=100, profile_acceleration=20, torque_enable=1, goal_position=2048 + 4096
+    )
     ramp = 0.064 * 100 / 20
     start = bench.clock.now()
     bench.wait(ramp / 2)
@@ -25,7 +27,9 @@ def test_trapezoid_of_the_manual(make_bench: Callable[..., Any]) -> None:
     assert bench.read("moving_status") == 0b110010  # trapezoidal, going on
     bench.wait(ramp / 2)
     assert bench.read("present_velocity") == pytest.approx(100, abs=1)
-    assert bench.servo.shaft.reading - 2048 == pytest.approx(0.5 * 100 * bench.V_UNIT * ramp, rel=2e-3)
+    assert bench.servo.shaft.reading - 2048 == pytest.approx(
+        0.5 * 100 * bench.V_UNIT * ramp, rel=2e-3
+    )
     end = start + 4096 / (100 * bench.V_UNIT) + ramp
     bench.clock.sleep_until(end - 0.01)
     assert bench.read("moving_status") & 0b11 == 0b10
@@ -65,7 +69,8 @@ def test_the_speed_is_that_of_the_motor_at_its_supply_and_of_the_velocity_limit(
         return bench.read("present_velocity")
 
     assert cruising(velocity_limit=200) == pytest.approx(200, abs=1)
-    assert cruising(velocity_limit=131, profile_velocity=180) == pytest.approx(131, abs=1)  # Interbotix'
+    # Interbotix'
+    assert cruising(velocity_limit=131, profile_velocity=180) == pytest.approx(131, abs=1)
     assert cruising(velocity_limit=1023) == pytest.approx(180, abs=1)  # the profile's
     assert cruising(profile_velocity=0) == pytest.approx(46 / 0.229, abs=1)  # what the motor does
     bench.servo.set_supply(10.0)
@@ -96,7 +101,8 @@ def test_a_ramp_is_at_most_half_the_time(make_bench: Callable[..., Any]) -> None
 
 
 def test_how_often_it_is_asked_changes_nothing(make_bench: Callable[..., Any]) -> None:
-    often, rarely = make_bench(mode=EXTENDED), make_bench(mode=EXTENDED)
+    often = make_bench(mode=EXTENDED)
+    rarely = make_bench(mode=EXTENDED)
     for bench in (often, rarely):
         bench.set(profile_velocity=60, profile_acceleration=5, torque_enable=1, goal_position=9000)
     for _ in range(1000):
@@ -119,7 +125,7 @@ def test_a_new_goal_on_the_way_keeps_the_speed(make_bench: Callable[..., Any]) -
     assert bench.read("present_position") == 0
 
 
-def test_velocity_mode_turns_until_told_otherwise(make_bench: Callable[..., Any]) -> None:
+def test_velocity_mode_turns_until_the_next_goal(make_bench: Callable[..., Any]) -> None:
     bench = make_bench()
     bench.set(operating_mode=OperatingMode.VELOCITY, torque_enable=1, goal_velocity=-100)
     bench.wait(10.0)

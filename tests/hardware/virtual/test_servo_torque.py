@@ -1,4 +1,4 @@
-"""Torque of a virtual servo: what takes it away, what gives it back, and what a reset forgets."""
+"""Torque of a virtual servo: how it is lost and restored, and what a reset forgets."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ def test_bus_watchdog_counts_silence_with_torque_only(make_bench: Callable[..., 
     before = bench.servo.true_ticks
     bench.wait(60.0)
     at_trip = before + 0.1 * 50 * bench.V_UNIT
-    assert bench.servo.true_ticks == pytest.approx(at_trip, abs=3.0)  # it stopped then, not when it was asked
+    # it stopped then, not when it was asked
+    assert bench.servo.true_ticks == pytest.approx(at_trip, abs=3.0)
     assert bench.read("bus_watchdog") == -1
     assert bench.read("torque_enable") == 1
     assert bench.read("profile_velocity") == bench.read("profile_acceleration") == 0

@@ -1,4 +1,4 @@
-"""The wire of the virtual bus: rates, time, packets in pieces, threads, and noise that must not break it."""
+"""The wire of the virtual bus: rates, time, packets in pieces, threads, and noise."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ from robot_ik.ports import VirtualClock
 
 I = Instruction  # noqa: E741
 
-# Sizes and addresses that are nearly right, and ids that exist: noise that gets past the first checks.
+# Sizes and addresses that are nearly right, and ids that exist: noise that gets past the first
+# checks.
 NEARLY = st.lists(
-    st.sampled_from([struct.pack("<H", n) for n in (0, 1, 4, 7, 8, 64, 98, 116, 132, 168, 224, 661, 65535)])
+    st.sampled_from(
+        [struct.pack("<H", n) for n in (0, 1, 4, 7, 8, 64, 98, 116, 132, 168, 224, 661, 65535)]
+    )
     | st.sampled_from([b"\x01", b"\x02", b"\xff", b"\xff\xff\xfd", b"\x00"]),
     max_size=12,
 ).map(b"".join)
@@ -58,7 +61,9 @@ def test_a_servo_that_starts_up_is_deaf(bus: VirtualBus, clock: VirtualClock) ->
     assert bus.handle(build(1, I.PING)) != b""
 
 
-def test_several_packets_and_pieces_at_once(bus: VirtualBus, parse: Callable[[bytes], list[Packet]]) -> None:
+def test_several_packets_and_pieces_at_once(
+    bus: VirtualBus, parse: Callable[[bytes], list[Packet]]
+) -> None:
     stream = build(1, I.PING) + b"\xff\x00noise" + build(2, I.PING)
     assert bus.handle(stream[:3]) == b""
     assert [a.id for a in parse(bus.handle(stream[3:]))] == [1, 2]
@@ -82,7 +87,9 @@ def test_threads_do_not_mix_their_packets(bus: VirtualBus) -> None:
 
 
 @given(st.lists(st.binary(max_size=60) | NEARLY, max_size=10), st.integers(0, 1000))
-def test_noise_moves_no_servo_and_a_spoiled_wire_brings_nothing_down(noise: list[bytes], seed: int) -> None:
+def test_noise_moves_no_servo_and_a_spoiled_wire_brings_nothing_down(
+    noise: list[bytes], seed: int
+) -> None:
     clock = VirtualClock()
     servos = [VirtualServo("XM430-W350", id, clock, position_ticks=100 * id) for id in (1, 2, 3)]
     bus = VirtualBus(servos, clock, seed)
@@ -93,7 +100,11 @@ def test_noise_moves_no_servo_and_a_spoiled_wire_brings_nothing_down(noise: list
         bus.handle(build(254, I.PING))
         bus.handle(build(254, I.SYNC_READ, struct.pack("<HH", 132, 4) + b"\x03\x01\x02"))
         bus.handle(build(254, I.FAST_SYNC_READ, struct.pack("<HH", 132, 4) + b"\x03\x01\x02"))
-    assert [(s.torque, s.shaft.reading) for s in servos] == [(False, 100.0), (False, 200.0), (False, 300.0)]
+    assert [(s.torque, s.shaft.reading) for s in servos] == [
+        (False, 100.0),
+        (False, 200.0),
+        (False, 300.0),
+    ]
 
 
 @given(
@@ -116,7 +127,8 @@ def test_no_packet_brings_the_bus_down(
     for id, instruction, params in packets:
         clock.sleep_until(clock.now() + 0.01)
         reply = bus.handle(build(id, instruction, params))
-        if instruction not in (I.FAST_SYNC_READ, I.FAST_BULK_READ):  # those may break off, as they should
+        # those may break off, as they should
+        if instruction not in (I.FAST_SYNC_READ, I.FAST_BULK_READ):
             answers = parse(reply)
             ids = [s.id for s in bus.servos]
             assert all(a.is_status for a in answers if a.valid)

@@ -1,4 +1,4 @@
-"""One world from both sides: MuJoCo moves the joints, the bus reads them, and loads show up as current."""
+"""A world: MuJoCo moves the joints, the bus reads them, and loads show as current."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ ARM = """
 
 
 def joint_torques(world: World) -> np.ndarray:
-    """(n,) N m at the joints that hold the arm at its present pose, from MuJoCo's inverse dynamics."""
+    """Return the torques that hold the present pose, (n,) N m, from MuJoCo's inverse dynamics."""
     data = mujoco.MjData(world.model)
     data.qpos[:] = world.data.qpos
     data.qvel[:] = 0.0
@@ -101,7 +101,8 @@ def test_gravity_shows_up_as_current(rig: Callable[..., Rig], start: tuple[float
     expected = joint_torques(it.world)
     assert shoulder == pytest.approx(expected[0], abs=1.5 * NM_PER_COUNT)
     assert elbow == pytest.approx(-expected[1] / 2.0, abs=1.5 * NM_PER_COUNT)
-    assert np.abs(it.q() - start).max() < 0.02  # it sags a little, as a servo without integral gain does
+    # it sags a little, as a servo without integral gain does
+    assert np.abs(it.q() - start).max() < 0.02
     assert it.bus.true_angles(it.config) == pytest.approx(it.q(), abs=1e-9)
 
 
@@ -117,7 +118,9 @@ def test_a_move_arrives_and_both_sides_agree(rig: Callable[..., Rig]) -> None:
     assert it.read("moving") == [1, 1]
     it.wait(3.0)
     assert it.q() == pytest.approx(wanted, abs=0.02)
-    measured = [j.value(t) for j, t in zip(it.config.joints, it.read("present_position"), strict=True)]
+    measured = [
+        j.value(t) for j, t in zip(it.config.joints, it.read("present_position"), strict=True)
+    ]
     assert measured == pytest.approx(it.q(), abs=0.002)
 
 
@@ -145,7 +148,9 @@ def test_what_is_too_heavy_sinks_and_shuts_down(rig: Callable[..., Rig]) -> None
     assert it.read("hardware_error_status")[0] == 0b100000 and it.read("torque_enable")[0] == 0
 
 
-def test_current_mode_without_current_is_limp_and_holding_it_floats(rig: Callable[..., Rig]) -> None:
+def test_current_mode_without_current_is_limp_and_holding_it_floats(
+    rig: Callable[..., Rig],
+) -> None:
     it = rig(mass=1.0)
     it.write("operating_mode", OperatingMode.CURRENT)
     torques = joint_torques(it.world)
@@ -159,7 +164,7 @@ def test_current_mode_without_current_is_limp_and_holding_it_floats(rig: Callabl
     assert it.q()[0] < -1.0
 
 
-def test_the_bus_watchdog_stops_it_though_nobody_looks(rig: Callable[..., Rig]) -> None:
+def test_the_bus_watchdog_stops_a_servo_that_is_not_read(rig: Callable[..., Rig]) -> None:
     it = rig(mass=0.05)
     it.write("profile_velocity", 20)
     it.write("torque_enable", 1)
@@ -192,7 +197,9 @@ def test_a_push_from_outside_is_held_and_felt(rig: Callable[..., Rig]) -> None:
     assert (shoulder, elbow) == (pytest.approx(1.0, abs=0.1), pytest.approx(0.5, abs=0.1))
 
 
-def test_a_hidden_offset_is_one_of_the_world_and_not_of_the_registers(rig: Callable[..., Rig]) -> None:
+def test_a_hidden_offset_is_one_of_the_world_and_not_of_the_registers(
+    rig: Callable[..., Rig],
+) -> None:
     it = rig()
     it.bus.servo(1).zero_offset_ticks = 100.0
     it.write("torque_enable", 1)
@@ -215,7 +222,8 @@ def test_the_same_arm_driver_moves_the_world(rig: Callable[..., Rig]) -> None:
     it = rig()
     with open_arm(it.config, "sim", virtual_bus=it.bus) as arm:
         arm.enable()
-        begin, target = arm.read().q, np.array([0.3, 0.4])
+        begin = arm.read().q
+        target = np.array([0.3, 0.4])
         for k in range(150):
             arm.clock.sleep_until(arm.clock.now() + 0.01)
             arm.send(begin + min(1.0, k / 100) * (target - begin), arm.clock.now())
@@ -243,7 +251,10 @@ def test_two_servos_share_one_joint_and_its_load(rig: Callable[..., Rig], twin: 
     # With one of them limp the other carries all of it, and sags no more.
     it.write("torque_enable", 0, 3)
     it.wait(1.0)
-    assert torque(1) == pytest.approx(joint_torques(it.world)[0], abs=2 * NM_PER_COUNT) and torque(3) == 0
+    assert (
+        torque(1) == pytest.approx(joint_torques(it.world)[0], abs=2 * NM_PER_COUNT)
+        and torque(3) == 0
+    )
     assert abs(it.q()[0]) < 0.03
 
 
@@ -256,6 +267,7 @@ def test_two_servos_move_their_joint_as_one(rig: Callable[..., Rig]) -> None:
             arm.clock.sleep_until(arm.clock.now() + 0.01)
             arm.send(begin + min(1.0, k / 80) * (np.array([0.2, 0.0]) - begin), arm.clock.now())
         assert arm.read().q[0] == pytest.approx(0.2, abs=0.03)
-        first, second = it.config.drives[0], it.config.drives[2]
+        first = it.config.drives[0]
+        second = it.config.drives[2]
         shown = [s.value(it.bus.servo(s.id).shaft.reading) for s in (first, second)]
         assert shown[0] == pytest.approx(shown[1], abs=1e-6) == pytest.approx(it.q()[0], abs=1e-6)

@@ -24,8 +24,9 @@ from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.jobs.ar import job
 from robot_ik.jobs.ar.job import ArRequest, run_ar
-from robot_ik.jobs.ar.motion import make_motion, play_script, robot_of
+from robot_ik.jobs.ar.motion import make_motion, robot_of
 from robot_ik.jobs.ar.scene import lens, synthetic_scene
+from robot_ik.jobs.ar.script_motion import play_script
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Image
 from robot_ik.robot import load_robot

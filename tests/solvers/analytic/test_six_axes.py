@@ -16,7 +16,7 @@ from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 
 TIGHT = Tolerance(position=1e-6, angle=1e-6)
-ARMS = ("spherical", "parallel", "shoulder")
+ARMS = ("spherical", "parallel", "shoulder", "crossed")
 
 
 def unit(rng):
@@ -47,8 +47,19 @@ def parallel_axes(rng):
     return h, [*p, meet + h[4] * rng.normal(), meet + h[5] * rng.normal()]
 
 
+def crossed_axes(rng):
+    """Six lines: the first three through one point, the last two through another."""
+    shoulder = rng.normal(size=3) * 0.3
+    wrist = shoulder + rng.normal(size=3)
+    h = [unit(rng) for _ in range(6)]
+    p = [shoulder + axis * rng.normal() for axis in h[:3]]
+    return h, [*p, rng.normal(size=3) * 0.5, *(wrist + axis * rng.normal() for axis in h[4:])]
+
+
 def axes_of(rng, family):
     """Directions and points of six axes; a spherical shoulder is a spherical wrist from behind."""
+    if family == "crossed":
+        return crossed_axes(rng)
     h, p = parallel_axes(rng) if family == "parallel" else spherical_axes(rng)
     return (h[::-1], p[::-1]) if family == "shoulder" else (h, p)
 

@@ -1,4 +1,7 @@
-"""dynamixel-python (module dxl2), Protocol 2.0.  Run by check_clients.py: dynamixel_python_client.py PORT."""
+"""dynamixel-python (module dxl2), Protocol 2.0.
+
+Run by check_clients.py: dynamixel_python_client.py PORT.
+"""
 
 import sys
 import time
@@ -26,8 +29,11 @@ time.sleep(1.0)
 asked = v2.SyncParams(132, 4)
 for id in IDS:
     asked.add_motor(id)
-slow, fast = bus.sync_read(asked), bus.fast_sync_read(asked)
-assert slow.ok and [r.data if hasattr(r, "data") else r for r in slow.data] == [2010, 2020, 2030], slow
+slow = bus.sync_read(asked)
+fast = bus.fast_sync_read(asked)
+assert slow.ok and [r.data if hasattr(r, "data") else r for r in slow.data] == [2010, 2020, 2030], (
+    slow
+)
 assert fast.ok and list(fast.data) == [2010, 2020, 2030], fast
 several = v2.BulkParams()
 several.add_address(1, 132, 4, True)

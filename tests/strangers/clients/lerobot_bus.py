@@ -1,4 +1,4 @@
-"""LeRobot's way with a Koch follower: connect, calibrate, drive, leave.  Run by check_clients.py: PORT."""
+"""LeRobot connects, calibrates, drives and leaves a Koch. Run by check_clients.py: PORT."""
 
 import os
 import sys
@@ -12,7 +12,8 @@ from lerobot.motors.dynamixel import DynamixelMotorsBus, OperatingMode
 MODELS = ["xl430-w250"] * 2 + ["xl330-m288"] * 4
 NAMES = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"]
 motors = {
-    n: Motor(k, m, MotorNormMode.DEGREES) for k, (n, m) in enumerate(zip(NAMES, MODELS, strict=True), 1)
+    n: Motor(k, m, MotorNormMode.DEGREES)
+    for k, (n, m) in enumerate(zip(NAMES, MODELS, strict=True), 1)
 }
 bus = DynamixelMotorsBus(sys.argv[1], motors)
 bus.connect()
@@ -23,7 +24,7 @@ for name in NAMES:
     bus.write("Drive_Mode", name, 0)
 
 offsets = bus.set_half_turn_homings()
-# Enter, four seconds later: until then somebody turns the joints.
+# Enter comes after four seconds. Until then a hand turns the joints.
 reader, writer = os.pipe()
 sys.stdin = os.fdopen(reader)
 threading.Timer(4.0, lambda: os.write(writer, b"\n")).start()

@@ -15,7 +15,10 @@ from dynamixel_sdk import (
 )
 
 OK = (COMM_SUCCESS, 0)
-TORQUE, GOAL, PRESENT, PROFILE = 64, 116, 132, 112
+TORQUE = 64
+GOAL = 116
+PRESENT = 132
+PROFILE = 112
 IDS = (1, 2, 3)
 sdk = PacketHandler(2.0)
 port = PortHandler(sys.argv[1])

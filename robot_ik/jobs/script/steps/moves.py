@@ -89,7 +89,8 @@ class Move(Tolerant, Action):
     def to_goal(self, now: RunState, start: Array, goal: Goal, wanted: Goal) -> tuple[Trajectory, Judge]:
         """Straight in joint space to what meets ``goal``; judged by ``wanted``."""
         q = solve_for(now, goal, start)
-        return joint_move(now.robot, start, q, **self.caps(now)), self.by_goal(now, wanted)
+        trajectory = joint_move(now.robot, start, q, **self.caps(now))
+        return now.setup.checked(trajectory), self.by_goal(now, wanted)
 
     def to_joints(self, now: RunState, start: Array, q: Array) -> tuple[Trajectory, Judge]:
         """Straight in joint space; judged by the joint that is farthest off."""
@@ -97,7 +98,7 @@ class Move(Tolerant, Action):
         def judge() -> list[Finding]:
             return [self.farthest(now.robot, now.setup.q, q)]
 
-        return joint_move(now.robot, start, q, **self.caps(now)), judge
+        return now.setup.checked(joint_move(now.robot, start, q, **self.caps(now))), judge
 
 
 def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
@@ -106,7 +107,14 @@ def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
     Raises:
         NotConvergedError: None was found.
     """
-    problem = Problem(now.robot, goal, solver=now.solver, tolerance=SOLVE_TOLERANCE, seed=now.seed)
+    problem = Problem(
+        now.robot,
+        goal,
+        solver=now.solver,
+        tolerance=SOLVE_TOLERANCE,
+        seed=now.seed,
+        collisions=now.setup.collisions,
+    )
     solution = problem.solve(start)
     now.status = solution.status.name
     q = np.array(solution.require().q)
@@ -195,7 +203,7 @@ class LineStep(Framed, Move):
         trajectory = line_move(
             now.robot, start, target, frame=self.frame, linear_speed=self.linear_speed, **self.caps(now)
         )
-        return trajectory, self.by_goal(now, PoseGoal.at(self.frame, target))
+        return now.setup.checked(trajectory), self.by_goal(now, PoseGoal.at(self.frame, target))
 
 
 class JointsStep(JointValues, Move):
@@ -368,9 +376,10 @@ class FollowStep(Framed, Action):
         setup = now.setup
         with self._goals(now, frame) as goals:
             report = follow(
-                now.robot, goals, sinks=setup.sinks, solver=now.solver, rate=setup.rate,
+                now.robot, goals, sinks=setup.begin_stream(), solver=now.solver, rate=setup.rate,
                 clock=setup.clock, duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
                 speed=self.speed or now.script.speed, source=now.setup.opened, on_tick=note,
+                collisions=now.setup.collisions,
             )  # fmt: skip
         self._judge(now, report, behind, result)
         if not self.needs_camera:

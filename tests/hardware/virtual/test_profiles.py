@@ -1,4 +1,4 @@
-"""The closed-form profile of a virtual servo against a numeric integration written apart, and its laws."""
+"""The closed-form profile of a virtual servo against a numeric integration, and its laws."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_ik.hardware.virtual.motor import brake, move
+from robot_ik.hardware.virtual.profiles import brake, move
 
 
 def _integrate(
     x: float, v: float, goal: float, top: float, a: float, samples: list[float], dt: float
 ) -> list[float]:
-    """Braking-distance control in small steps: speed up while there is room to stop, else slow down."""
-    found, t = [], 0.0
+    """Braking-distance control in small steps: speed up while there is room to stop."""
+    found = []
+    t = 0.0
     for sample in samples:
         while t < sample:
             wanted = math.copysign(min(top, math.sqrt(2 * a * abs(goal - x))), goal - x)
@@ -34,7 +35,9 @@ def _integrate(
     top=st.floats(100, 2000),
     a=st.floats(500, 20_000),
 )
-def test_closed_form_is_the_integrated_motion(distance: float, v: float, top: float, a: float) -> None:
+def test_closed_form_is_the_integrated_motion(
+    distance: float, v: float, top: float, a: float
+) -> None:
     motion = move(0.0, 500.0, v, 500.0 + distance, top, a)
     samples = [motion.end * k / 7 for k in range(1, 8)]
     dt = max(motion.end / 8000, 1e-5)

@@ -1,0 +1,131 @@
+"""Steps in which a person moves the arm, until Enter or for a time, while it is sampled."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import select
+import sys
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from robot_ik.cli import console
+from robot_ik.cli.arguments import wrong
+from robot_ik.errors import HardwareError
+from robot_ik.ports import Clock
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.calibration import OperatorError
+
+NO_ENTER = "standard input has ended, so nobody can press Enter"
+
+SAMPLE_PERIOD = 0.02
+"""s between two samples: quick enough that a sweep by hand misses no end of a range."""
+
+READ_BYTES = 1024
+"""Bytes read from standard input at once."""
+
+
+class Prompts:
+    """Asks for one step after the other.
+
+    Args:
+        clock: Paces the samples.
+        seconds: Duration of each step.  None: until Enter (a line on standard input).
+        period: s between two samples.
+
+    Raises:
+        ConfigError: Steps end with Enter, and standard input has ended already.
+    """
+
+    def __init__(
+        self, clock: Clock, seconds: float | None = None, period: float = SAMPLE_PERIOD
+    ) -> None:
+        self._clock = clock
+        self._period = period
+        self._seconds = seconds
+        # True for every line of standard input, False for its end.
+        self._lines: queue.Queue[bool] = queue.Queue()
+        self._reader: threading.Thread | None = None
+        with contextlib.suppress(OSError):  # Windows asks only sockets whether they can be read
+            if seconds is None and _has_input() and not self._read_input():
+                raise wrong("--seconds", NO_ENTER, "--seconds S")
+
+    def step(self, text: str, sample: Callable[[], object]) -> None:
+        """Say what to do, sample until it is done, and sample once more then.
+
+        Args:
+            text: What the person does.
+            sample: Takes a sample.
+
+        Raises:
+            HardwareError: Standard input has ended.  Errors of ``sample``.
+        """
+        ending = "then press Enter" if self._seconds is None else f"{self._seconds:g} s from now"
+        console.say(f"{text}; {ending}", "bold")
+        if self._reader is None and self._seconds is None:
+            self._reader = threading.Thread(
+                target=self._read_lines, name="standard input", daemon=True
+            )
+            self._reader.start()
+        due = self._clock.now()
+        end = due + (self._seconds or 0.0)
+        while not self._is_done(end):
+            sample()
+            due = max(due + self._period, self._clock.now())
+            self._clock.sleep_until(due)
+        sample()
+
+    def note(self, text: str) -> None:
+        """Print the result of a step."""
+        console.say(text)
+
+    def again(self, error: OperatorError) -> bool:
+        """Show why a step failed.  Return whether it can be repeated: only at a terminal."""
+        if self._seconds is not None or sys.__stdin__ is None or not sys.__stdin__.isatty():
+            return False
+        console.show_error(error)
+        console.say("once more (Ctrl-C gives up; nothing is written)", "yellow")
+        return True
+
+    def _is_done(self, end: float) -> bool:
+        """Return whether a step is done.
+
+        Args:
+            end: Time of its end, s; for steps with a duration.
+        """
+        if self._seconds is not None:
+            return self._clock.now() >= end
+        try:
+            is_line = self._lines.get_nowait()
+        except queue.Empty:
+            return False
+        if not is_line:
+            self._lines.put(False)
+            raise HardwareError(NO_ENTER, hint="give --seconds S")
+        return True
+
+    def _read_lines(self) -> None:
+        # Not by sys.stdin: a thread that waits inside it has its lock at the end of the program.
+        with contextlib.suppress(OSError, ValueError):
+            while self._read_input():
+                pass
+        self._lines.put(False)
+
+    def _read_input(self) -> bool:
+        """Count the lines that were typed.  Return False at the end of standard input."""
+        data = os.read(_input_file(), READ_BYTES)
+        for _ in range(data.count(b"\n")):
+            self._lines.put(True)
+        return bool(data)
+
+
+def _input_file() -> int:
+    return sys.__stdin__.fileno() if sys.__stdin__ else 0
+
+
+def _has_input() -> bool:
+    """Return whether standard input can be read now."""
+    return bool(select.select([_input_file()], [], [], 0.0)[0])

@@ -1,0 +1,92 @@
+"""The hand of an arm, led by inverse kinematics."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_ik.budget import Budget
+from robot_ik.geometry import Pose
+from robot_ik.goals import BEST, EXACT, PoseGoal
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.operator import Angles
+from robot_ik.jobs.robot_setup import robot_named_in
+from robot_ik.problem import Problem
+from robot_ik.robot import load_robot
+
+BUDGET = Budget(iterations=30, restarts=0)
+"""Of one solve: an arm that follows must not jump, so there are no restarts."""
+
+JOINTS_FOR_ANY_POSE = 6
+"""Joints that can carry any pose of a hand."""
+
+POSITION_TOLERANCE = 1e-3
+"""m by which the hand may miss the end of a step."""
+
+ANGLE_TOLERANCE = 1e-2
+"""rad by which the hand may miss the end of a step."""
+
+
+class LedHand:
+    """The hand of a follower, led from the last command on.
+
+    An arm that cannot carry every pose reaches the position with the best orientation there.
+
+    Args:
+        config: Arm file of the follower.
+
+    Attributes:
+        names: Joints that carry the hand.
+        pose: Pose of the last command.
+    """
+
+    def __init__(self, config: ArmConfig) -> None:
+        robot = load_robot(robot_named_in(config))
+        chain = config.chain
+        self.names = chain.names
+        self._columns = [robot.joints.index(name) for name in chain.names]
+        lower = np.full(robot.nv, -np.inf)
+        upper = np.full(robot.nv, np.inf)
+        lower[self._columns] = chain.lower
+        upper[self._columns] = chain.upper
+        self._robot = robot.with_limits(lower, upper)
+        self._q = self._robot.home.copy()
+        self.pose = self._robot.forward(self._q)
+        self._reaches_any_pose = self._robot.nv >= JOINTS_FOR_ANY_POSE
+        orientation = EXACT if self._reaches_any_pose else BEST
+        self._problem = Problem(
+            self._robot,
+            PoseGoal(None, self.pose.position, self.pose.wxyz, orientation=orientation),
+            solver="lm" if self._reaches_any_pose else "auto",
+            budget=BUDGET,
+            keep_branch=True,
+        )
+
+    def engage(self, angles: Angles) -> Pose:
+        """Lead the hand from joint values on, and return its pose there."""
+        self._q = self._robot.home.copy()
+        self._q[self._columns] = [angles[name] for name in self.names]
+        self._q = self._robot.clip(self._q)
+        self.pose = self._robot.forward(self._q)
+        return self.pose
+
+    def go(self, pose: Pose, *, exactly: bool = False) -> dict[str, float]:
+        """Return joint -> value that bring the hand to a pose, or as near as possible.
+
+        Args:
+            pose: Target in the world.
+            exactly: Keep the last command if the hand cannot get there.  Steps that add up must
+                neither drift, nor rotate the hand at the end of its reach.
+        """
+        q = self._problem.solve(self._q, target=pose).q
+        if np.isfinite(q).all():
+            reached = self._robot.forward(q)
+            distance, angle = reached.distance(pose)
+            angle_is_right = angle < ANGLE_TOLERANCE or not self._reaches_any_pose
+            arrives = distance < POSITION_TOLERANCE and angle_is_right
+            if arrives or not exactly:
+                self._q = q
+                self.pose = reached
+                if exactly:
+                    wxyz = pose.wxyz if self._reaches_any_pose else reached.wxyz
+                    self.pose = Pose(pose.position, wxyz)
+        return dict(zip(self.names, self._q[self._columns].tolist(), strict=True))

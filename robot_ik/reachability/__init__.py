@@ -1,0 +1,1 @@
+"""Reachability maps: in which poses a frame of an arm can stand, cell by cell."""
