@@ -14,8 +14,8 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.cli.main import main
-from robot_ik.errors import MissingExtraError
-from robot_ik.jobs.testbed import film
+from robot_ik.errors import ConfigError, MissingExtraError
+from robot_ik.jobs.testbed import film, film_in_process
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS
 from robot_ik.testbed.commands import (
     CommandLog,
@@ -127,6 +127,17 @@ def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert len(rows) == 1 + 2 * 19 and {row["method"] for row in rows[4:]} == {"dls", "ccd"}
     assert float(rows[-1]["error_m"]) == view.instances[1].error
+
+
+def test_a_film_is_made_by_another_process(tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="needs the extra video")
+    log = CommandLog(Start("tabletop_puma"), (), ticks=8)
+    file = tmp_path / "film.mp4"
+    file.write_bytes(film_in_process(log))
+    with av.open(str(file)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 4
+    with pytest.raises(ConfigError):
+        film_in_process(CommandLog(Start("tabletop_puma"), ()))
 
 
 def test_a_gif_is_written(tmp_path: Path) -> None:
