@@ -1,7 +1,8 @@
 """Makes the pictures of the testbed, the README's first one too: `python docs/make/screenshots.py`.
 
-Needs Chromium and the extras web and dev (playwright).  Each picture is the real page in a browser, without a
-GPU, after the session has run for some seconds; the colours are reduced to keep the files small.
+Needs Chromium and the extras web and dev (playwright). Each picture is the real page in a browser
+without a GPU, after the session has run for some seconds. The colours are reduced to keep the files
+small.
 """
 
 from __future__ import annotations
@@ -21,71 +22,159 @@ from measure_page import CHROMIUM, DRAWN, find_chromium
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from robot_ik.jobs.testbed import CameraTab, arm_link
-from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
+from robot_ik.jobs.testbed import SceneCamera, arm_link, film_in_process
+from robot_ik.testbed.commands import (
+    AddObstacle,
+    Command,
+    MoveGoal,
+    MoveObstacle,
+    RecordPose,
+    Scrub,
+    SetArm,
+    SetFigure,
+    SetJoint,
+    ShowBranches,
+    Start,
+)
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 IMAGES = Path(__file__).resolve().parents[1] / "images" / "testbed"
-NOTICE = ".mantine-Notification-closeButton"  # of viser's remark on software rendering
-PATIENCE = 180_000  # ms: a browser without a GPU on a busy machine
+PATIENCE = 300_000
+"""ms: a browser without a GPU on a busy machine."""
+
 COLOURS = 256
+"""Of the palette."""
+
+STATISTICS = 120
+"""Solves after which the figures of a card are worth showing."""
+
+PHONE = (390, 844)
+"""Width and height of a phone, pixels."""
+
+
+def _has_run(view: View) -> bool:
+    return view.instances[0].statistics.count > STATISTICS
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture: what is opened, what is pressed, how large it is."""
+    """One picture.
+
+    Attributes:
+        name: Of the file.
+        start: What the session begins with.
+        size: Width and height of the window, pixels.
+        dark: Whether colours are dark.
+        tab: The tab that is open. Empty: the first.
+        press: Names of buttons that are pressed, in order.
+        commands: What the session gets.
+        until: Whether the view is as wanted.
+        text: Text that must be on the page.
+        bus: Bus of a servo arm. Empty: none.
+        camera: Whether the camera's picture is shown.
+        first_visit: Whether the page shows its first steps.
+    """
 
     name: str
     start: Start
-    size: tuple[int, int] = (1440, 900)
+    size: tuple[int, int] = (1280, 800)
     dark: bool = False
     tab: str = ""
+    press: tuple[str, ...] = ()
     commands: tuple[Command, ...] = ()
-    until: Callable[[View], object] = lambda view: view.instances[0].statistics.count > 120
+    until: Callable[[View], object] = _has_run
     text: str = ""
     bus: str = ""
     camera: bool = False
+    first_visit: bool = False
 
+
+POSES = (
+    SetJoint("right_shoulder_roll", 1.2),
+    SetJoint("right_elbow_pitch", 1.0),
+    RecordPose(),
+    SetJoint("right_shoulder_pitch", -1.5),
+    SetJoint("right_elbow_pitch", 0.3),
+    RecordPose(),
+    SetJoint("left_shoulder_roll", 1.3),
+    SetJoint("head_yaw", 0.6),
+    RecordPose(),
+    SetJoint("right_shoulder_pitch", -0.2),
+    RecordPose(),
+    Scrub(1.6),
+)
 
 SHOTS = (
-    Shot("one", Start()),
+    Shot("first_screen", Start(), first_visit=True),
     Shot("four_dark", Start(count=4), dark=True),
+    Shot("gallery", Start(), press=("robot",)),
+    Shot("parameters", Start(count=2), press=("parameters of robot 2",)),
     Shot("humanoid", Start("humanoid"), tab="Goals"),
-    Shot("branches", Start("ur5e"), tab="Goals", commands=(ShowBranches(True),)),
     Shot(
-        "figure", Start("humanoid"), tab="Figure",
+        "branches",
+        Start("ur5e"),
+        tab="Goals",
+        commands=(ShowBranches(True),),
+        until=lambda view: view.branches,
+    ),
+    Shot(
+        "figure",
+        Start("humanoid"),
         commands=(SetFigure("active"), MoveGoal((0.5, -0.2, 1.3))),
         until=lambda view: view.figure and view.instances[0].error < 0.01,
     ),
     Shot(
-        "camera", Start("tabletop_puma"), tab="Camera", camera=True, text="marker seen",
+        "timeline",
+        Start("humanoid"),
+        tab="Joints",
+        commands=POSES,
+        until=lambda view: view.motion == "timeline",
     ),
     Shot(
-        "arm", Start("tabletop_puma"), tab="Arm", bus="sim",
+        "obstacles",
+        Start(),
+        tab="Scene",
+        commands=(
+            AddObstacle("box"),
+            AddObstacle("sphere"),
+            MoveObstacle(0, (-0.55, -0.55, 0.2)),
+            MoveObstacle(1, (0.35, -0.1, 1.2)),
+        ),
+        until=lambda view: len(view.obstacles) == 2 and view.obstacles[1].part,
+    ),
+    Shot("camera", Start("tabletop_puma"), camera=True, text="away, m"),
+    Shot(
+        "arm",
+        Start("tabletop_puma"),
+        tab="Arm",
+        bus="sim",
         commands=(MoveGoal((0.2, 0.05, 0.1)), SetArm("follow")),
-        until=lambda view: view.arm and view.arm.servos and view.arm.mode == "follow" and view.arm.apart < 0.1
+        until=lambda view: (
+            view.arm and view.arm.servos and view.arm.mode == "follow" and view.arm.apart < 0.1
+        ),
     ),
-    Shot("record_dark", Start("panda"), tab="Record", dark=True),
-    Shot("phone", Start(), size=(390, 844)),
-    Shot("phone_dark", Start("srs_arm"), size=(390, 844), dark=True, tab="Goals"),
-    Shot(
-        "phone_arm", Start("tabletop_puma"), size=(390, 844), tab="Arm", bus="sim",
-        until=lambda view: view.arm and view.arm.servos,
-    ),
-)  # fmt: skip
+    Shot("wide", Start("lion"), size=(1920, 1080)),
+    Shot("narrow_dark", Start("panda"), size=(1000, 700), dark=True, tab="Record"),
+    Shot("phone", Start("srs_arm"), size=PHONE),
+    Shot("phone_dark", Start("tabletop_puma"), size=PHONE, dark=True, tab="Arm", bus="sim"),
+)
 
 
 @contextmanager
 def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
-    """The page of a picture, running until the event is set."""
+    """Serve the page of a picture, running until the event is set."""
     link = arm_link(shot.start.robot, None, shot.bus) if shot.bus else None
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
-        camera = functools.partial(CameraTab, session) if shot.camera else None
-        with Page(session, PageServer(port=8650, dark=shot.dark), camera=camera) as page:
-            loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 6})
+        camera = functools.partial(SceneCamera, session) if shot.camera else None
+        server = PageServer(port=8650, dark=shot.dark)
+        with Page(session, server, camera=camera, film=film_in_process) as page:
+            keywords = {"every": 6}
+            loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs=keywords)
             loop.start()
             try:
                 yield session, page, stop
@@ -95,48 +184,50 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
 
 
 def wait(holds: Callable[[], Any]) -> None:
-    """Returns when it holds."""
+    """Return when it holds."""
     while not holds():
         time.sleep(0.05)
 
 
 def take(browser: Any, shot: Shot) -> None:
-    """Takes one picture."""
+    """Take one picture."""
     with served(shot) as (session, page, stop):
         wait(lambda: session.ready and not session.busy)
         width, height = shot.size
         window = browser.new_page(viewport={"width": width, "height": height})
         window.set_default_timeout(PATIENCE)
+        if not shot.first_visit:
+            window.add_init_script("localStorage.setItem('robot_ik.intro.seen', '1')")
         window.goto(page.url)
         window.wait_for_function(DRAWN, timeout=PATIENCE)
-        window.locator(NOTICE).first.wait_for(timeout=PATIENCE)
-        window.evaluate("found => document.querySelectorAll(found).forEach(one => one.click())", NOTICE)
-        window.locator(NOTICE).first.wait_for(state="detached", timeout=PATIENCE)
-        if page._camera is not None:
-            page._camera.switch(True)
         for command in shot.commands:
             session.send(command)
+        if shot.camera:
+            window.get_by_role("button", name="Camera", exact=True).click()
         if shot.tab:
-            window.get_by_role("tab", name=shot.tab, exact=True).click(force=True)
+            window.get_by_role("tab", name=shot.tab, exact=True).click()
+        for name in shot.press:
+            window.get_by_role("button", name=name, exact=True).click()
         wait(lambda: not session.busy and shot.until(page._view))
         if shot.text:
             window.get_by_text(shot.text).first.wait_for()
         for client in page.server.get_clients().values():
-            client.scene.configure_default_lights(cast_shadow=True)  # now, and not after a while
-        window.wait_for_timeout(1500)  # tables are renewed once a second
+            client.scene.configure_default_lights(cast_shadow=True)  # as a browser with a GPU
+        window.wait_for_timeout(6000)  # figures are renewed once a second, and lights load late
         stop.set()
-        window.wait_for_timeout(2500)  # a browser without a GPU draws parts of a frame late
+        window.wait_for_timeout(2000)  # a browser without a GPU draws late
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture: Image.Image = Image.open(BytesIO(raw)).convert("RGB")
-    picture = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
+    palette = Image.Quantize.MAXCOVERAGE
+    picture = picture.quantize(COLOURS, palette, kmeans=2, dither=Image.Dither.NONE)
     file = IMAGES / f"{shot.name}.png"
     picture.save(file, optimize=True)
     print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB", flush=True)
 
 
 def main() -> None:
-    """All of them, or those that are named."""
+    """Take all pictures, or those that are named."""
     path = find_chromium()
     if path is None:
         sys.exit("Chromium is needed: apt-get install chromium")

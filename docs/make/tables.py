@@ -129,9 +129,9 @@ def commands() -> str:
 
 def keys() -> str:
     """One row for each key of the testbed."""
-    from robot_ik.testbed.commands import KEYMAP
+    from robot_ik.testbed.keys import KEYMAP
 
-    rows = ((key.about, *(f"`{k}`" if k else "" for k in (key.browser, key.window))) for key in KEYMAP)
+    rows = ((key.about, *(f"`{k}`" if k else "" for k in (key.label, key.window))) for key in KEYMAP)
     return markdown(("what it does", "browser", "window"), rows)
 
 

@@ -33,10 +33,11 @@ from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.testbed import CameraTab
+    from robot_ik.jobs.testbed import SceneCamera
     from robot_ik.testbed.commands import CommandLog, Start
     from robot_ik.testbed.frontends.page_server import PageServer
-    from robot_ik.testbed.session import Session, View
+    from robot_ik.testbed.session import Session
+    from robot_ik.testbed.view import View
 
 
 @dataclass(frozen=True)
@@ -134,12 +135,12 @@ def _check_methods(methods: tuple[str, ...], count: int) -> None:
 
 
 def _view(options: ViewOptions, viewer: str) -> int:
-    from robot_ik.testbed.commands import CommandLog, Start, checked_start
+    from robot_ik.testbed.commands import CommandLog, Start
 
     of_arm = resolved_robot(options.arm, options.bus) if options.arm else ""
     robot = options.robot or of_arm or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
-    start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]
+    start = Start(robot, options.count, options.method, options.seed)  # type: ignore[arg-type]
     if viewer == "recorder":
         from robot_ik.jobs.testbed import film
 
@@ -207,7 +208,7 @@ def _opened(
 ) -> Iterator[Callable[[View], object]]:
     """A front end's ``draw``."""
     if viewer == "window":
-        from robot_ik.testbed.frontends.window import SessionWindow
+        from robot_ik.testbed.frontends.session_window import SessionWindow
 
         with SessionWindow(session) as window:
             console.say("keys: " + window.help, "dim")
@@ -215,18 +216,23 @@ def _opened(
         return
     from robot_ik.testbed.frontends.browser import Page
 
-    def open_camera() -> CameraTab:
-        from robot_ik.jobs.testbed import CameraTab
+    def open_camera() -> SceneCamera:
+        from robot_ik.jobs.testbed import SceneCamera
 
-        return CameraTab(session)
+        return SceneCamera(session)
+
+    def film(log: CommandLog) -> bytes:
+        from robot_ik.jobs.testbed import film_in_process
+
+        return film_in_process(log)
 
     camera = open_camera if options.camera else None
-    with Page(session, server or _open_server(options), camera=camera) as page:
+    with Page(session, server or _open_server(options), camera=camera, film=film) as page:
         yield page.draw
 
 
 def _loop(session: Session, draw: Callable[[View], object], options: ViewOptions) -> None:
-    from robot_ik.testbed.session import run as run_session
+    from robot_ik.testbed.loop import run as run_session
 
     stop = threading.Event()
     timer = threading.Timer(options.seconds or threading.TIMEOUT_MAX, stop.set)
@@ -240,7 +246,7 @@ def _loop(session: Session, draw: Callable[[View], object], options: ViewOptions
 def _replay(path: Path) -> int:
     """Repeats a log; says whether it ends as it did."""
     from robot_ik.testbed.commands import CommandLog
-    from robot_ik.testbed.session import last_view
+    from robot_ik.testbed.loop import last_view
 
     log = CommandLog.load(path)
     view = last_view(log)

@@ -1,10 +1,12 @@
-"""What the testbed's commands put together: session, servo arm, camera, film."""
+"""The parts of the testbed's commands: servo arm, camera, film."""
 
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import numpy as np
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.targets import Observation, marker
+from robot_ik.camera.targets import marker
 from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
@@ -28,13 +30,33 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_arm import open_robot
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.arrangement import GOAL_COLOUR
+from robot_ik.testbed.camera_picture import CameraPicture
 from robot_ik.testbed.commands import RATE, CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
-from robot_ik.testbed.session import Session, View, replayed
+from robot_ik.testbed.loop import replayed
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
+
+_SUBPIXEL_BITS = 4
+"""Fractional bits of the coordinates that are drawn."""
+
+_SUBPIXELS = 1 << _SUBPIXEL_BITS
+
+_BALL_RADIUS = 18
+"""Pixels of the circle around the ball."""
+
+_LARGEST_COORDINATE = 1 << 20
+"""Subpixels. OpenCV's coordinates overflow not far beyond."""
 
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
-    """The servo arm of a robot (name or path) on a bus, connected; torque stays as it is.
+    """Return the servo arm of a robot on a bus, connected. Torque stays as it is.
+
+    Args:
+        name: Name or path of the robot.
+        arm_file: Arm file. None for the file of the robot.
+        bus: A simulated bus or a port.
+        on_exit: Exit policy. Empty for that of the arm file.
 
     Raises:
         ConfigError: There is no arm file, or it is another robot's.
@@ -48,10 +70,13 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
     return link
 
 
-class CameraTab:
-    """The synthetic camera of a robot's scene, for the page: a picture of robot 1 with what is seen in it.
+class SceneCamera:
+    """The synthetic camera of a robot's scene: pictures of robot 1 with the detected markers.
 
-    Markers are detected in the picture alone; what the synthetic camera knows is not asked.
+    Markers are detected in the picture alone.
+
+    Args:
+        session: The session whose first instance is in the picture.
     """
 
     def __init__(self, session: Session) -> None:
@@ -60,8 +85,8 @@ class CameraTab:
         self._source: SyntheticSource | None = None
         self._tracker: Tracker | None = None
 
-    def __call__(self) -> tuple[Image, str] | None:
-        """The next picture, RGB at half size, and a line about it; None while the robot has no scene."""
+    def __call__(self) -> CameraPicture | None:
+        """Return the next picture at half size, or None if the robot has no scene."""
         if self._session.robot is not self._robot:
             self._robot = self._session.robot
             self._open(self._robot)
@@ -70,44 +95,61 @@ class CameraTab:
         frame = self._source.read()
         begin = time.monotonic()
         observations = self._tracker.observe(frame)
-        search_time = time.monotonic() - begin
-        lens, scene = self._source.scene.intrinsics, self._source.scene
-        image = draw_observations(frame.image, observations, lens)
-        _draw_ball(image, scene.pose_world_camera, lens, np.array(self._session.ball.position))
-        small = np.ascontiguousarray(image[::2, ::2, ::-1])
-        return small, _line_about(observations, search_time, time.monotonic() - frame.time)
+        search_ms = 1e3 * (time.monotonic() - begin)
+        scene = self._source.scene
+        image = draw_observations(frame.image, observations, scene.intrinsics)
+        ball = np.array(self._session.ball.position)
+        _draw_ball(image, scene.pose_world_camera, scene.intrinsics, ball)
+        age_ms = 1e3 * (time.monotonic() - frame.time)
+        markers = tuple(
+            (seen.ids[0], float(np.linalg.norm(seen.pose.position)), seen.reprojection_error)
+            for seen in observations
+        )
+        note = (
+            f"Synthetic camera; {age_ms:.0f} ms old, {search_ms:.0f} ms of them for finding "
+            "markers. Orange: the ball."
+        )
+        return CameraPicture(np.ascontiguousarray(image[::2, ::2]), markers, note)
 
     def _open(self, robot: Robot) -> None:
-        self._source = self._tracker = None
+        self._source = None
+        self._tracker = None
         with contextlib.suppress(CameraError, ModelError):
-            scene = scene_for(robot)
-            synthetic = scene.synthetic(robot)
+            synthetic = scene_for(robot).synthetic(robot)
             markers = [marker(m.id, m.size, m.dictionary) for m in synthetic.markers]
             self._tracker = Tracker(synthetic.intrinsics, markers)
             self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q)
 
 
 def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Array) -> None:
-    """A circle round where the ball would be seen."""
+    """Draw a circle around the place of the ball in the picture."""
     inside = camera.inverse().apply(position)
     if inside[2] > 0.0:
-        x, y = np.round(16.0 * lens.project(inside[None])[0]).astype(int).tolist()
-        if max(abs(x), abs(y)) < 1 << 20:
-            cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
+        x, y = np.round(_SUBPIXELS * lens.project(inside[None])[0]).astype(int).tolist()
+        if max(abs(x), abs(y)) < _LARGEST_COORDINATE:
+            radius = _SUBPIXELS * _BALL_RADIUS
+            colour = GOAL_COLOUR[::-1]
+            cv2.circle(image, (x, y), radius, colour, 3, cv2.LINE_AA, _SUBPIXEL_BITS)
 
 
-def _line_about(observations: Sequence[Observation], search_time: float, age: float) -> str:
-    """Markers with distance and the noise of their corners; how old the picture is."""
-    rows = "".join(
-        f"<tr><td>{seen.ids[0]}</td><td>{np.linalg.norm(seen.pose.position):.3f}</td>"
-        f"<td>{seen.reprojection_error:.2f}</td></tr>"
-        for seen in observations
-    )
-    head = "<tr><th>marker seen</th><th>away, m</th><th>off, px</th></tr>"
-    return (
-        f"<table>{head}{rows}</table><small>synthetic camera; the picture is {1e3 * age:.0f} ms old, "
-        f"{1e3 * search_time:.0f} of them for finding markers; orange: the ball</small>"
-    )
+def film_in_process(log: CommandLog) -> bytes:
+    """Return the film of a command log, a file in MP4, made by another process.
+
+    The session goes on meanwhile: drawing in this process would hold it up.
+
+    Raises:
+        ConfigError: The film cannot be made; the message is that of ``robot-ik video``.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "testbed.jsonl"
+        out = Path(folder) / "testbed.mp4"
+        log.save(source)
+        command = [sys.executable, "-m", "robot_ik", "video", str(source), str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0 or not out.is_file():
+            lines = done.stderr.strip().splitlines() or ["robot-ik video failed"]
+            raise ConfigError(lines[-1], file="film")
+        return out.read_bytes()
 
 
 def film(
@@ -120,13 +162,20 @@ def film(
     rate_hz: float = 30.0,
     size: tuple[int, int] = (1280, 720),
     overwrite: bool = False,
-    progress: Progress = lambda phase, share: None,
+    progress: Progress | None = None,
 ) -> View:
-    """Runs a command log without a screen, and films it for so many ``seconds``; gives the last view.
+    """Run a command log without a screen, film it, and return the last view.
 
-    ``out`` is a film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or nothing;
-    ``numbers`` is a CSV file, a row for each instance of each picture; ``record`` (.csv, .mcap) has angles
-    and ball for other tools.
+    Args:
+        log: The command log.
+        out: A film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or None.
+        numbers: CSV file with a row for each instance of each picture.
+        record: File (.csv, .mcap) with angles and ball for other tools.
+        seconds: Length of the film. None for that of the log.
+        rate_hz: Pictures a second.
+        size: Width and height, pixels.
+        overwrite: Whether existing files may be replaced.
+        progress: Called with a phase and a share.
 
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
@@ -134,9 +183,8 @@ def film(
     """
     wanted = log.ticks if seconds is None else round(seconds * RATE)
     if not wanted:
-        raise ConfigError(
-            "it says nothing of its length", file="command log", key="end", allowed="--seconds N"
-        )
+        problem = "it says nothing of its length"
+        raise ConfigError(problem, file="command log", key="end", allowed="--seconds N")
     log = replace(log, ticks=wanted, commands=tuple(c for c in log.commands if c[0] < wanted))
     if record is not None:
         require_recording(record)
@@ -145,7 +193,8 @@ def film(
     with contextlib.ExitStack() as stack:
         write = None
         if out is not None:
-            write = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite)).write
+            sink = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite))
+            write = sink.write
         recorder: Recorder | None = None
         rows: Recording | None = None
         names: tuple[str, ...] = ()
@@ -158,13 +207,19 @@ def film(
                     names = column_names(session.robot)
                     rows = stack.enter_context(open_recording(record, names))
                 if rows is not None and column_names(session.robot) == names:  # of one robot
-                    for k, one in enumerate(view.instances):
-                        text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
-                        moment = Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot)
-                        rows.write(moment)
-            progress("", view.tick / wanted)
+                    _write_moments(rows, view)
+            if progress is not None:
+                progress("", view.tick / wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
     if view is None:
         raise RuntimeError("the command log has no tick")
     return view
+
+
+def _write_moments(rows: Recording, view: View) -> None:
+    """Write a row for each instance of a view."""
+    for k, one in enumerate(view.instances):
+        text = view.message if k == 0 else ""
+        robot = k + 1 if view.count > 1 else 0
+        rows.write(Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot))

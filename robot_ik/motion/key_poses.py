@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from robot_ik.config import SchemaVersion, Several, Table, keys_of, read_table, shown
+from robot_ik.config import (
+    SchemaVersion,
+    Several,
+    Table,
+    check_table,
+    keys_of,
+    parse_toml,
+    read_text,
+    shown,
+)
 from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Array
@@ -146,6 +155,10 @@ class KeyPoses:
         Raises:
             OutputError: The folder is missing or not writable.
         """
+        write_atomically(Path(path), self.text())
+
+    def text(self) -> str:
+        """Return the TOML text that ``save`` writes."""
         lines = ["schema = 1", f"robot = {_quoted(self.robot.name)}"]
         for name, q in self.poses.items():
             lines += ["", f"[poses.{_quoted(name)}]  # rad, m; quaternions w x y z"]
@@ -159,7 +172,7 @@ class KeyPoses:
             if motion.durations:
                 lines.append(f"durations = {list(motion.durations)!r}  # s")
             lines.append(f"loop = {str(motion.loop).lower()}")
-        write_atomically(Path(path), "\n".join(lines) + "\n")
+        return "\n".join(lines) + "\n"
 
     @classmethod
     def load(cls, path: Path | str, robot: Robot) -> KeyPoses:
@@ -168,8 +181,17 @@ class KeyPoses:
         Raises:
             ConfigError: A key is wrong.
         """
-        file = Path(path)
-        content = _content(file)
+        return cls.parse(_text(Path(path)), robot, path)
+
+    @classmethod
+    def parse(cls, text: str, robot: Robot, file: Path | str) -> KeyPoses:
+        """Read the text of a file of ``save``. ``file`` is its name, for messages.
+
+        Raises:
+            ConfigError: A key is wrong.
+        """
+        file = Path(file)
+        content = _content(text, file)
         book = cls(robot)
         for name, joints in content.poses.items():
             q = _pose_of(robot, joints, file, name)
@@ -181,9 +203,14 @@ class KeyPoses:
         return book
 
 
-def _content(file: Path) -> _KeyPosesFile:
-    """Return the checked content of a file, or raise ``ConfigError``."""
-    return read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
+def _content(text: str, file: Path) -> _KeyPosesFile:
+    """Return the checked content of a text, or raise ``ConfigError``."""
+    return check_table(_KeyPosesFile, parse_toml(text, file), file)
+
+
+def _text(file: Path) -> str:
+    """Return the text of a file, or raise ``ConfigError``."""
+    return read_text(file, "the key poses", "robot-ik poses record makes one")
 
 
 def robot_named_in(path: Path | str) -> str:
@@ -192,7 +219,8 @@ def robot_named_in(path: Path | str) -> str:
     Raises:
         ConfigError: The file names another robot, or a key is wrong.
     """
-    name = _content(Path(path)).robot
+    file = Path(path)
+    name = _content(_text(file), file).robot
     known = catalogue()
     if name and name not in known:
         raise ConfigError(

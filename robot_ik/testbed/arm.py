@@ -1,7 +1,7 @@
-"""A servo arm that follows the first instance of the testbed, or repeats what a hand has shown it.
+"""A servo arm that follows the first instance of the testbed, or repeats the motion of a hand.
 
-One thread drives the arm, at the arm's own rate; the session only leaves the newest joint angles for it.
-So a slow page never makes a late bus cycle, and a session that stops leaving angles makes the arm hold.
+One thread drives the arm at the arm's own rate. The session only stores the newest joint angles for
+it. So a slow page does not delay a bus cycle, and a silent session makes the arm hold.
 """
 
 from __future__ import annotations
@@ -27,39 +27,65 @@ from robot_ik.workcell.guided_motion import approach, playable
 
 STALE = 0.5
 """Seconds without new joint angles after which the arm holds."""
+
 TEACH_LIMIT = 600.0
 """Seconds that a recording may take."""
-_SETTLE = 1.0  # seconds for which the end of a recording is sent: the limiter comes after a quick hand
-_TELEMETRY_PERIOD = 0.5  # seconds between two readings of currents and temperatures
+
+_SETTLE = 1.0
+"""Seconds for which the end of a recording is sent: the limiter follows a quick hand late."""
+
+_TELEMETRY_PERIOD = 0.5
+"""Seconds between two readings of currents and temperatures."""
+
 _CLOSE_LIMIT = 10.0
+"""Seconds to wait for the thread to end."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmView:
-    """What is seen of the arm."""
+    """The arm at one moment.
 
-    robot: Robot  # whose joints it has: ``xpos`` and ``xquat`` are of this robot's bodies
-    is_shown: bool  # the session's robot is this one
-    state: str  # of the arm's life cycle, as text
-    mode: ArmMode  # what was asked for last
-    port: str  # where it is
-    q: Array | None  # (nq,) measured joint angles, in the robot's order; None before the first reading
-    xpos: Array | None  # bodies' poses at the measured angles; None when not known
+    Attributes:
+        robot: The arm's robot. ``xpos`` and ``xquat`` are of its bodies.
+        is_shown: Whether the session's robot is this one.
+        state: State of the arm's life cycle.
+        mode: The last mode that was asked for.
+        port: Name of its bus.
+        q: (nq,) measured joint angles in the robot's order. None before the first reading.
+        xpos: (nbody, 3) positions of bodies at the measured angles. None before the first reading.
+        xquat: (nbody, 4) their orientations, wxyz.
+        apart: Largest distance of a joint from the session's value, rad or m.
+        servos: Currents, temperatures, errors.
+        recorded: Length of the recording in seconds, also while it is made. 0: none.
+        limp: Whether the torque of a joint is off, so that nothing holds the arm.
+        message: An error in one sentence. Empty: none.
+    """
+
+    robot: Robot
+    is_shown: bool
+    state: str
+    mode: ArmMode
+    port: str
+    q: Array | None
+    xpos: Array | None
     xquat: Array | None
-    apart: float  # largest distance of a joint from what the session commands, rad or m
-    servos: tuple[ServoState, ...]  # currents, temperatures, errors
-    recorded: float  # seconds that a hand has shown, up to now while it shows them; 0: nothing
-    limp: bool  # the torque of some joint is off, so nothing holds it
-    message: str  # what went wrong, in one sentence; empty: nothing
+    apart: float
+    servos: tuple[ServoState, ...]
+    recorded: float
+    limp: bool
+    message: str
 
 
 class ArmLink:
-    """The arm and the thread that drives it; torque comes on with the first "follow".
+    """The arm and the thread that drives it. The first "follow" switches torque on.
 
     Args:
         opened: Robot and arm, connected by ``open``.
-        robot: Whose angles it gets.
-        port: What to call its bus.
+        robot: The robot of the session whose angles the arm gets.
+        port: Name of its bus.
+
+    Attributes:
+        recording: The last recording. None without one.
     """
 
     def __init__(self, opened: RobotArm, robot: Robot, port: str) -> None:
@@ -73,7 +99,8 @@ class ArmLink:
         self._measured: Array | None = None
         self._servos: Sequence[ServoState] = ()
         self._message = ""
-        self._running, self._alive = True, -np.inf  # whether the session runs, and when it last did
+        self._running = True  # the session runs
+        self._alive = -np.inf  # time of its last tick
         self._is_shown = True  # the session's robot is the arm's
         self._recorder = RecorderSink(opened.robot.joints)
         self.recording: Trajectory | None = None
@@ -85,9 +112,9 @@ class ArmLink:
         self._thread = threading.Thread(target=self._drive, name="testbed-arm", daemon=True)
 
     def open(self) -> None:
-        """Connects the arm; torque stays as it is.
+        """Connect the arm. Torque stays as it is.
 
-        Signals end in an exception from here on, in the main thread: whoever is there leaves the arm.
+        From here on signals raise an exception in the main thread, which leaves the arm.
 
         Raises:
             HardwareError: As ``Arm.connect``.
@@ -96,10 +123,10 @@ class ArmLink:
         self._guard.install()
         self._thread.start()
 
-    # ---------------------------------------------------------------------------- from the session's loop
+    # Called by the session's loop
 
     def ask(self, mode: ArmMode) -> None:
-        """Follow the session, hold where it stands, let go, record a hand, or repeat what it has shown."""
+        """Follow the session, hold, let go, record a hand, or repeat the recording."""
         if mode == "replay" and self._mode != "teach" and self.recording is None:
             self._message = "nothing was recorded yet: press Teach, guide the arm, press Replay"
             return
@@ -140,17 +167,22 @@ class ArmLink:
             self._wanted = q[self._order].copy(), self._alive
 
     def view(self) -> ArmView:
-        """What is seen of it."""
-        q, apart, poses = self._measured, 0.0, (None, None)
-        if q is not None:
-            whole = self._robot.home.copy()
-            whole[self._order] = q
-            data = self._robot.data_at(whole)
-            poses = data.xpos.copy(), data.xquat.copy()
+        """Return what a front end shows."""
+        measured = self._measured
+        q = None
+        xpos = None
+        xquat = None
+        apart = 0.0
+        if measured is not None:
+            q = self._robot.home.copy()
+            q[self._order] = measured
+            data = self._robot.data_at(q)
+            xpos = data.xpos.copy()
+            xquat = data.xquat.copy()
             if self._wanted is not None:
-                apart = float(np.abs(q - self._wanted[0]).max())
-            q = whole
-        state, servos = self._arm.state, tuple(self._servos)
+                apart = float(np.abs(measured - self._wanted[0]).max())
+        state = self._arm.state
+        servos = tuple(self._servos)
         return ArmView(
             robot=self._robot,
             is_shown=self._is_shown,
@@ -158,24 +190,23 @@ class ArmLink:
             mode=self._mode,
             port=self._port,
             q=q,
-            xpos=poses[0],
-            xquat=poses[1],
+            xpos=xpos,
+            xquat=xquat,
             apart=apart,
             servos=servos,
             recorded=self._recorded_seconds(),
-            # Without torque as far as is known: a program before may have left it on.
-            limp=state is ArmState.CONNECTED and not (servos and all(servo.torque for servo in servos)),
+            limp=state is ArmState.CONNECTED and not _all_have_torque(servos),
             message=self._message,
         )
 
     def _recorded_seconds(self) -> float:
-        """Length of the recording that is being made, else of the last one."""
+        """Return the length of the recording that is made now, else of the last one."""
         if samples := len(self._recorder):
             return (samples - 1) / self._arm.config.rate_hz
         return self.recording.duration if self.recording is not None else 0.0
 
     def close(self) -> None:
-        """Leaves the arm by its exit policy."""
+        """Leave the arm by its exit policy."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(_CLOSE_LIMIT)
@@ -184,19 +215,20 @@ class ArmLink:
 
     @property
     def left(self) -> str:
-        """How the arm was left, as text."""
+        """How the arm was left."""
         return self._arm.exit_report.text if self._arm.exit_report is not None else ""
 
-    # ----------------------------------------------------------------------------------- the arm's thread
+    # Called by the arm's thread
 
     def _drive(self) -> None:
-        period, looked = 1.0 / self._arm.config.rate_hz, 0.0
+        period = 1.0 / self._arm.config.rate_hz
+        last_reading = 0.0
         due = time.monotonic()
         while not self._over.is_set():
             try:
                 self._cycle(period)
-                if time.monotonic() - looked > _TELEMETRY_PERIOD:
-                    looked = time.monotonic()
+                if time.monotonic() - last_reading > _TELEMETRY_PERIOD:
+                    last_reading = time.monotonic()
                     self._servos = read_states(self._arm.bus, self._arm.config.drives)
             except RobotIkError as error:
                 self._message = str(error).splitlines()[0]
@@ -209,9 +241,10 @@ class ArmLink:
                 due = time.monotonic()
 
     def _cycle(self, period: float) -> None:
-        """One reading of what is wanted, one cycle of the bus."""
-        arm, mode = self._arm, self._mode
-        if isinstance(arm.clock, VirtualClock):  # its time passes only when somebody sleeps
+        """Run one cycle of the bus with the newest joint angles."""
+        arm = self._arm
+        mode = self._mode
+        if isinstance(arm.clock, VirtualClock):  # its time passes only in ``sleep_until``
             arm.clock.sleep_until(arm.clock.now() + period)
         if arm.state is ArmState.FAULT:
             return
@@ -259,8 +292,9 @@ class ArmLink:
             self._message = f"the arm holds: {guard.contact}" if guard.contact else ""
 
     def _replay(self) -> None:
-        """The next sample of what the hand has shown, after a slow approach to where it begins; then hold."""
-        arm, shown = self._arm, self.recording
+        """Send the next sample of the recording, after a slow approach to its start. Then hold."""
+        arm = self._arm
+        shown = self.recording
         if shown is None:
             self._mode = "hold"
             return
@@ -275,40 +309,50 @@ class ArmLink:
             self._plan = iter([*path.q, *motion.q, *rest])
         q = next(self._plan, None)
         if q is None:
-            self._mode, self._plan = "hold", None
+            self._mode = "hold"
+            self._plan = None
         else:
             self._opened.send(q, arm.clock.now())
 
     def _record(self, q: Array) -> None:
-        """One sample (n,) of what a hand shows; simulated servos are guided by the page's first robot."""
+        """Record one sample (n,) of a hand. The page's first robot guides simulated servos."""
         arm = self._arm
         self._recorder.send(q, arm.clock.now())
         servos = self._opened.virtual_bus
         if servos is not None and self._wanted is not None:
             chain = self._opened.chain
-            limit = chain.velocity / chain.rate_hz  # no hand is quicker than the arm
-            there = q + np.clip(self._wanted[0] - q, -limit, limit)
-            ways = dict(zip(chain.names, zip(q.tolist(), there.tolist(), strict=True), strict=True))
+            limit = chain.velocity / chain.rate_hz  # the hand is not faster than the arm
+            moved = q + np.clip(self._wanted[0] - q, -limit, limit)
+            ends = zip(q.tolist(), moved.tolist(), strict=True)
+            moves = dict(zip(chain.names, ends, strict=True))
             with servos.lock:
                 for drive in chain.drives:
-                    begin, end = ways[drive.name]
-                    servos.servo(drive.id).rotate_by_hand(drive.position(end) - drive.position(begin))
+                    begin, end = moves[drive.name]
+                    turn = drive.position(end) - drive.position(begin)
+                    servos.servo(drive.id).rotate_by_hand(turn)
         if len(self._recorder) > TEACH_LIMIT * arm.config.rate_hz:
-            self._mode, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"
+            self._mode = "release"
+            self._message = f"the recording ended at its limit of {TEACH_LIMIT:.0f} s"
 
     def _end_recording(self) -> None:
-        """What was recorded becomes the motion to repeat."""
+        """Keep the samples as the motion to repeat."""
         if len(self._recorder) > 1:
             self.recording = self._recorder.trajectory()
         if len(self._recorder):
             self._recorder = RecorderSink(self._opened.robot.joints)
 
     def _let_go(self) -> None:
-        """Torque off, and connected again."""
-        self._servos = ()  # what was read before says that torque is on
-        before, self._arm.on_exit = self._arm.on_exit, "torque_off"
+        """Switch torque off and connect again."""
+        self._servos = ()  # the last reading says that torque is on
+        policy = self._arm.on_exit
+        self._arm.on_exit = "torque_off"
         try:
             self._arm.close()
         finally:
-            self._arm.on_exit = before
+            self._arm.on_exit = policy
         self._arm.connect()
+
+
+def _all_have_torque(servos: Sequence[ServoState]) -> bool:
+    """Return whether every servo has torque. An earlier program may have left it on."""
+    return bool(servos) and all(servo.torque for servo in servos)

@@ -1,4 +1,4 @@
-"""Where instances stand, and from where they are seen: the same on every front end."""
+"""Positions of instances and of the camera, the same on every front end."""
 
 from __future__ import annotations
 
@@ -17,68 +17,100 @@ from robot_ik.testbed.gallery_scene import gallery_scene
 
 Colour = tuple[int, int, int]
 
-INSTANCE_COLOURS: tuple[Colour, ...] = ((37, 99, 235), (13, 148, 136), (147, 51, 234), (219, 39, 119))
-"""Of plate, trail, table row, plot line and joint mark: distinguishable for the colour-blind, too."""
+INSTANCE_COLOURS: tuple[Colour, ...] = (
+    (37, 99, 235),
+    (13, 148, 136),
+    (147, 51, 234),
+    (219, 39, 119),
+)
+"""Of plate, trail, card, plot line and joint mark. Colour-blind people can distinguish them."""
+
 GOAL_COLOUR: Colour = (245, 130, 32)
-"""Orange, as in the gallery; no instance has it."""
+"""Orange, as in the gallery. No instance has it."""
+
 LIMIT_COLOUR: Colour = (220, 38, 38)
+"""Of a joint at its limit and of an obstacle that touches the robot."""
+
 BALL_RADIUS = 0.03
 """Of the model's extent."""
+
 FIELD_OF_VIEW = math.radians(38.0)
-_DOWN = 0.42  # tangent of the elevation: about 23 degrees
-_PLATE_DISTANCE = 0.24  # of the extent: where the label stands in front of the base
-_MARGIN = 0.9  # part of the picture that is used: balls and hands reach beyond their middles
-_SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is left, and how far it is up
+"""Vertical, radians."""
+
+_DOWN = 0.42
+"""Tangent of the camera's elevation: about 23 degrees."""
+
+_PLATE_DISTANCE = 0.24
+"""Distance of the label in front of the base, in extents of the model."""
+
+_MARGIN = 0.9
+"""Part of the picture that is used: balls and hands reach beyond their centres."""
+
+_BOUND_PART = 0.7
+"""Of a geom's bounding radius. The bounding ball of a long geom is much larger than the geom; this
+part holds the bundled robots."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Where instances of a robot and their labels stand."""
+    """Positions of the instances of a robot and of their labels.
+
+    Attributes:
+        robot: The robot.
+        offsets: (n, 3) of each instance from the world's origin, m.
+        labels: (n, 3) on the floor in front of each instance, m.
+        forward: (2,) unit vector on the floor, away from the camera.
+        right: (2,) unit vector on the floor, to the right of the camera.
+        extent: Of the model, m.
+    """
 
     robot: Robot
-    offsets: Array  # (n, 3) of each instance from the world's origin, metres
-    labels: Array  # (n, 3) on the floor in front of each instance
-    forward: Array  # (2,) unit vectors on the floor as the first view sees them
+    offsets: Array
+    labels: Array
+    forward: Array
     right: Array
-    extent: float  # of the model, metres
+    extent: float
 
-    def camera(self, path: Array, aspect: float, *, phone: bool = False) -> Array:
-        """(2, 3) position and look-at of a camera that sees all, from the front and a little above.
+    def camera(self, path: Array, aspect: float) -> Array:
+        """Return position and look-at (2, 3) of a camera in front of the robots and above them.
 
         Args:
-            path: (m, 3) where the ball will be.
+            path: (m, 3) positions of the ball.
             aspect: Width of the picture over its height.
-            phone: Keep the lower half of the picture free.
         """
         forward = np.array((*self.forward, -_DOWN)) / math.hypot(1.0, _DOWN)
         right = np.array((*self.right, 0.0))
         up = np.cross(right, forward)
         points = self._corners(path)
-        x, y, z = points @ right, points @ up, points @ forward
-        wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect
-        tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
+        x = points @ right
+        y = points @ up
+        z = points @ forward
+        tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0)
+        wide = tall * aspect
         middle = np.array(((x.min() + x.max()) / 2.0, (y.min() + y.max()) / 2.0))
-        away = float(max((np.abs(x - middle[0]) / wide - z).max(), (np.abs(y - middle[1]) / tall - z).max()))
+        needed_width = (np.abs(x - middle[0]) / wide - z).max()
+        needed_height = (np.abs(y - middle[1]) / tall - z).max()
+        away = float(max(needed_width, needed_height))
         depth = float(z.mean())
-        drop = _SHEET[1] * math.tan(FIELD_OF_VIEW / 2.0) * (away + depth) if phone else 0.0
-        target = middle[0] * right + (middle[1] - drop) * up + depth * forward
+        target = middle[0] * right + middle[1] * up + depth * forward
         return np.array([target - (away + depth) * forward, target])
 
     def _corners(self, path: Array) -> Array:
-        """(n, 3) what has to be seen: boxes round the robots at home and round the path (m, 3)."""
-        model, data = self.robot.model, self.robot.data_at(self.robot.home)
+        """Return corners (n, 3) of boxes around the robots at home and the path (m, 3)."""
+        model = self.robot.model
+        data = self.robot.data_at(self.robot.home)
         solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
-        # A ball round a long geom is much larger than the geom: 0.7 of it holds the robots that ship.
-        reach, positions = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]
-        low = np.vstack([positions - reach, path]).min(axis=0)
-        high = np.vstack([positions + reach, path]).max(axis=0)
-        low[2] = max(low[2], min(0.0, float(path[:, 2].min())))
-        box = np.array(list(itertools.product(*zip(low, high, strict=True))))
+        reach = _BOUND_PART * model.geom_rbound[solid][:, None]
+        positions = data.geom_xpos[solid]
+        lower = np.vstack([positions - reach, path]).min(axis=0)
+        upper = np.vstack([positions + reach, path]).max(axis=0)
+        lower[2] = max(lower[2], min(0.0, float(path[:, 2].min())))
+        box = np.array(list(itertools.product(*zip(lower, upper, strict=True))))
         return (self.offsets[:, None] + box).reshape(-1, 3)
 
 
 def arranged(robot: Robot, count: int) -> Arrangement:
-    """The positions of ``count`` instances: 1 2 behind, 3 4 in front, as the first view sees them."""
+    """Return the positions of ``count`` instances: 1 and 2 behind, 3 and 4 in front."""
     azimuth = math.radians(gallery_scene(robot).view_deg[0])
     forward = -np.array((math.cos(azimuth), math.sin(azimuth)))
     right = np.array((-math.sin(azimuth), math.cos(azimuth)))
@@ -95,12 +127,12 @@ def arranged(robot: Robot, count: int) -> Arrangement:
 
 
 def hexadecimal(colour: Colour) -> str:
-    """As CSS has it."""
+    """Return a colour as CSS has it."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def linear(colour: Colour) -> NDArray[np.uint8]:
-    """A screen colour (sRGB) as linear light, which is what batched meshes take theirs for."""
+    """Return a screen colour (sRGB) as the linear light that batched meshes expect."""
     share = np.array(colour) / 255.0
     light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return np.round(255.0 * light).astype(np.uint8)

@@ -1,56 +1,115 @@
 """What people ask of the testbed: one frozen dataclass a command, and the log that keeps them.
 
-A log is a text file, one JSON object a line: what the session began with, each command with the tick at
-which it took effect, and the digest of the view at the end.  It replays to the same bits.
+A log is a text file with one JSON object a line: what the session began with, each command with the
+tick at which it took effect, and the digest of the view at the end. It replays to the same bits.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform, get_args
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    Self,
+    dataclass_transform,
+    get_args,
+    get_type_hints,
+)
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, create_model
 from pydantic.alias_generators import to_snake
 
-import robot_ik as rik
-from robot_ik.config import Wxyz, config_error, keys_of, parse_json, read_text, shown
+from robot_ik.config import Table, Wxyz, check_table, parse_json, read_text, shown
 from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.files import write_atomically
 
-if TYPE_CHECKING:
-    from robot_ik.testbed.session import View
-
-_Value = TypeVar("_Value")
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Point = Annotated[tuple[Number, Number, Number], Field(strict=False, description="3 numbers within 1e6")]
+Point = Annotated[
+    tuple[Number, Number, Number], Field(strict=False, description="3 numbers within 1e6")
+]
 Index = Annotated[int, Field(ge=0, le=3)]
+Name = Annotated[str, Field(max_length=200)]
+Seconds = Annotated[float, Field(ge=0.0, le=3600.0)]
 Count = Literal[1, 2, 4]
-Motion = Literal["curve", "random", "hand"]
+BallMotion = Literal["curve", "random", "hand"]
+Motion = Literal["curve", "random", "hand", "joints", "timeline"]
 GoalKind = Literal["pose", "position", "aim", "line", "plane"]
 ArmMode = Literal["follow", "hold", "release", "teach", "replay"]
+FigureMode = Literal["off", "active", "passive"]
+Shape = Literal["box", "sphere", "cylinder"]
 
 COUNTS: tuple[Count, ...] = get_args(Count)
-MOTIONS: tuple[Motion, ...] = get_args(Motion)
+MOTIONS: tuple[BallMotion, ...] = get_args(BallMotion)
 GOAL_KINDS: tuple[GoalKind, ...] = get_args(GoalKind)
+
 FORMAT = 1
+"""Version of a log's lines."""
+
 RATE = 60
 """Ticks a second."""
+
+LAST_TICK = 1 << 40
+"""No session runs longer."""
+
+LONGEST_POSES = 200_000
+"""Characters of a poses file that a page may load."""
+
+
+class Checked:
+    """A frozen dataclass whose values are checked as those of a file that people write."""
+
+    def __post_init__(self) -> None:
+        """Check the values and convert them to the types of the fields.
+
+        Raises:
+            ConfigError: A value is not allowed.
+        """
+        values = check_table(_table_of(type(self)), vars(self), to_snake(type(self).__name__))
+        for name, value in values:
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any], file: Path | str) -> Self:
+        """Return the dataclass with the values of a table.
+
+        Raises:
+            ConfigError: A key or a value is not allowed.
+        """
+        return cls(**dict(check_table(_table_of(cls), dict(values), file)))
+
+
+_TABLES: dict[type[Any], type[Table]] = {}
+"""Tables of ``_table_of`` that were made before."""
+
+
+def _table_of(kind: type[Any]) -> type[Table]:
+    """Return the table whose keys are the fields of a dataclass."""
+    if kind in _TABLES:
+        return _TABLES[kind]
+    hints = get_type_hints(kind, include_extras=True)
+    keys: dict[str, Any] = {
+        item.name: (hints[item.name], ... if item.default is MISSING else item.default)
+        for item in fields(kind)
+    }
+    _TABLES[kind] = create_model(kind.__name__, __base__=Table, **keys)
+    return _TABLES[kind]
 
 
 @dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
-class Command:
-    """Something that a person asked for: a frozen dataclass, as every subclass; a log holds its fields."""
+class Command(Checked):
+    """Something that a person asked for. Every subclass is a frozen dataclass."""
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True)(cls)
 
     @classmethod
     def key(cls) -> str:
-        """Its name in a log: ``SetMethod`` is ``set_method``."""
+        """Return its name in a log: ``SetMethod`` is ``set_method``."""
         return to_snake(cls.__name__)
 
 
@@ -62,129 +121,218 @@ class SetupCommand(Command):
 
 
 class SetRobot(SetupCommand):
-    """Another robot: a name of the catalogue or the path of a model."""
+    """Show another robot: a name of the catalogue or the path of a model."""
 
     name: Annotated[str, Field(max_length=4096)]
 
 
 class SetCount(SetupCommand):
-    """One robot, or two or four side by side."""
+    """Show one robot, or two or four side by side."""
 
     count: Count
 
 
 class SetMethod(SetupCommand):
-    """The method of one instance, with its default options."""
+    """Give one instance a method with its default options."""
 
     instance: Index
-    method: Annotated[str, Field(max_length=100)]
+    method: Name
 
 
 class SetOption(SetupCommand):
-    """One option of an instance's method."""
+    """Set one option of an instance's method."""
 
     instance: Index
-    name: Annotated[str, Field(max_length=100)]
-    value: bool | int | float | Annotated[str, Field(max_length=100)]
+    name: Name
+    value: bool | int | float | Name
 
 
 class SetGoalKind(SetupCommand):
-    """What the ball asks of the tool."""
+    """Set what the ball asks of the tool."""
 
     kind: GoalKind
 
 
 class SetExtraGoal(SetupCommand):
-    """A goal beside the ball's on or off, and its priority: 0 is served first."""
+    """Switch a goal beside the ball's on or off and set its priority; 0 is served first."""
 
-    name: Annotated[str, Field(max_length=100)]
+    name: Name
     on: bool
     priority: Annotated[int, Field(ge=0, le=9)] = 0
 
 
 class SetLimits(SetupCommand):
-    """Joint limits on or off."""
+    """Switch joint limits on or off."""
 
     on: bool
 
 
-class SetMotion(Command):
-    """How the ball moves."""
+class ShowBranches(SetupCommand):
+    """Show all branches of a closed form as ghosts, or none."""
 
-    motion: Motion
+    on: bool
+
+
+class SetFigure(SetupCommand):
+    """Let a figure decide by itself.
+
+    Active: it follows the ball. Passive: it acts on demand. Off: its method solves.
+    """
+
+    mode: FigureMode
+
+
+class SetMotion(Command):
+    """Set how the ball moves."""
+
+    motion: BallMotion
+
+
+class SetPace(Command):
+    """Set how long the ball stays at each random position; 0 moves it in every frame."""
+
+    seconds: Annotated[float, Field(ge=0.0, le=60.0)]
 
 
 class SetRunning(Command):
-    """Goes on, or holds still."""
+    """Go on, or hold still. False is STOP."""
 
     running: bool
 
 
 class SetSpeed(Command):
-    """Speed of the ball: 1 is real time."""
+    """Set the speed of the ball; 1 is real time."""
 
     speed: Annotated[float, Field(ge=0.0, le=3.0)]
 
 
+class SetBudget(Command):
+    """Limit the solves of one instance."""
+
+    instance: Index
+    iterations: Annotated[int, Field(ge=1, le=10_000)] = 200
+    distance: Annotated[float, Field(gt=0.0, le=1.0)] = 1e-4
+    """Metres between tool and ball at which a solve counts as a success."""
+
+
+class SetRestarts(Command):
+    """Let methods restart at random joint angles while the ball is at random places, or not."""
+
+    on: bool
+
+
 class MoveGoal(Command):
-    """The ball to a position (metres, world), oriented as before or as given; it then moves by hand."""
+    """Move the ball to a position (metres, world). It keeps its orientation if none is given."""
 
     position: Point
     wxyz: Wxyz | None = None
 
 
 class Nudge(Command):
-    """The ball by a step (metres, world)."""
+    """Move the ball by a step (metres, world)."""
 
     step: Point
 
 
+class SetJoint(Command):
+    """Set one joint of the first instance. The ball moves to the tool (forward kinematics)."""
+
+    joint: Name
+    value: Number
+    """Radians of a hinge, metres of a slide."""
+
+
 class DragLink(Command):
-    """A grabbed point of a body follows the mouse.
+    """Let a grabbed point of a body follow the mouse.
 
     ``grip`` is the point in the body's own frame, ``to`` where it should be, world, metres.
     """
 
     instance: Index
-    body: Annotated[str, Field(max_length=200)]
+    body: Name
     grip: Point
     to: Point
 
 
 class Release(Command):
-    """The grabbed body is let go; the ball goes to where the tool is now."""
+    """End the drag of a body. The ball goes to the tool."""
 
 
 class Reset(Command):
-    """Robots home, ball on the curve, statistics empty."""
-
-
-class ShowBranches(SetupCommand):
-    """All branches of a closed form as ghosts, on or off."""
-
-    on: bool
+    """Put robots and ball back to their starts and empty the statistics."""
 
 
 class PickBranch(Command):
-    """The first instance goes on from the branch of that number."""
+    """Let the first instance go on from a branch."""
 
     index: Annotated[int, Field(ge=0, le=63)]
 
 
-class SetFigure(SetupCommand):
-    """A figure decides by itself: it follows the ball (active), acts on demand (passive), or not."""
-
-    mode: Literal["off", "active", "passive"]
-
-
 class Act(Command):
-    """A passive figure acts on the ball where it is now."""
+    """Let a passive figure act on the ball where it is now."""
 
 
 class SetArm(Command):
-    """The servo arm: follow the first instance, hold, let go (torque off), record a hand, or repeat that."""
+    """Set what the servo arm does.
+
+    It follows the first instance, holds, has no torque, records a hand, or repeats the recording.
+    """
 
     state: ArmMode
+
+
+class RecordPose(Command):
+    """Append the present pose to the timeline."""
+
+
+class RemovePose(Command):
+    """Remove a key pose from the timeline."""
+
+    index: Annotated[int, Field(ge=0, le=999)]
+
+
+class MovePose(Command):
+    """Move a key pose to another time. Key poses are in the order of their times."""
+
+    index: Annotated[int, Field(ge=0, le=999)]
+    time: Seconds
+
+
+class Scrub(Command):
+    """Show the timeline at a time in seconds. Nothing is solved."""
+
+    time: Seconds
+
+
+class PlayTimeline(Command):
+    """Play the timeline from its present time, or stop there. Nothing is solved."""
+
+    playing: bool
+
+
+class LoadPoses(Command):
+    """Replace the timeline by the poses of a TOML text."""
+
+    text: Annotated[str, Field(max_length=LONGEST_POSES)]
+
+
+class AddObstacle(Command):
+    """Add an obstacle beside the robot."""
+
+    shape: Shape
+
+
+class MoveObstacle(Command):
+    """Move an obstacle to a position (metres, world)."""
+
+    index: Annotated[int, Field(ge=0, le=31)]
+    position: Point
+
+
+class RemoveObstacle(Command):
+    """Remove an obstacle."""
+
+    index: Annotated[int, Field(ge=0, le=31)]
 
 
 COMMANDS: dict[str, type[Command]] = {
@@ -193,81 +341,83 @@ COMMANDS: dict[str, type[Command]] = {
     if kind is not SetupCommand
 }
 """Every command by its name in a log."""
-_CHECKED: dict[type[Any], TypeAdapter[Any]] = {}
-
-
-def _checked(made: type[Any], values: Mapping[str, Any], file: Path | str) -> Any:
-    """A dataclass of values whose names and types are checked as those of any file that people write."""
-    checked = _CHECKED.setdefault(made, TypeAdapter(Annotated[Any, keys_of(made)]))
-    try:
-        return checked.validate_python(dict(values))
-    except ValidationError as error:
-        raise config_error(error, file) from None
 
 
 def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
-    """The command of ``{"command": name, …}``.
+    """Return the command of ``{"command": name, …}``.
 
     Raises:
-        ConfigError: No such command, or a value that it does not take.
+        ConfigError: There is no such command, or it does not take a value.
     """
-    rest = dict(values)
-    name = str(rest.pop("command", ""))
+    arguments = dict(values)
+    name = str(arguments.pop("command", ""))
     if name not in COMMANDS:
         raise ConfigError(
             f"there is no command {shown(name)}",
-            file=file, key="command", allowed=", ".join(COMMANDS), hint=did_you_mean(name, COMMANDS),
-        )  # fmt: skip
-    command: Command = _checked(COMMANDS[name], rest, file)
-    return command
-
-
-def checked_command(command: Command) -> Command:
-    """The command with its values checked as those of a file are, or ``ConfigError``."""
-    return command_from({"command": command.key(), **asdict(command)}, "command")
+            file=file,
+            key="command",
+            allowed=", ".join(COMMANDS),
+            hint=did_you_mean(name, COMMANDS),
+        )
+    return COMMANDS[name].read(arguments, file)
 
 
 @dataclass(frozen=True)
-class Start:
-    """What a session begins with."""
+class Start(Checked):
+    """What a session begins with.
 
-    robot: str = "puma560"  # a name of the catalogue or the path of a model
-    count: Count = 1  # instances side by side
-    # One for each instance; empty: the usual ones.
+    Attributes:
+        robot: A name of the catalogue or the path of a model.
+        count: Instances side by side.
+        methods: One for each instance. Empty for the usual ones.
+        seed: Of the ball's random positions.
+
+    Raises:
+        ConfigError: A value is not allowed.
+    """
+
+    robot: str = "puma560"
+    count: Count = 1
     methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
-    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1  # of the ball's random positions
-
-
-def checked_start(start: Start) -> Start:
-    """What a session begins with, checked as the first line of a log is, or ``ConfigError``."""
-    made: Start = _checked(Start, asdict(start), "start")
-    return made
+    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1
 
 
 @dataclass(frozen=True)
 class CommandLog:
-    """Everything that decides what a session does."""
+    """Everything that decides what a session does.
 
-    start: Start  # what it began with
-    commands: tuple[tuple[int, Command], ...]  # which took effect before which tick, in order
-    ticks: int = 0  # how many it ran; 0 when the file does not say
-    digest: str = ""  # of its last view; empty when the file does not say
+    Attributes:
+        start: What it began with.
+        commands: Commands and the ticks before which they took effect, in order.
+        ticks: How many it ran. 0 if the file does not say.
+        digest: Of its last view. Empty if the file does not say.
+    """
+
+    start: Start
+    commands: tuple[tuple[int, Command], ...]
+    ticks: int = 0
+    digest: str = ""
 
     def save(self, path: Path) -> None:
-        """Writes the file, or raises ``OutputError``; what was there is replaced."""
+        """Write the file. It replaces an older one.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
         write_atomically(path, self.text())
 
     def text(self) -> str:
-        """The file's contents."""
+        """Return the content of the file."""
         rows: list[dict[str, Any]] = [{"testbed_log": FORMAT, **asdict(self.start)}]
-        rows += [{"tick": tick, "command": one.key(), **asdict(one)} for tick, one in self.commands]
+        for tick, command in self.commands:
+            rows.append({"tick": tick, "command": command.key(), **asdict(command)})
         if self.ticks or self.digest:
             rows.append({"end": self.ticks, "digest": self.digest})
         return "".join(json.dumps(row) + "\n" for row in rows)
 
     @classmethod
     def load(cls, path: Path) -> CommandLog:
-        """Reads the file.
+        """Read the file.
 
         Raises:
             ConfigError: With file, line and what is allowed.
@@ -276,80 +426,50 @@ class CommandLog:
 
     @classmethod
     def parse(cls, lines: Sequence[str], file: Path | str) -> CommandLog:
-        """As ``load``, of the file's lines."""
-        rows = [(k, parse_json(line, f"{file}:{k}")) for k, line in enumerate(lines, 1) if line.strip()]
-        for k, row in rows:
+        """Read the lines of a file. Errors as for ``load``."""
+        rows: list[tuple[str, dict[str, Any]]] = []
+        for number, line in enumerate(lines, 1):
+            if not line.strip():
+                continue
+            place = f"{file}:{number}"
+            row = parse_json(line, place)
             if not isinstance(row, dict):
-                raise ConfigError("not an object", file=f"{file}:{k}", allowed="one JSON object a line")
-        first = dict(rows[0][1]) if rows else {}
-        if first.pop("testbed_log", None) != FORMAT:
-            raise ConfigError(
-                "the first line is not that of a command log",
-                file=file, key="testbed_log", allowed=f"{FORMAT}, as robot-ik view --log FILE writes it",
-            )  # fmt: skip
-        start: Start = _checked(Start, first, file)
+                raise ConfigError("not an object", file=place, allowed="one JSON object a line")
+            rows.append((place, row))
+        start = _start_of(rows, file)
+
         commands: list[tuple[int, Command]] = []
-        ticks, digest = 0, ""
-        for k, row in rows[1:]:
-            here, values = f"{file}:{k}", dict(row)
-            tick = values.pop("end" if "end" in values else "tick", None)
-            last = commands[-1][0] if commands else 0
-            if not isinstance(tick, int) or isinstance(tick, bool) or not last <= tick < 1 << 40:
-                raise ConfigError(
-                    f"{tick!r} is no tick", file=here, key="tick", allowed=f"whole numbers from {last}"
-                )
+        ticks = 0
+        digest = ""
+        for place, row in rows[1:]:
+            first_tick = commands[-1][0] if commands else 0
             if "end" in row:
-                ticks, digest = tick, str(values.get("digest", ""))
+                ticks = _checked_tick(row["end"], first_tick, place)
+                digest = str(row.get("digest", ""))
             else:
-                commands.append((tick, command_from(values, here)))
+                arguments = dict(row)
+                tick = _checked_tick(arguments.pop("tick", None), first_tick, place)
+                commands.append((tick, command_from(arguments, place)))
         return cls(start, tuple(commands), ticks, digest)
 
 
-# ---------------------------------------------------------------------------------------------- keys
-
-STEP = 0.02
-"""Metres of one nudge of the ball."""
-
-
-@dataclass(frozen=True)
-class Key:
-    """One row of ``KEYMAP``.
-
-    The window has the keys of the first thesis.  The page cannot: its 3D view moves the camera with
-    W A S D Q E and the arrows, and has no switch for that.
-    """
-
-    about: str  # what it does, as text
-    browser: str  # the key on the page; empty: none, because a control is there
-    window: str  # the key in MuJoCo's window; empty: none
-    command: Callable[[View], Command] | None  # in this state; None: shows or hides the overlay
+def _start_of(rows: Sequence[tuple[str, dict[str, Any]]], file: Path | str) -> Start:
+    """Return what the first line of a log says."""
+    first = dict(rows[0][1]) if rows else {}
+    if first.pop("testbed_log", None) != FORMAT:
+        raise ConfigError(
+            "the first line is not that of a command log",
+            file=file,
+            key="testbed_log",
+            allowed=f"{FORMAT}, as robot-ik view --log FILE writes it",
+        )
+    return Start.read(first, file)
 
 
-def _next(values: tuple[_Value, ...], value: object) -> _Value:
-    return values[(values.index(value) + 1) % len(values) if value in values else 0]
-
-
-def _next_method(view: View) -> str:
-    return _next(tuple(rik.SOLVERS), view.instances[0].method)
-
-
-KEYMAP: tuple[Key, ...] = (
-    Key("start / pause", "space", "Space", lambda view: SetRunning(not view.running)),
-    Key("reset", "R", "R", lambda view: Reset()),
-    Key("ball: curve, random, by hand", "I", "I", lambda view: SetMotion(_next(MOTIONS, view.motion))),
-    Key("one robot", "1", "1", lambda view: SetCount(COUNTS[0])),
-    Key("compare two", "2", "2", lambda view: SetCount(COUNTS[1])),
-    Key("compare four", "4", "4", lambda view: SetCount(COUNTS[2])),
-    Key("next method of robot 1", "M", "M", lambda view: SetMethod(0, _next_method(view))),
-    Key("next kind of goal", "K", "K", lambda view: SetGoalKind(_next(GOAL_KINDS, view.kind))),
-    Key("joint limits on / off", "O", "O", lambda view: SetLimits(not view.limits)),
-    Key("branches of robot 1", "B", "B", lambda view: ShowBranches(not view.show_branches)),
-    Key("ball along +x", "T", "Up", lambda view: Nudge((STEP, 0.0, 0.0))),
-    Key("ball along -x", "G", "Down", lambda view: Nudge((-STEP, 0.0, 0.0))),
-    Key("ball along +y", "F", "Left", lambda view: Nudge((0.0, STEP, 0.0))),
-    Key("ball along -y", "H", "Right", lambda view: Nudge((0.0, -STEP, 0.0))),
-    Key("ball up", "Y", "W", lambda view: Nudge((0.0, 0.0, STEP))),
-    Key("ball down", "N", "S", lambda view: Nudge((0.0, 0.0, -STEP))),
-    Key("trails and labels / overlay on, off", "L", "L", None),
-)
-"""Every key, once."""
+def _checked_tick(tick: Any, first_tick: int, place: str) -> int:
+    """Return a tick that is not before the last command's."""
+    is_whole = isinstance(tick, int) and not isinstance(tick, bool)
+    if not is_whole or not first_tick <= tick < LAST_TICK:
+        allowed = f"whole numbers from {first_tick}"
+        raise ConfigError(f"{tick!r} is no tick", file=place, key="tick", allowed=allowed)
+    return int(tick)

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.budget import Budget
 from robot_ik.errors import RobotIkError
 from robot_ik.figure.motion.drag import Drag
 from robot_ik.geometry import Pose
@@ -22,73 +23,148 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import RATE, DragLink
-from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, retarget
+from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, restarting, retarget
 
 TRAIL = 120
-"""Places of the tool that a trail has."""
-HISTORY_SECONDS = 5.0
-_TOLERANCE = Tolerance()
-_DRAG_SPEED = 10.0  # times the joints' limits: what is drawn is as quick as a mouse; an arm has its limiter
+"""Positions of the tool that a trail has."""
 
+HISTORY_SECONDS = 5.0
+"""Length of the history of errors."""
 
 WINDOW = 1000
-"""Solves that the statistics cover, as in S12's program."""
+"""Solves that the statistics cover, as in the program of thesis S12."""
+
+STUCK_TICKS = RATE
+"""Ticks without a success after which a following method counts as stuck."""
+
+_TOLERANCE = Tolerance()
+
+_DRAG_SPEED = 10.0
+"""Factor of the speed limits of the joints: a drawn robot is as fast as a mouse. A servo arm has
+its limiter."""
+
+_STUCK_STATUSES = ("blocked by limits", "stalled", "iteration limit")
+"""How a solve ends that another start could solve."""
+
+_HARMLESS_STATUSES = ("converged", "stalled", "iteration limit", "")
+"""Statuses that say nothing if every goal is met."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the last ``count`` solves, at most ``WINDOW``."""
+    """Statistics of the last solves, at most ``WINDOW``.
 
-    count: int = 0  # how many solves these numbers cover
-    mean: float = 0.0  # s of processor time of a solve, without waiting for others: no benchmark
+    Attributes:
+        count: Number of solves.
+        mean: Mean processor time of a solve in seconds, without waiting for other threads.
+        p99: 99th percentile of that time.
+        iterations: Mean iterations of a solve.
+        solved: Share of solves that met the ball's goal, 0 to 1. Other goals do not count.
+        joint_change: Largest change of a joint between two frames, rad or m.
+    """
+
+    count: int = 0
+    mean: float = 0.0
     p99: float = 0.0
-    iterations: float = 0.0  # mean steps of a solve
-    solved: float = 0.0  # share of solves that met the ball's goal, 0 to 1; goals beside it do not count
+    iterations: float = 0.0
+    solved: float = 0.0
+    joint_change: float = 0.0
 
     @classmethod
     def of(cls, solves: Array) -> Statistics:
-        """Of solves (n, 3): seconds, steps, and 1 where the ball's goal was met."""
+        """Return the statistics of solves (n, 4): seconds, iterations, success, joint change."""
         if not len(solves):
             return cls()
-        mean, iterations, solved = solves.mean(axis=0).tolist()
-        return cls(len(solves), mean, float(np.percentile(solves[:, 0], 99)), iterations, solved)
+        mean, iterations, solved, _ = solves.mean(axis=0).tolist()
+        p99 = float(np.percentile(solves[:, 0], 99))
+        return cls(len(solves), mean, p99, iterations, solved, float(solves[:, 3].max()))
+
+
+_ALWAYS_MISSED = ("ball", "posture")
+"""Goals that explain no status: the ball is met, and a posture is only approached."""
 
 
 def appended(rows: Array, row: ArrayLike, length: int) -> Array:
-    """The last ``length`` of rows (n, width) and one more; a new array."""
+    """Return the last ``length`` of rows (n, width) and one more as a new array."""
     return np.concatenate([rows, [row]])[-length:]
 
 
 @dataclass(frozen=True, eq=False)
 class InstanceView:
-    """What is seen of an instance; arrays change no more."""
+    """An instance at one tick. Its arrays do not change.
 
-    method: str  # its name
-    options: tuple[tuple[str, Any], ...]  # (name, value) of each of the method's options
-    q: Array  # (nq,) joint angles, rad or m
-    xpos: Array  # (nbody, 3) positions of MuJoCo's bodies, world
-    xquat: Array  # (nbody, 4) their orientations, wxyz
-    status: str  # how the last solve ended, or why nothing can be solved, as text
-    able: bool  # whether its method can serve what is asked
-    note: str  # what it does otherwise than the others, as text
-    error: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
-    angle: float  # rad, likewise
-    iterations: int  # steps of the last solve
-    statistics: Statistics  # of the last ``WINDOW`` solves
-    goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
-    trail: Array  # (n, 3) where the tool was, oldest first
-    errors: Array  # (n, 3) history: error in m, in rad, manipulability
+    Attributes:
+        method: Name of its method.
+        options: Name and value of each of the method's options.
+        budget: Limits of one solve.
+        distance: Metres between tool and ball at which a solve counts as a success.
+        q: (nq,) joint angles, rad or m.
+        xpos: (nbody, 3) positions of MuJoCo's bodies, world.
+        xquat: (nbody, 4) their orientations, wxyz.
+        status: How the last solve ended, or why nothing can be solved.
+        able: Whether its method can serve the goals.
+        note: How its goals differ from those of the others.
+        error: Metres between the tool and what the ball asks, by MuJoCo's kinematics.
+        angle: Radians, likewise.
+        met: Whether error and angle are within the tolerances of this instance.
+        stuck: Whether the method cannot leave a pose from which it does not reach the ball.
+        iterations: Iterations of the last solve.
+        statistics: Of the last ``WINDOW`` solves.
+        goals: Name, metres and radians of each goal's error at the last full second.
+        trail: (n, 3) positions of the tool, oldest first.
+        errors: (n, 3) history: error in m, in rad, manipulability.
+    """
+
+    method: str
+    options: tuple[tuple[str, Any], ...]
+    budget: Budget
+    distance: float
+    q: Array
+    xpos: Array
+    xquat: Array
+    status: str
+    able: bool
+    note: str
+    error: float
+    angle: float
+    met: bool
+    stuck: bool
+    iterations: int
+    statistics: Statistics
+    goals: tuple[tuple[str, float, float], ...]
+    trail: Array
+    errors: Array
 
     @property
     def off(self) -> str:
-        """How far the tool is off what the ball asks; in degrees where the angle alone is missed."""
-        if self.error <= _TOLERANCE.position and self.angle > _TOLERANCE.angle:
+        """Error of the tool as text, in degrees if only the angle is missed."""
+        if self.error <= self.distance and self.angle > _TOLERANCE.angle:
             return f"{math.degrees(self.angle):.2f}°"
         return f"{1e3 * self.error:.2f} mm"
 
     @property
+    def words(self) -> str:
+        """How it does, in words that agree with the numbers."""
+        if not self.able:
+            return self.status
+        if not self.met:
+            return f"{self.status}: press Reset, or choose a branch" if self.stuck else self.status
+        if self.status in _HARMLESS_STATUSES:
+            return "ball met"
+        missed = self._missed_goal()
+        return f"ball met; {missed} {self.status}" if missed else "ball met"
+
+    def _missed_goal(self) -> str:
+        """Return the name of the first other goal that is missed, except the posture."""
+        for name, metres, angle in self.goals:
+            is_missed = metres > _TOLERANCE.position or angle > _TOLERANCE.angle
+            if is_missed and name not in _ALWAYS_MISSED:
+                return name
+        return ""
+
+    @property
     def summary(self) -> str:
-        """What its last solve gave, in one line, or why its method cannot serve what is asked."""
+        """What its last solve gave, in one line, or why its method cannot serve the goals."""
         if not self.able:
             return self.status
         solved = f", {100.0 * self.statistics.solved:.0f} % solved" if self.statistics.count else ""
@@ -96,7 +172,7 @@ class InstanceView:
 
 
 class Instance:
-    """One robot with its method; it stands still until it has one.
+    """One robot with its method. It does not move until it has one.
 
     Args:
         robot: Within the limits that hold.
@@ -107,87 +183,138 @@ class Instance:
         self.solver: Solver | None = None
         self.data = mujoco.MjData(robot.model)
         frame = robot.frame(robot.tool)
-        self._body, self._local = frame.body, frame.local
-        self.refused = self.note = ""
+        self._body = frame.body
+        self._local = frame.local
+        self.refused = ""
+        self.note = ""
+        self.budget = BUDGET
+        self.distance = _TOLERANCE.position
+        self._restarts = False
         self.reset()
 
     def reset(self) -> None:
-        """Home, with empty statistics."""
+        """Go home and empty the statistics."""
         self.move_to(self.robot.home)
         self._problem: Problem | None = None
         self._drag: Drag | None = None
         self._held: tuple[str, tuple[float, float, float]] | None = None
-        self._status, self._iterations = "", 0
-        self.error = self.angle = self.manipulability = 0.0
-        self._trail, self._errors = np.empty((0, 3)), np.empty((0, 3))
+        self._status = ""
+        self._iterations = 0
+        self._unmet_ticks = 0
+        self.error = 0.0
+        self.angle = 0.0
+        self.manipulability = 0.0
+        self._trail = np.empty((0, 3))
+        self._errors = np.empty((0, 3))
         self._begin_statistics()
         self._goals: tuple[tuple[str, float, float], ...] = ()
 
     def _begin_statistics(self) -> None:
-        self._solves, self._statistics = np.empty((0, 3)), Statistics()
+        self._solves = np.empty((0, 4))
+        self._statistics = Statistics()
 
     def take(self, robot: Robot, solver: Solver, refused: str, note: str) -> None:
-        """Goes on with another method, options or limits; a method that changed begins new statistics."""
+        """Go on with another method, options or limits. A changed method begins new statistics."""
         if self.solver != solver or self.robot is not robot:
             self._begin_statistics()
-        self.robot, self.solver, self.refused, self.note = robot, solver, refused, note
-        self._problem = self._drag = None
+        self.robot = robot
+        self.solver = solver
+        self.refused = refused
+        self.note = note
+        self._problem = None
+        self._drag = None
+        self._unmet_ticks = 0
         if robot.outside(self.q):
             self.move_to(robot.clip(self.q))
 
+    def set_budget(self, iterations: int, distance: float) -> None:
+        """Set the iterations of one solve and the distance in metres that counts as a success."""
+        self.budget = dataclasses.replace(self.budget, iterations=iterations)
+        self.distance = distance
+        self._problem = None
+        self._begin_statistics()
+
     def move_to(self, q: Array) -> None:
-        """Stands at ``q`` (nq,)."""
+        """Stand at ``q`` (nq,)."""
         self.q = np.array(q, dtype=float)
         self.data.qpos[:] = self.robot.qpos(self.q)
         mujoco.mj_kinematics(self.robot.model, self.data)
 
     def tool_pose(self) -> Pose:
-        """Where the tool is, by MuJoCo's kinematics."""
+        """Return the pose of the tool, by MuJoCo's kinematics."""
         rotation, position = self._tool()
         return Pose.from_rotation(rotation, position)
 
     def _tool(self) -> tuple[Array, Array]:
-        """Rotation (3, 3) and position (3,) of the tool."""
+        """Return rotation (3, 3) and position (3,) of the tool."""
         rotation = self.data.xmat[self._body].reshape(3, 3)
-        return rotation @ self._local.rotation, self.data.xpos[self._body] + rotation @ self._local.position
+        position = self.data.xpos[self._body] + rotation @ self._local.position
+        return rotation @ self._local.rotation, position
 
-    def solve(self, goals: RobotGoals, ball: Pose) -> None:
-        """Goes to what the ball asks for."""
+    def solve(self, goals: RobotGoals, ball: Pose, *, restarts: bool = False) -> None:
+        """Go to what the ball asks for.
+
+        Args:
+            goals: The goals.
+            ball: Pose of the ball, world.
+            restarts: Whether the method may restart at random joint angles.
+        """
         self._drag = None
         if self.solver is None:
             return
-        solution, self._status = None, self.refused
+        if self._restarts is not restarts:
+            self._restarts = restarts
+            self._problem = None
+        solution = None
+        self._status = self.refused
+        before = self.q
         if not self.refused:
             wanted = goals.all(ball, self.solver)
             if self._problem is None:
-                self._problem = Problem(self.robot, wanted, solver=self.solver, budget=BUDGET)
+                budget = restarting(self.budget, self.robot) if restarts else self.budget
+                self._problem = Problem(self.robot, wanted, solver=self.solver, budget=budget)
             solution = self._solved(self._problem, wanted)
         self._measure(goals, ball)
         if solution is not None:
-            met = self.error <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
-            self._solves = appended(self._solves, (self._seconds, solution.iterations, met), WINDOW)
+            met = self._is_met()
+            self._unmet_ticks = 0 if met else self._unmet_ticks + 1
+            change = float(np.abs(self.q - before).max(initial=0.0))
+            row = (self._seconds, solution.iterations, met, change)
+            self._solves = appended(self._solves, row, WINDOW)
 
-    def stand(self, q: Array, doing: str, goals: RobotGoals, ball: Pose) -> None:
-        """Stands at ``q`` (nq,), as a figure that decides by itself does; nothing is solved."""
-        self._drag, self._status, self._iterations = None, doing, 0
+    def _is_met(self) -> bool:
+        return self.error <= self.distance and self.angle <= _TOLERANCE.angle
+
+    def stand(self, q: Array, action: str, goals: RobotGoals, ball: Pose) -> None:
+        """Stand at ``q`` (nq,) without solving, as a figure that decides by itself does."""
+        self._drag = None
+        self._status = action
+        self._iterations = 0
+        self._unmet_ticks = 0
         self.move_to(q)
         self._measure(goals, ball)
 
     def drag(self, drag: DragLink, goals: RobotGoals, ball: Pose) -> None:
-        """Brings a grabbed point to where the mouse is; what the goals keep stays where it is."""
+        """Bring a grabbed point to the mouse. Frames that the goals keep do not move."""
         held = drag.body, drag.grip
         try:
             if self._drag is None or self._held != held:
                 self._drag = Drag(
-                    self.robot, pinned=goals.kept, start=self.q, rate=RATE, speed=_DRAG_SPEED,
+                    self.robot,
+                    pinned=goals.kept,
+                    start=self.q,
+                    rate=RATE,
+                    speed=_DRAG_SPEED,
                     balance=goals.balanced,
-                )  # fmt: skip
+                )
                 self._drag.grab(*held)
                 self._held = held
             self.move_to(self._drag.step(drag.to))
-            self._status, self._iterations = "dragged", 0
+            self._status = "dragged"
+            self._iterations = 0
         except RobotIkError as error:
-            self._drag, self._status = None, str(error).splitlines()[0]
+            self._drag = None
+            self._status = str(error).splitlines()[0]
         self._measure(goals, ball)
 
     def _solved(self, problem: Problem, wanted: list[Goal]) -> Solution | None:
@@ -199,44 +326,68 @@ class Instance:
         except RobotIkError as error:
             self._status = str(error).splitlines()[0]
             return None
-        self._status, self._iterations = solution.status.name.lower().replace("_", " "), solution.iterations
+        self._status = solution.status.name.lower().replace("_", " ")
+        self._iterations = solution.iterations
         if np.isfinite(solution.q).all():
             self.move_to(solution.q)
         return solution
 
     def _measure(self, goals: RobotGoals, ball: Pose) -> None:
-        """Error, trail and histories."""
+        """Measure the error and extend trail and histories."""
         rotation, position = self._tool()
-        self.error, self.angle = off(goals, rotation, position, ball)
+        self.error, self.angle = tool_error(goals, rotation, position, ball)
         self._trail = appended(self._trail, position, TRAIL)
-        kept = round(HISTORY_SECONDS * RATE)
-        self._errors = appended(self._errors, (self.error, self.angle, self.manipulability), kept)
+        row = (self.error, self.angle, self.manipulability)
+        self._errors = appended(self._errors, row, round(HISTORY_SECONDS * RATE))
 
     def measure_manipulability(self) -> None:
-        """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""
+        """Measure the product of the singular values of the tool's Jacobian.
+
+        It takes 60 µs, so it is not called in each tick.
+        """
         values = np.linalg.svd(self.robot.jacobian(self.q), compute_uv=False)
         self.manipulability = float(np.prod(values[: min(6, self.robot.nv)]))
 
     def measure_statistics(self, goals: RobotGoals, ball: Pose) -> None:
-        """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
+        """Evaluate the window of solves and each goal. It takes 50 µs a goal: once a second."""
         self._statistics = Statistics.of(self._solves)
-        self._goals = tuple((name, *goal.error(self.robot, self.q)) for name, goal in goals.named(ball))
+        named = goals.named(ball)
+        self._goals = tuple((name, *goal.error(self.robot, self.q)) for name, goal in named)
 
     def view(self) -> InstanceView:
-        """What is seen of it."""
+        """Return what a front end shows."""
         items = () if self.solver is None else dataclasses.fields(self.solver)
-        options = tuple((item.name, getattr(self.solver, item.name)) for item in items)
+        is_stuck = self._unmet_ticks >= STUCK_TICKS and self._status in _STUCK_STATUSES
         return InstanceView(
-            "" if self.solver is None else self.solver.name, options, self.q.copy(), self.data.xpos.copy(),
-            self.data.xquat.copy(), self._status, not self.refused, self.note, self.error, self.angle,
-            self._iterations, self._statistics, self._goals, self._trail, self._errors,
-        )  # fmt: skip
+            method="" if self.solver is None else self.solver.name,
+            options=tuple((item.name, getattr(self.solver, item.name)) for item in items),
+            budget=self.budget,
+            distance=self.distance,
+            q=self.q.copy(),
+            xpos=self.data.xpos.copy(),
+            xquat=self.data.xquat.copy(),
+            status=self._status,
+            able=not self.refused,
+            note=self.note,
+            error=self.error,
+            angle=self.angle,
+            met=self._is_met(),
+            stuck=is_stuck,
+            iterations=self._iterations,
+            statistics=self._statistics,
+            goals=self._goals,
+            trail=self._trail,
+            errors=self._errors,
+        )
 
 
-def off(goals: RobotGoals, rotation: Array, position: Array, ball: Pose) -> tuple[float, float]:
-    """Metres and radians that the tool is off what the ball asks.
+def tool_error(
+    goals: RobotGoals, rotation: Array, position: Array, ball: Pose
+) -> tuple[float, float]:
+    """Return metres and radians between the tool and what the ball asks.
 
-    As ``Goal.off``, which costs 50 µs; this 5: it is asked 240 times a second.
+    The result is that of ``Goal.error``, which takes 50 µs. This takes 5 µs and is called 240 times
+    a second.
     """
     offset = ball.position - position
     match goals.kind:
@@ -257,8 +408,12 @@ def off(goals: RobotGoals, rotation: Array, position: Array, ball: Pose) -> tupl
 
 
 def _angle(a: Array, b: Array) -> float:
-    """Of the rotation between two frames, radians."""
-    # The sine from the antisymmetric part: exact for small angles, where the cosine is blind.
+    """Return the angle of the rotation between two frames, radians."""
+    # The sine from the antisymmetric part: exact for small angles, unlike the cosine.
     m = a.T @ b
-    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    return math.atan2(0.5 * math.sqrt(x * x + y * y + z * z), 0.5 * (m[0, 0] + m[1, 1] + m[2, 2] - 1.0))
+    x = m[2, 1] - m[1, 2]
+    y = m[0, 2] - m[2, 0]
+    z = m[1, 0] - m[0, 1]
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (m[0, 0] + m[1, 1] + m[2, 2] - 1.0)
+    return math.atan2(sine, cosine)

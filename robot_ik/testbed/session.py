@@ -1,40 +1,35 @@
 """The testbed without any window: commands go into a queue, an immutable ``View`` comes out.
 
-Only ``tick`` solves, and only its thread touches robots and solvers; front ends, on whatever threads,
-call ``send``.  Time is the number of ticks, so the same commands at the same ticks give the same bits,
-whichever front end they came from (``CommandLog``).  What has to load or compile is prepared beside the
-loop, and takes effect at the tick where it is ready.
+Only ``tick`` solves, and only its thread touches robots and solvers. Front ends call ``send`` from
+any thread. Time is the number of ticks, so the same commands at the same ticks give the same bits,
+whichever front end they came from (``CommandLog``). What must load or compile is prepared beside
+the loop, and takes effect at the tick where it is ready.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import json
 import logging
 import queue
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from robot_ik.errors import RobotIkError
-from robot_ik.figure.decide import Decision
+from robot_ik.errors import RobotIkError, did_you_mean
 from robot_ik.figure.session import FigureFrame, FigureSession
 from robot_ik.geometry import Pose
+from robot_ik.kernels.tree import HINGE, SLIDE
+from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.sources import RandomSource
-from robot_ik.ports import Array, Closing, short_switch_interval
+from robot_ik.ports import Array, Closing
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed import commands
-from robot_ik.testbed.instance import Instance, InstanceView
+from robot_ik.testbed.instance import Instance
+from robot_ik.testbed.obstacles import Obstacles
 from robot_ik.testbed.preparing import Preparer, SetupDone
 from robot_ik.testbed.setup import (
     CURVE_PERIOD,
-    ExtraGoal,
     MethodChoice,
     Ready,
     Setup,
@@ -42,129 +37,75 @@ from robot_ik.testbed.setup import (
     completed,
     first_ball,
 )
+from robot_ik.testbed.timeline import Timeline
+from robot_ik.testbed.view import BranchView, FigureView, View
 
 if TYPE_CHECKING:
-    from robot_ik.testbed.arm import ArmLink, ArmView
+    from robot_ik.testbed.arm import ArmLink
 
 _log = logging.getLogger(__name__)
 
 MESSAGE_SECONDS = 6.0
-"""How long an error stays on the page."""
-_RANDOM_PERIOD = 2.0  # seconds of ball time at each random position
-_SLOW_TICKS = 6  # between two measurements of what is too dear for each tick
+"""How long an error is shown."""
+
+RANDOM_PACE = 2.0
+"""Seconds of ball time at each random position, unless ``SetPace`` says otherwise."""
+
+_SLOW_TICKS = 6
+"""Ticks between two measurements that are too slow for each tick."""
+
 _BRANCH_TICKS = 12
-_REACH = 3.0  # extents of the model: farther away no ball is of use
+"""Ticks between two searches for branches."""
 
+_REACH = 3.0
+"""Extents of the model. A ball that is farther away is of no use."""
 
-@dataclass(frozen=True, eq=False)
-class BranchView:
-    """One branch of the solution: its name, angles (nq,), bodies' poses (nbody, 3) and (nbody, 4)."""
+_SHORTEST_QUATERNION = 1e-6
+"""A shorter quaternion has no orientation."""
 
-    name: str
-    q: Array
-    xpos: Array
-    xquat: Array
-
-
-@dataclass(frozen=True)
-class FigureView:
-    """What is seen of a figure that decides by itself."""
-
-    mode: str  # ``active``: it follows the ball; ``passive``: it acts on the ball as it was at the command
-    action: str  # what it does now
-    phase: float  # how far that has come, 0 to 1
-    decision: Decision  # what it decided to do, and why
-    waiting: bool  # passive, and not asked to act yet
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A session at one tick; nothing in it changes any more."""
-
-    tick: int  # ticks taken, and their time in seconds
-    now: float
-    robot: str  # name or path as it was asked for
-    motion: commands.Motion  # how the ball moves
-    running: bool
-    speed: float
-    ball: Pose  # its pose, world
-    kind: commands.GoalKind  # what it asks of the tool
-    extras: tuple[ExtraGoal, ...]  # goals beside it
-    limits: bool  # whether they are on
-    show_branches: bool
-    dragged: str  # body that is dragged; empty: none
-    instances: tuple[InstanceView, ...]  # one to four
-    branches: tuple[BranchView, ...]  # of the first instance, where they are asked for
-    busy: str  # what is prepared beside the loop, as text; empty: nothing
-    message: str  # an error in one sentence, for some seconds
-    arm: ArmView | None  # the servo arm that the first instance drives; None without
-    figure: FigureView | None  # the first instance, where it is a figure that decides by itself
-    can_act: bool  # whether this robot is a figure that can
-    missing_meshes: tuple[str, ...]  # mesh files of the robot that are not drawn, as its file names them
-
-    @property
-    def count(self) -> commands.Count:
-        """Instances side by side."""
-        return len(self.instances)  # type: ignore[return-value]
-
-    @property
-    def state(self) -> str:
-        """What goes on, in a few words."""
-        if self.tick == 0:
-            return "getting ready"
-        if self.dragged:
-            return f"{self.dragged} is dragged"
-        return "running" if self.running else "holding still"
-
-    def digest(self) -> str:
-        """A fingerprint of all that the commands decide: not of times, and not of a servo arm."""
-        seen = hashlib.sha256()
-        fields: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed, self.kind]
-        fields += [[dataclasses.astuple(extra) for extra in self.extras], self.limits, self.dragged]
-        fields.append(None if self.figure is None else dataclasses.astuple(self.figure))
-        for one in self.instances:
-            fields += [one.method, one.options, one.status, one.iterations, one.statistics.count]
-            fields += [one.statistics.iterations, one.statistics.solved]
-        seen.update(json.dumps(fields).encode())
-        arrays = [self.ball.position, self.ball.wxyz]
-        for one in self.instances:
-            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.error, one.angle))]
-        arrays += [branch.q for branch in self.branches]
-        for array in arrays:
-            seen.update(np.ascontiguousarray(array, dtype=float).tobytes())
-        return seen.hexdigest()[:32]
+_LOCKED = "the ball is locked while the figure acts: press R, or leave the passive mode (I)"
 
 
 class Session(Closing):
-    """One model, one ball, one to four instances that follow it.
+    """One model, one ball, and one to four instances that follow it.
 
     Args:
         start: What it begins with.
-        beside: Prepare what must compile on a thread, while the loop goes on; else at once, in ``tick``.
+        beside: Prepare what must compile on a thread, while the loop goes on. Else at once.
         arm: A servo arm that follows the first instance.
 
     Raises:
-        RobotIkError: There is no such robot or method, or a value of ``start`` that it does not take.
+        RobotIkError: There is no such robot or method.
     """
 
     def __init__(
-        self, start: commands.Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
+        self,
+        start: commands.Start | None = None,
+        *,
+        beside: bool = True,
+        arm: ArmLink | None = None,
     ) -> None:
-        self.start = commands.checked_start(commands.Start() if start is None else start)
-        setup = Setup(self.start.robot, self.start.count, tuple(map(MethodChoice, self.start.methods)))
+        self.start = start or commands.Start()
+        choices = tuple(MethodChoice(method) for method in self.start.methods)
+        setup = Setup(self.start.robot, self.start.count, choices)
         for choice in setup.choices:
             choice.solver()
-        self._queue: queue.SimpleQueue[commands.Command] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[commands.Command | SetupDone] = queue.SimpleQueue()
         self._log: list[tuple[int, commands.Command]] = []
-        self._tick, self._phase = 0, 0.0
+        self._tick = 0
+        self._phase = 0.0
         self._motion: commands.Motion = "curve"
-        self._running, self._speed = True, 1.0
-        self._message: tuple[str, int] = ("", 0)
+        self._running = True
+        self._speed = 1.0
+        self._pace = RANDOM_PACE
+        self._restarts = True
+        self._message = ""
+        self._message_end = 0
         self._drag: commands.DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
         self._figure: FigureSession | None = None
-        self._frame: FigureFrame  # its latest
+        self._frame: FigureFrame
         self.arm = arm
         self.robot: Robot
         self.instances: list[Instance]
@@ -175,39 +116,44 @@ class Session(Closing):
         if not beside:
             self._preparer.ask(None)
 
-    # --------------------------------------------------------------------------------- from any thread
+    # Called from any thread
 
     def send(self, command: commands.Command) -> None:
-        """Takes a command from any thread; it takes effect with the next tick, or when it is prepared."""
+        """Take a command. It takes effect with the next tick, or when it is prepared."""
         self._queue.put(command)
 
     @property
     def busy(self) -> str:
-        """What is prepared beside the loop, as text; empty: nothing."""
+        """What is prepared beside the loop. Empty: nothing."""
         return self._preparer.doing
 
     @property
     def ball(self) -> Pose:
-        """Where the ball is, world."""
+        """Pose of the ball, world."""
         return self._ball
 
+    @property
+    def timeline(self) -> Timeline:
+        """The timeline. Other threads may only read it."""
+        return self._timeline
+
     def close(self) -> None:
-        """Leaves the arm, if there is one; the session is over."""
+        """End the session and leave the arm, if there is one."""
         self._preparer.close()
         if self.arm is not None:
             self.arm.close()
 
-    # ------------------------------------------------------------------------------------ the loop's own
+    # Called from the thread of the loop
 
     @property
     def ready(self) -> bool:
-        """Whether something can be solved yet; until then time stands still."""
+        """Whether something can be solved. Until then time does not pass."""
         return self._ready is not None
 
     def tick(self) -> None:
-        """Takes what was asked, moves the ball, solves every instance once.
+        """Take commands, move the ball and solve every instance once.
 
-        The first one lets preparing begin: a front end has its first picture before a compiler runs.
+        The first tick lets preparing begin: a front end draws before a compiler runs.
         """
         self._preparer.begin()
         while not self._queue.empty():
@@ -215,24 +161,30 @@ class Session(Closing):
         if self._ready is None:
             return
         self._tick += 1
-        if self._running:
+        if self._motion == "timeline":
+            self._show_timeline(self._ready)
+        elif self._running:
             self._step(self._ready)
+        if self._tick % _SLOW_TICKS == 0:
+            self._obstacles.measure(self.instances[0].q)
         if self.arm is not None:
-            self.arm.follow(self.instances[0].robot, self.instances[0].q, self._running)
+            first = self.instances[0]
+            self.arm.follow(first.robot, first.q, self._running)
 
     def _step(self, ready: Ready) -> None:
         self._phase += self._speed / commands.RATE
-        if self._motion != "hand" and self._drag is None:
-            self._ball = self._moving_ball()
+        is_moving = self._motion in ("curve", "random") and self._drag is None
+        if is_moving and not self._is_locked:
+            self._ball = self._moving_ball(ready)
         if self._drag is not None:
             self._follow_drag(self._drag, ready)
         else:
-            for one in self.instances[int(self._figure is not None) :]:
-                one.solve(ready.goals, self._ball)
+            self._solve(ready)
         if self._figure is not None:
             self._figure.set_ball(self._ball.position)
             self._frame = self._figure.step()
-            self.instances[0].stand(self._frame.q, self._frame.action, ready.goals, self._ball)
+            first = self.instances[0]
+            first.stand(self._frame.q, self._frame.action, ready.goals, self._ball)
         for one in self.instances:
             if self._tick % _SLOW_TICKS == 0:
                 one.measure_manipulability()
@@ -241,23 +193,44 @@ class Session(Closing):
         if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
             self._find_branches(ready)
 
+    def _solve(self, ready: Ready) -> None:
+        """Solve all instances but a first one that a figure or a joint bar moves."""
+        restarts = self._restarts and self._motion == "random"
+        solved = self.instances
+        if self._figure is not None:
+            solved = self.instances[1:]
+        elif self._motion == "joints":
+            first = self.instances[0]
+            first.stand(first.q, "set by hand", ready.goals, self._ball)
+            solved = self.instances[1:]
+        for one in solved:
+            one.solve(ready.goals, self._ball, restarts=restarts)
+
+    def _show_timeline(self, ready: Ready) -> None:
+        """Put every instance to the timeline's pose, and the ball to the tool."""
+        q = self._timeline.step(1.0 / commands.RATE)
+        if q is None:
+            self._motion = "hand"
+            return
+        self.instances[0].move_to(q)
+        self._ball = self.instances[0].tool_pose()
+        for one in self.instances:
+            one.stand(q, "timeline", ready.goals, self._ball)
+
     def _follow_drag(self, drag: commands.DragLink, ready: Ready) -> None:
         for one in self.instances:
             one.drag(drag, ready.goals, self._ball)
 
-    def _moving_ball(self) -> Pose:
-        if self._ready is None:
-            raise RuntimeError("no robot is ready")
-        source = self._random if self._motion == "random" else self._ready.curve
+    def _moving_ball(self, ready: Ready) -> Pose:
+        source = self._random if self._motion == "random" else ready.curve
         moved = source.poll(self._phase).target
-        return moved if self._ready.goals.kind == "pose" else Pose(moved.position, self._ball.wxyz)
+        return moved if ready.goals.kind == "pose" else Pose(moved.position, self._ball.wxyz)
 
     def view(self) -> View:
-        """What is seen now."""
+        """Return what is seen now."""
         setup = self._setup
         if setup.kind is None or setup.extras is None:
             raise RuntimeError("the setup is not completed")
-        text, until = self._message
         return View(
             tick=self._tick,
             now=self._tick / commands.RATE,
@@ -265,6 +238,8 @@ class Session(Closing):
             motion=self._motion,
             running=self._running,
             speed=self._speed,
+            pace=self._pace,
+            restarts=self._restarts,
             ball=self._ball,
             kind=setup.kind,
             extras=setup.extras,
@@ -274,155 +249,285 @@ class Session(Closing):
             instances=tuple(one.view() for one in self.instances),
             branches=self._branches,
             busy=self.busy,
-            message=text if self._tick <= until else "",
+            message=self._message if self._tick <= self._message_end else "",
             arm=self.arm.view() if self.arm is not None else None,
             figure=self._figure_view(),
             can_act=self.robot.file.figure is not None,
             missing_meshes=self.robot.missing_meshes,
+            timeline=self._timeline.view(),
+            obstacles=self._obstacles.view(),
+            contact=self._obstacles.contact,
         )
 
     def _figure_view(self) -> FigureView | None:
         if self._figure is None:
             return None
-        mode, frame = self._figure.mode, self._frame
-        waiting = mode == "passive" and self._figure.ball is None
-        return FigureView(mode, frame.action, frame.phase, frame.decision, waiting)
+        mode: commands.FigureMode = "passive" if self._figure.mode == "passive" else "active"
+        return FigureView(
+            mode=mode,
+            action=self._frame.action,
+            phase=self._frame.phase,
+            decision=self._frame.decision,
+            waiting=mode == "passive" and self._figure.ball is None,
+            locked=self._is_locked,
+        )
+
+    @property
+    def _is_locked(self) -> bool:
+        """Whether a passive figure acts: the ball stays where it is until it is done."""
+        figure = self._figure
+        return figure is not None and figure.mode == "passive" and figure.ball is not None
 
     def log(self) -> commands.CommandLog:
-        """All that took effect up to now, and the digest of the present view."""
-        return commands.CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
+        """Return all commands that took effect, and the digest of the present view."""
+        digest = self.view().digest()
+        return commands.CommandLog(self.start, tuple(self._log), self._tick, digest)
 
     def ball_path(self) -> Array:
-        """(n, 3) positions of the ball on its curve, for a camera that shall see all of it."""
+        """Return positions (n, 3) of the ball on its curve, for a camera that shows all of it."""
         if self._ready is None:
             return np.array([self._ball.position])
-        curve, times = self._ready.curve, np.linspace(0.0, CURVE_PERIOD, 9)
-        return np.array([curve.poll(float(t)).target.position for t in times])
+        times = np.linspace(0.0, CURVE_PERIOD, 9)
+        return np.array([self._ready.curve.poll(float(t)).target.position for t in times])
 
-    # ---------------------------------------------------------------------------------------- commands
+    # Commands
 
-    def _take(self, command: commands.Command) -> None:
-        """Does what was asked; what cannot be done is said in the view, never raised."""
+    def _take(self, command: commands.Command | SetupDone) -> None:
+        """Execute a command. The view shows an error; nothing is raised."""
         if isinstance(command, SetupDone):
             self._adopt(command)
-            return
-        try:
-            command = commands.checked_command(command)
-        except RobotIkError as error:
-            self._say(str(error).splitlines()[0])
-            return
-        if isinstance(command, commands.SetupCommand):
+        elif isinstance(command, commands.SetupCommand):
             self._preparer.ask(command)
         elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
-            self._say("parts can be dragged in a moment: what that needs is being compiled")
+            self.report("parts can be dragged in a moment: the kernels are being compiled")
         else:
             self._log.append((self._tick, command))
-            self._apply(command)
+            try:
+                self._apply(command)
+            except RobotIkError as error:
+                self.report(str(error).splitlines()[0])
 
     def _apply(self, command: commands.Command) -> None:
         match command:
             case commands.SetMotion(motion):
-                self._motion = motion
+                self._set_motion(motion)
+            case commands.SetPace(seconds):
+                self._pace = seconds
+                self._begin_random()
+            case commands.SetRestarts(on):
+                self._restarts = on
             case commands.SetRunning(running):
-                self._running = running
-                if self.arm is not None and not running:
-                    self.arm.stop("stopped: press Start")
+                self._set_running(running)
             case commands.SetSpeed(speed):
                 self._speed = speed
+            case commands.SetBudget(index, iterations, distance):
+                if index < len(self.instances):
+                    self.instances[index].set_budget(iterations, distance)
             case commands.MoveGoal(position, wxyz):
                 self._move_ball(np.array(position), wxyz)
             case commands.Nudge(step):
                 self._move_ball(np.array(self._ball.position) + step, None)
+            case commands.SetJoint(joint, value):
+                self._set_joint(joint, value)
             case commands.DragLink():
                 self._grab(command)
             case commands.Release():
                 self._release()
             case commands.Reset():
-                self._phase, self._motion, self._running, self._drag = 0.0, "curve", True, None
-                self._begin_random()
-                for one in self.instances:
-                    one.reset()
-                if self._figure is not None:
-                    self._figure.reset()
-                    self._motion = "hand"
+                self._reset()
             case commands.Act():
-                if self._figure is None:
-                    self._say("no figure decides: switch it on in the tab Figure")
-                else:
-                    self._figure.start_passive()
+                self._act()
             case commands.PickBranch(index):
-                if index < len(self._branches):
-                    self.instances[0].move_to(self._branches[index].q)
-                else:
-                    self._say("there is no branch of that number")
+                self._pick_branch(index)
             case commands.SetArm(state):
                 if self.arm is None:
-                    self._say("there is no arm: start with --bus sim, pty or a port")
+                    self.report("there is no arm: start with --bus sim, pty or a port")
                 else:
                     self.arm.ask(state)
+            case _:
+                self._apply_to_timeline(command)
+
+    def _apply_to_timeline(self, command: commands.Command) -> None:
+        """Execute a command about the timeline or about obstacles."""
+        match command:
+            case commands.RecordPose():
+                self._timeline.record(self.instances[0].q)
+            case commands.RemovePose(index):
+                self._timeline.remove(index)
+            case commands.MovePose(index, time):
+                self._timeline.move(index, time)
+            case commands.Scrub(time):
+                if self._may_show_timeline():
+                    self._timeline.seek(time)
+            case commands.PlayTimeline(playing):
+                if not playing:
+                    self._timeline.play(False)
+                elif self._may_show_timeline():
+                    self._running = True
+                    self._timeline.play(True)
+            case commands.LoadPoses(text):
+                self._timeline.load(KeyPoses.parse(text, self.robot, "poses.toml"))
+            case commands.AddObstacle(shape):
+                self._obstacles.add(shape)
+            case commands.MoveObstacle(index, position):
+                self._obstacles.move(index, np.array(position))
+            case commands.RemoveObstacle(index):
+                self._obstacles.remove(index)
+
+    def _set_motion(self, motion: commands.BallMotion) -> None:
+        if self._is_locked:
+            self.report(_LOCKED)
+            return
+        self._motion = motion
+        self._timeline.play(False)
+
+    def _set_running(self, running: bool) -> None:
+        self._running = running
+        if not running:
+            self._timeline.play(False)
+            if self.arm is not None:
+                self.arm.stop("stopped: press Start")
+
+    def _reset(self) -> None:
+        self._phase = 0.0
+        self._motion = "curve"
+        self._running = True
+        self._drag = None
+        self._timeline.play(False)
+        self._begin_random()
+        for one in self.instances:
+            one.reset()
+        if self._figure is not None:
+            self._figure.reset()
+            self._motion = "hand"
+            self._ball = first_ball(self.robot)
+
+    def _act(self) -> None:
+        if self._figure is None:
+            self.report("no figure decides by itself: choose Active or Passive at the top")
+        else:
+            self._figure.start_passive()
+
+    def _pick_branch(self, index: int) -> None:
+        if index < len(self._branches):
+            self.instances[0].move_to(self._branches[index].q)
+        else:
+            self.report("there is no branch of that number")
+
+    def _set_joint(self, joint: str, value: float) -> None:
+        """Set a joint of the first instance within its limits. The ball goes to the tool."""
+        first = self.instances[0]
+        if joint not in self.robot.joints:
+            hint = did_you_mean(joint, self.robot.joints)
+            self.report(f"there is no joint {joint!r}. {hint}".rstrip(" ."))
+            return
+        if self._figure is not None:
+            self.report("the figure decides by itself: choose Methods at the top to set joints")
+            return
+        number = self.robot.joints.index(joint)
+        if int(self.robot.tree.kind[number]) not in (HINGE, SLIDE):
+            self.report(f"{joint} is neither a hinge nor a slide")
+            return
+        q = first.q.copy()
+        q[int(self.robot.tree.qadr[number])] = value
+        first.move_to(first.robot.clip(q))
+        self._drag = None
+        self._ball = first.tool_pose()
+        self._motion = "joints"
+        self._timeline.play(False)
+
+    def _may_show_timeline(self) -> bool:
+        """Let the robots follow the timeline, if it has poses and no figure decides."""
+        if self._figure is not None:
+            self.report("the figure decides by itself: choose Methods at the top to play poses")
+            return False
+        if self._timeline.is_empty:
+            self.report("the timeline is empty: press Record pose first")
+            return False
+        self._drag = None
+        self._motion = "timeline"
+        return True
 
     def _release(self) -> None:
-        """The ball goes to where the tool of the dragged robot is."""
+        """End a drag. The ball goes to the tool of the dragged robot."""
         drag = self._drag
         if drag is not None:
             if self._running and self._ready is not None:
-                # A slow browser's drag may come with its end in one tick: where it ended counts.
+                # A drag of a slow browser may come with its end in one tick.
                 self._follow_drag(drag, self._ready)
-            self._ball = self.instances[min(drag.instance, len(self.instances) - 1)].tool_pose()
-            self._drag, self._motion = None, "hand"
+            dragged = self.instances[min(drag.instance, len(self.instances) - 1)]
+            self._ball = dragged.tool_pose()
+            self._drag = None
+            self._motion = "hand"
 
     def _move_ball(self, position: Array, wxyz: Sequence[float] | None) -> None:
-        """By hand from now on; never farther than a robot of this size could use."""
+        """Move the ball by hand, no farther away than a robot of this size could use."""
+        if self._is_locked:
+            self.report(_LOCKED)
+            return
         self._motion = "hand"
-        radius, middle = _REACH * float(self.robot.model.stat.extent), self.robot.model.stat.center
-        away = position - middle
-        distance = float(np.linalg.norm(away))
-        position = position if distance <= radius else middle + away * (radius / distance)
+        self._timeline.play(False)
+        radius = _REACH * float(self.robot.model.stat.extent)
+        middle = self.robot.model.stat.center
+        offset = position - middle
+        distance = float(np.linalg.norm(offset))
+        if distance > radius:
+            position = middle + offset * (radius / distance)
         orientation = self._ball.wxyz if wxyz is None else np.array(wxyz)
-        if np.linalg.norm(orientation) > 1e-6:
-            self._ball = Pose(position, orientation / np.linalg.norm(orientation))
+        length = np.linalg.norm(orientation)
+        if length > _SHORTEST_QUATERNION:
+            self._ball = Pose(position, orientation / length)
 
     def _grab(self, command: commands.DragLink) -> None:
-        if mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body) <= 0:
-            self._say(f"this part cannot be dragged: {command.body or 'it has no name'}")
+        body = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body)
+        if body <= 0:
+            self.report(f"this part cannot be dragged: {command.body or 'it has no name'}")
         elif self._figure is not None:
-            self._say("the figure decides by itself: drag the ball")
+            self.report("the figure decides by itself: drag the ball")
         else:
             self._drag = command
+            if self._motion in ("joints", "timeline"):
+                self._motion = "hand"
+                self._timeline.play(False)
 
-    def _adopt(self, found: SetupDone) -> None:
-        """What was prepared takes effect now."""
-        if found.ready is None:
-            self._say(found.error)
+    def _adopt(self, result: SetupDone) -> None:
+        """Let what was prepared take effect now."""
+        if result.ready is None:
+            self.report(result.error)
             return
-        if found.command is not None:
-            self._log.append((self._tick, found.command))
-        before, self._ready = self._ready, found.ready
-        ready = found.ready
+        if result.command is not None:
+            self._log.append((self._tick, result.command))
+        before = self._ready
+        ready = result.ready
+        self._ready = ready
         self._setup = ready.setup
-        if isinstance(found.command, commands.SetRobot):
-            self._phase, self._motion, self._drag = 0.0, "curve", None
+        if isinstance(result.command, commands.SetRobot):
+            self._phase = 0.0
+            self._motion = "curve"
+            self._drag = None
             self._stand(ready.robot, ready.setup.count)
         elif len(self.instances) != ready.setup.count:
             missing = ready.setup.count - len(self.instances)
             fresh = [Instance(ready.robot) for _ in range(missing)]
             self.instances = [*self.instances, *fresh][: ready.setup.count]
-        self.robot, self._branches = ready.robot, ()
+        self.robot = ready.robot
+        self._branches = ()
         self._set_figure(before, ready)
         for one, solver, refused in zip(self.instances, ready.solvers, ready.refused, strict=True):
             flat = ready.goals.flattened(solver)
             one.take(ready.robot, solver, refused, "all goals at one priority" if flat else "")
         self._begin_random()
         if before is None:
-            self._ball = self._moving_ball()
-        for k, why in enumerate(ready.refused):
-            if why:
-                self._say(f"robot {k + 1}: {why}")
+            self._ball = self._moving_ball(ready)
+        for k, reason in enumerate(ready.refused):
+            if reason:
+                self.report(f"robot {k + 1}: {reason}")
 
     def _set_figure(self, before: Ready | None, ready: Ready) -> None:
-        """A figure that decides begins at home, and goes back there when it is switched off."""
+        """Begin or end that a figure decides by itself. It begins at home and ends there."""
         wanted = ready.setup.figure
-        if before is not None and before.loaded is ready.loaded and before.setup.figure == wanted:
+        is_same_robot = before is not None and before.loaded is ready.loaded
+        if before is not None and is_same_robot and before.setup.figure == wanted:
             return
         if self._figure is not None:
             self._figure = None
@@ -431,108 +536,39 @@ class Session(Closing):
             self._figure = FigureSession(ready.abilities, mode=wanted)
             self._frame = self._figure.step()
             self._motion = "hand"
+            self._timeline.play(False)
 
     def _stand(self, robot: Robot, count: int) -> None:
-        """New robots, at home."""
+        """Put new robots to their home poses."""
         self.robot = robot
         self.instances = [Instance(robot) for _ in range(count)]
         self._ball = first_ball(robot)
         self._branches = ()
+        self._timeline = Timeline(robot)
+        self._obstacles = Obstacles(robot)
 
     def _begin_random(self) -> None:
-        self._random = RandomSource(self.robot, seed=self.start.seed, period=_RANDOM_PERIOD)
-        self._random.poll(0.0)
+        period = max(self._pace, 1.0 / commands.RATE)
+        self._random = RandomSource(self.robot, seed=self.start.seed, period=period)
+        self._random.poll(self._phase)
 
     def _find_branches(self, ready: Ready) -> None:
-        one, found = self.instances[0], []
+        first = self.instances[0]
         try:
-            branches = branches_of(ready.robot, ready.goals.main(self._ball), one.q)
+            branches = branches_of(ready.robot, ready.goals.main(self._ball), first.q)
         except RobotIkError as error:
             self._branches = ()
-            self._say(str(error).splitlines()[0])
+            self.report(str(error).splitlines()[0])
             return
+        views = []
         for branch in branches:
             data = ready.robot.data_at(branch.q)
-            found.append(BranchView(branch.name, branch.q.copy(), data.xpos.copy(), data.xquat.copy()))
-        self._branches = tuple(found)
+            pose = data.xpos.copy(), data.xquat.copy()
+            views.append(BranchView(branch.name, branch.q.copy(), *pose))
+        self._branches = tuple(views)
 
     def report(self, problem: str) -> None:
-        """Show a problem of the front end for ``MESSAGE_SECONDS``; called by the thread that ticks."""
-        self._say(problem)
-
-    def _say(self, text: str) -> None:
-        _log.debug("%s", text)
-        self._message = text, self._tick + round(MESSAGE_SECONDS * commands.RATE)
-
-
-def replayed(log: commands.CommandLog) -> Iterator[Session]:
-    """The session of a log, tick by tick; the last one is over all its commands.
-
-    Raises:
-        RobotIkError: As ``Session``.
-    """
-    with Session(log.start, beside=False) as session:
-        waiting = list(log.commands)
-        last = max([log.ticks, *(tick + 1 for tick, _ in waiting)])
-        for tick in range(last):
-            while waiting and waiting[0][0] <= tick:
-                session.send(waiting.pop(0)[1])
-            session.tick()
-            yield session
-
-
-def last_view(log: commands.CommandLog) -> View:
-    """The view at the end of a log; of an empty one, after one tick."""
-    log = log if log.ticks or log.commands else dataclasses.replace(log, ticks=1)
-    for session in replayed(log):
-        last = session
-    return last.view()
-
-
-def _surviving(session: Session, draw: Callable[[View], object]) -> Callable[[View], object]:
-    """``draw`` with its exceptions logged, once each, and shown as the session's message."""
-    logged: set[str] = set()
-
-    def drawn(view: View) -> object:
-        try:
-            return draw(view)
-        except Exception as error:
-            problem = f"{type(error).__name__}: {error}".splitlines()[0]
-            if problem not in logged:
-                logged.add(problem)
-                _log.exception("the view cannot be drawn; the session goes on, because it holds an arm")
-            session.report(f"the view cannot be drawn ({problem}); STOP still works")
-            return None
-
-    return drawn
-
-
-def run(
-    session: Session,
-    draw: Callable[[View], object],
-    stop: threading.Event,
-    *,
-    every: int = 2,
-    now: Callable[[], float] = time.perf_counter,
-) -> None:
-    """The only loop of a front end: ticks in real time, and draws each ``every``-th view.
-
-    It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set, or ``draw`` gives
-    False as that of a closed window does; after a stall it goes on from there and does not hurry.
-
-    An exception of ``draw`` ends a session without an arm only.  With an arm the session logs it, shows it
-    as its message and goes on: commands, STOP among them, still arrive.
-    """
-    step, due, count = 1.0 / commands.RATE, now(), 0
-    if session.arm is not None:
-        draw = _surviving(session, draw)
-    with short_switch_interval():
-        while not stop.is_set():
-            session.tick()
-            if count % every == 0 and draw(session.view()) is False:
-                break
-            count, due = count + 1, due + step
-            if (rest := due - now()) > 0.0:
-                stop.wait(rest)
-            else:
-                due = now()
+        """Show a problem for ``MESSAGE_SECONDS``. Only the thread of the loop may call it."""
+        _log.debug("%s", problem)
+        self._message = problem
+        self._message_end = self._tick + round(MESSAGE_SECONDS * commands.RATE)

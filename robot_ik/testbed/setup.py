@@ -1,7 +1,8 @@
-"""What a session solves: robot, methods, goals.  Commands change it; making it ready may compile kernels.
+"""What a session solves: robot, methods, goals.
 
-``Setup`` is the choice, as names and numbers.  ``prepare`` makes of it what the loop needs; it loads models
-and compiles, which takes seconds, so the session runs it beside the loop.
+``Setup`` is the choice, as names and numbers. Commands change it. ``prepare`` makes what the loop
+needs from it. It loads models and compiles, which takes seconds, so the session runs it beside the
+loop.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -44,26 +45,52 @@ from robot_ik.solvers.base import Solver
 from robot_ik.testbed import commands
 from robot_ik.testbed.gallery_scene import gallery_scene
 
-# Without restarts: an arm that follows must not jump.
 BUDGET = Budget(iterations=200, restarts=0)
-"""Of one solve: steps and not seconds, so that a replay gives the same bits."""
+"""Of one solve. Iterations instead of seconds, so that a replay gives the same bits. Without
+restarts, because an arm that follows must not jump."""
+
+RESTART_ITERATIONS = 5
+"""Factor of the iterations of a solve that may restart."""
+
 METHODS = ("dls", "lm", "pseudoinverse", "ccd")
-"""What four arms begin with: a damped, a trusted, an undamped and a geometric method."""
+"""First methods of four arms: damped, with a trust region, undamped, geometric."""
+
 WHOLE_BODY_METHODS = ("lm", "dls", "sdls", "bfgs")
-"""As ``METHODS`` for figures, whose balance and gaze geometric methods do not serve."""
-_CURVE_METHOD = "dls"  # tries the curve where no instance's own method can
+"""Likewise of figures. Geometric methods do not serve their balance and gaze."""
+
 CURVE_PERIOD = 8.0
-"""Seconds of ball time for once round the curve."""
-_CURVE_RADIUS = 0.15  # of the model's extent
+"""Seconds of ball time for one round of the curve."""
+
+_CURVE_METHOD = "dls"
+"""Tries the curve if no instance's own method can."""
+
+_CURVE_RADIUS = 0.15
+"""Radius of the curve in extents of the model."""
+
 _CURVE_STEPS = 12
-_SHRINK, _SHRINKS = 0.7, 5
-_HOLD_GOALS = 6  # frames beside the tool that are offered to be held
+"""Points of the curve that are tried."""
+
+_CURVE_POSITION = 1e-3
+"""Metres by which the tool may miss a point of the curve."""
+
+_CURVE_ANGLE = 1e-2
+"""Radians, likewise."""
+
+_SHRINK = 0.7
+"""Factor of a curve that the tool cannot follow."""
+
+_SHRINKS = 5
+"""How often a curve may shrink."""
+
+_HOLD_GOALS = 6
+"""Frames beside the tool that are offered to be held."""
+
 _GAZE = "gaze"
 
 
 @dataclass(frozen=True)
 class MethodChoice:
-    """A method and those of its options that are not its own defaults."""
+    """A method and its options that differ from the defaults."""
 
     method: str
     options: tuple[tuple[str, Any], ...] = ()
@@ -79,7 +106,14 @@ class MethodChoice:
 
 @dataclass(frozen=True)
 class ExtraGoal:
-    """A goal beside the ball's: its name on the page, whether it is on, its priority."""
+    """A goal beside the ball's.
+
+    Attributes:
+        name: Its name on the page.
+        on: Whether it counts.
+        priority: 0 is served first.
+        about: What it asks.
+    """
 
     name: str
     on: bool
@@ -89,22 +123,34 @@ class ExtraGoal:
 
 @dataclass(frozen=True)
 class Setup:
-    """What is solved."""
+    """What is solved.
 
-    robot: str  # a name of the catalogue or the path of a model
-    count: commands.Count = 1  # instances side by side
-    choices: tuple[MethodChoice, ...] = ()  # of four instances; the first ``count`` are used
-    kind: commands.GoalKind | None = None  # what the ball asks; None: what suits the robot
-    extras: tuple[ExtraGoal, ...] | None = None  # the ball's own priority is that of ``ball``; None: as suits
-    limits: bool = True  # whether joint limits hold
-    branches: bool = False  # whether all branches of a closed form are looked for
-    figure: Literal["off", "active", "passive"] = "off"  # the first instance decides by itself
+    Attributes:
+        robot: A name of the catalogue or the path of a model.
+        count: Instances side by side.
+        choices: Methods of four instances. The first ``count`` are used.
+        kind: What the ball asks. None: what suits the robot.
+        extras: Goals beside it. The ball's own priority is that of ``ball``. None: what suits the
+            robot.
+        limits: Whether joint limits hold.
+        branches: Whether all branches of a closed form are searched.
+        figure: Whether the first instance decides by itself.
+    """
+
+    robot: str
+    count: commands.Count = 1
+    choices: tuple[MethodChoice, ...] = ()
+    kind: commands.GoalKind | None = None
+    extras: tuple[ExtraGoal, ...] | None = None
+    limits: bool = True
+    branches: bool = False
+    figure: commands.FigureMode = "off"
 
     def after(self, command: commands.SetupCommand) -> Setup:
-        """What is solved after a command of this kind.
+        """Return what is solved after a command.
 
         Raises:
-            ConfigError: It names a goal that there is not.
+            ConfigError: It names an unknown goal.
         """
         match command:
             case commands.SetRobot(name):
@@ -137,8 +183,10 @@ class Setup:
         if command.name not in extras:
             raise ConfigError(
                 f"there is no goal {command.name!r}",
-                file="command", key="name", allowed=", ".join(extras) or "none with this robot",
-            )  # fmt: skip
+                file="command",
+                key="name",
+                allowed=", ".join(extras) or "none with this robot",
+            )
         changed = replace(extras[command.name], on=command.on, priority=command.priority)
         return replace(self, extras=tuple((extras | {command.name: changed}).values()))
 
@@ -147,24 +195,30 @@ class RobotGoals:
     """The goals of one robot, made for each tick from the ball's pose.
 
     Attributes:
-        kept: Frames that stay where they are, whatever is dragged.
+        robot: The robot.
+        kind: What the ball asks of the tool.
+        priority: Of the ball's goal.
+        kept: Frames that do not move during a drag.
         balanced: Whether the centre of mass stays over its position.
     """
 
-    def __init__(self, robot: Robot, kind: commands.GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
-        self.robot, self.kind = robot, kind
+    def __init__(
+        self, robot: Robot, kind: commands.GoalKind, extras: tuple[ExtraGoal, ...]
+    ) -> None:
+        self.robot = robot
+        self.kind = kind
         self.priority = next(extra.priority for extra in extras if extra.name == "ball")
-        self._extras = [
-            (extra, _extra_goal(robot, extra)) for extra in extras if extra.on and extra.name != "ball"
-        ]
+        others = [extra for extra in extras if extra.on and extra.name != "ball"]
+        self._extras = [(extra, _extra_goal(robot, extra)) for extra in others]
         names = [extra.name for extra, _ in self._extras]
         self.kept = tuple(name.removeprefix("keep ") for name in names if name.startswith("keep "))
         self.balanced = "balance" in names
 
     def main(self, ball: Pose) -> Goal:
-        """What the ball asks of the tool."""
+        """Return what the ball asks of the tool."""
         rank = self.priority
-        tool, position = self.robot.tool, ball.position
+        tool = self.robot.tool
+        position = ball.position
         match self.kind:
             case "pose":
                 return PoseGoal(tool, position, ball.wxyz, priority=rank)
@@ -178,36 +232,38 @@ class RobotGoals:
                 return PlaneGoal(tool, position, ball.rotation[:, 2], priority=rank)
 
     def all(self, ball: Pose, solver: Solver) -> list[Goal]:
-        """The ball's goal first, then the others.
+        """Return the ball's goal, then the others.
 
-        A method that cannot order goals gets them at one priority, and no posture to fall back on.
+        A method that cannot order goals gets them at one priority, without the posture.
         """
-        ranked = "priorities" in solver.capabilities
-        goals = [goal for _, goal in self.named(ball) if ranked or not isinstance(goal, PostureGoal)]
-        return goals if ranked else [replace(goal, priority=0) for goal in goals]
+        goals = [goal for _, goal in self.named(ball)]
+        if "priorities" in solver.capabilities:
+            return goals
+        ranked = [goal for goal in goals if not isinstance(goal, PostureGoal)]
+        return [replace(goal, priority=0) for goal in ranked]
 
     def named(self, ball: Pose) -> list[tuple[str, Goal]]:
-        """All goals by their names on the page, the ball's first."""
-        found: list[tuple[str, Goal]] = [("ball", self.main(ball))]
+        """Return all goals by their names on the page, the ball's first."""
+        goals: list[tuple[str, Goal]] = [("ball", self.main(ball))]
         for extra, goal in self._extras:
             if goal is None:
                 goal = AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority)
-            found.append((extra.name, goal))
-        return found
+            goals.append((extra.name, goal))
+        return goals
 
     def flattened(self, solver: Solver) -> bool:
-        """Whether the method takes goals at one priority that have several."""
+        """Return whether the method takes goals of several priorities at one priority."""
         ranks = {self.priority, *(extra.priority for extra, _ in self._extras)}
         return len(ranks) > 1 and "priorities" not in solver.capabilities
 
 
 def gaze_axis(tool: str) -> str:
-    """Which axis of a frame aims: x of eyes, z of hands and tools."""
+    """Return the axis of a frame that aims: x of eyes, z of hands and tools."""
     return "x" if tool == _GAZE else "z"
 
 
 def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
-    """The goal of that name where its target stays; None for the gaze, which follows the ball."""
+    """Return the goal of an extra, or None for the gaze, whose target is the ball."""
     home = robot.home
     verb, _, frame = extra.name.partition(" ")
     if verb == "keep":
@@ -216,9 +272,11 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
     if verb == "hold":
         return PositionGoal(frame, robot.forward(home, frame).position, priority=extra.priority)
     if verb == "level":
-        return OrientationGoal(frame, first_ball(robot).wxyz, free_axis="z", priority=extra.priority)
+        wxyz = first_ball(robot).wxyz
+        return OrientationGoal(frame, wxyz, free_axis="z", priority=extra.priority)
     if verb == "balance":
-        return CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", priority=extra.priority)
+        centre = robot.center_of_mass(home)
+        return CenterOfMassGoal(None, centre, axes="xy", priority=extra.priority)
     if verb == "posture":
         kinds = zip(robot.joints, robot.tree.kind.tolist(), strict=True)
         free = [joint for joint, kind in kinds if kind == FREE]
@@ -227,53 +285,76 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
 
 
 def is_figure(robot: Robot) -> bool:
-    """Whether it stands on feet: a floating base and frames to keep."""
+    """Return whether a robot stands on feet: it has a floating base and frames to keep."""
     return robot.nq > robot.nv and bool(gallery_scene(robot).keep)
 
 
 def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
-    """The goals that the page offers beside the ball's."""
-    figure = is_figure(robot)
-    keep = gallery_scene(robot).keep if figure else ()
-    found = [ExtraGoal(f"keep {frame}", True, 0, f"{frame} stays where it is at home") for frame in keep]
-    if figure:
-        found.append(ExtraGoal("balance", True, 1, "centre of mass over its place at home"))
-    found.append(ExtraGoal("ball", True, 2 if figure else 0, "what the ball asks of the tool"))
+    """Return the goals that the page offers beside the ball's."""
+    return _figure_extras(robot) if is_figure(robot) else _arm_extras(robot)
+
+
+def _arm_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
+    level = "its z axis keeps its direction, as a cup needs it"
+    return (
+        ExtraGoal("ball", True, 0, "what the ball asks of the tool"),
+        ExtraGoal(f"level {robot.tool}", False, 0, level),
+        ExtraGoal("posture", False, 1, "joints as near to home as possible"),
+    )
+
+
+def _figure_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
+    keep = gallery_scene(robot).keep
     tools = robot.file.tools
-    if figure and _GAZE in tools and robot.tool != _GAZE:
-        found.append(ExtraGoal(_GAZE, True, 3, "the eyes look at the ball"))
+    extras = [ExtraGoal(f"keep {frame}", True, 0, f"{frame} stays at home") for frame in keep]
+    extras.append(ExtraGoal("balance", True, 1, "centre of mass above its position at home"))
+    extras.append(ExtraGoal("ball", True, 2, "what the ball asks of the tool"))
+    if _GAZE in tools and robot.tool != _GAZE:
+        extras.append(ExtraGoal(_GAZE, True, 3, "the eyes look at the ball"))
     others = [name for name in tools if name not in (robot.tool, _GAZE, *keep)]
-    if figure:
-        found += [ExtraGoal(f"hold {n}", False, 3, f"{n} stays at its place") for n in others[:_HOLD_GOALS]]
-    else:
-        tool = robot.tool
-        found.append(ExtraGoal(f"level {tool}", False, 0, "its z axis keeps its direction, as a cup would"))
-    found.append(ExtraGoal("posture", figure, 4 if figure else 1, "joints as near to home as can be"))
-    return tuple(found)
+    for name in others[:_HOLD_GOALS]:
+        extras.append(ExtraGoal(f"hold {name}", False, 3, f"{name} stays at its position"))
+    extras.append(ExtraGoal("posture", True, 4, "joints as near to home as possible"))
+    return tuple(extras)
 
 
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """A setup that the loop can solve at once."""
+    """A setup that the loop can solve at once.
 
-    setup: Setup  # with what suits the robot filled in
-    robot: Robot  # within its limits; the robot of every instance
-    goals: RobotGoals  # what is asked
-    solvers: tuple[Solver, ...]  # one for each instance
-    loaded: Robot  # the robot within the limits of its model
-    curve: CurveSource  # the ball's path; the tool can follow it
-    refused: tuple[str, ...]  # why each instance's method cannot serve these goals; empty where it can
-    abilities: Abilities | None  # of a figure that decides by itself; None: it does not
+    Attributes:
+        setup: The setup, completed with what suits the robot.
+        robot: Robot of every instance, within the limits that hold.
+        goals: What is asked.
+        solvers: One for each instance.
+        loaded: The robot within the limits of its model.
+        curve: The ball's path. The tool can follow it.
+        refused: Why each instance's method cannot serve these goals. Empty if it can.
+        abilities: Of a figure that decides by itself. None: it does not.
+    """
+
+    setup: Setup
+    robot: Robot
+    goals: RobotGoals
+    solvers: tuple[Solver, ...]
+    loaded: Robot
+    curve: CurveSource
+    refused: tuple[str, ...]
+    abilities: Abilities | None
 
 
 def completed(setup: Setup, robot: Robot) -> Setup:
-    """The setup with what suits the robot where nothing was chosen."""
+    """Return the setup with what suits the robot where nothing was chosen."""
     usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
     choices = setup.choices + tuple(MethodChoice(method) for method in usual[len(setup.choices) :])
     extras = usual_extras(robot) if setup.extras is None else setup.extras
-    # A pose where six freedoms carry the tool; else a position, which an arm of five joints can meet.
+    # An arm of five joints meets a position, but not a pose.
     usual_kind: commands.GoalKind = "position" if is_figure(robot) or robot.nv < 6 else "pose"
     return replace(setup, choices=choices, kind=setup.kind or usual_kind, extras=extras)
+
+
+First = Callable[[Setup, Robot, RobotGoals, Sequence[Solver]], None]
+"""Called before anything is compiled: with the completed setup, its robot, goals and solvers."""
 
 
 def prepare(
@@ -281,70 +362,76 @@ def prepare(
     loaded: Robot,
     before: Ready | None,
     say: Callable[[str], None],
-    first: Callable[[Setup, Robot, RobotGoals, Sequence[Solver]], None] = lambda *given: None,
+    first: First | None = None,
 ) -> Ready:
-    """Compiles and tries all that the setup needs.
+    """Compile and try everything that the setup needs.
 
     Args:
         setup: The choice.
         loaded: Its robot.
-        before: What was made ready last: what did not change since is taken over.
-        say: Called with what is going on, as text.
-        first: Called before anything is compiled: with the completed setup, its robot, goals and solvers.
+        before: The result of the last call. Parts that did not change are reused.
+        say: Called with what is done now.
+        first: See ``First``.
 
     Raises:
-        RobotIkError: No such method or option.
+        RobotIkError: There is no such method or option.
     """
     if before is not None and is_figure(before.loaded) is not is_figure(loaded):
-        setup = replace(setup, choices=())  # an arm's methods do not suit a figure, nor a figure's an arm
+        setup = replace(setup, choices=())  # arms and figures need different methods
     setup = completed(setup, loaded)
     if setup.kind is None or setup.extras is None:
         raise RuntimeError("the setup is not completed")
     same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
     used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
     goals = RobotGoals(used, setup.kind, setup.extras)
-    home, refused = first_ball(loaded), []
+    home = first_ball(loaded)
+    refused = []
     solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
-    first(setup, used, goals, solvers)
+    if first is not None:
+        first(setup, used, goals, solvers)
     for solver in solvers:
         say(f"preparing {solver.name} …")
         refused.append(_tried(used, goals, solver, home))
     if setup.branches:
         with contextlib.suppress(RobotIkError):
             branches_of(used, goals.main(home), used.home)
-    if before and same and (before.setup.kind, before.setup.extras) == (setup.kind, setup.extras):
+    asks_same = before is not None and before.setup.kind == setup.kind
+    if before and same and asks_same and before.setup.extras == setup.extras:
         curve = before.curve
     else:
-        able = [solver for solver, why in zip(solvers, refused, strict=True) if not why]
-        curve = reachable_curve(used, goals, able[0] if able else MethodChoice(_CURVE_METHOD).solver())
+        able = [solver for solver, reason in zip(solvers, refused, strict=True) if not reason]
+        chosen = able[0] if able else MethodChoice(_CURVE_METHOD).solver()
+        curve = reachable_curve(used, goals, chosen)
     abilities = None
     if setup.figure != "off":
-        abilities = before.abilities if before is not None and before.loaded is loaded else None
+        if before is not None and before.loaded is loaded:
+            abilities = before.abilities
         abilities = abilities or _abilities(loaded, say)
     return Ready(setup, used, goals, solvers, loaded, curve, tuple(refused), abilities)
 
 
 def _abilities(robot: Robot, say: Callable[[str], None]) -> Abilities:
-    """What a figure can do: read from a file, or for a model of somebody's own made in some minutes.
+    """Return what a figure can do: from a file, or for another model computed in some minutes.
 
     Raises:
         ModelError: It is no figure.
     """
+
+    def progress(done: int, total: int) -> None:
+        say(f"finding out what the figure can do: {100 * done // max(total, 1)} % …")
+
     figure = load_figure(robot)
     say("reading what the figure can do …")
-    finding = "finding out what the figure can do"
-    return load_abilities(
-        figure, progress=lambda done, whole: say(f"{finding}: {100 * done // max(whole, 1)} % …")
-    )
+    return load_abilities(figure, progress=progress)
 
 
 def warm_drag(robot: Robot) -> None:
-    """Loads what dragging needs, or compiles it on a new machine; once is enough for all robots."""
+    """Load the kernels of dragging, or compile them on a new machine. All robots share them."""
     Drag(robot, robot.tool).step()
 
 
 def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
-    """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
+    """Compile what the goals need. Return why the method cannot serve them, empty if it can."""
     try:
         wanted = goals.all(ball, solver)
         problem = Problem(robot, wanted, solver=solver, budget=BUDGET)
@@ -356,14 +443,14 @@ def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
 
 
 def retarget(problem: Problem, goals: list[Goal]) -> None:
-    """Moves the targets of a problem that was made for such goals."""
+    """Move the targets of a problem that was made for such goals."""
     for index, goal in enumerate(goals):
         if not isinstance(goal, PostureGoal | CenterOfMassGoal):  # these stay where they are
             problem.retarget(goal, index)
 
 
 def branches_of(robot: Robot, goal: Goal, start: Array) -> tuple[Branch, ...]:
-    """All branches that a closed form knows, the nearest to ``start`` (nq,) first.
+    """Return all branches of a closed form, the nearest to ``start`` (nq,) first.
 
     Raises:
         UnsupportedGoalError: No closed form is known.
@@ -371,18 +458,29 @@ def branches_of(robot: Robot, goal: Goal, start: Array) -> tuple[Branch, ...]:
     return solve_all(robot, replace(goal, priority=0), start=start)
 
 
+def restarting(budget: Budget, robot: Robot) -> Budget:
+    """Return the budget of a solve that may restart at random joint angles.
+
+    A figure gets no more iterations: 36 joints take too long for one frame.
+    """
+    factor = 1 if is_figure(robot) else RESTART_ITERATIONS
+    return Budget(iterations=factor * budget.iterations)
+
+
 def without_limits(robot: Robot) -> Robot:
-    """The robot whose hinges and slides may go anywhere; balls keep their cones."""
-    lower, upper = robot.lower.copy(), robot.upper.copy()
+    """Return the robot without limits of hinges and slides. Balls keep their cones."""
+    lower = robot.lower.copy()
+    upper = robot.upper.copy()
     for kind, at in zip(robot.tree.kind.tolist(), robot.tree.vadr.tolist(), strict=True):
         if kind in (HINGE, SLIDE):
-            lower[at], upper[at] = -np.inf, np.inf
+            lower[at] = -np.inf
+            upper[at] = np.inf
     return dataclasses.replace(robot, tree=robot.tree.with_limits(lower, upper))
 
 
 def first_ball(robot: Robot) -> Pose:
-    """Where the ball is before it moves: what the robot's gallery picture reaches for, else home."""
-    home = robot.measure(robot.home)  # by MuJoCo: nothing has to be compiled for the first picture
+    """Return the first pose of the ball: the goal of the robot's gallery picture, else home."""
+    home = robot.measure(robot.home)  # MuJoCo needs no compilation before the first picture
     goals = gallery_scene(robot).goals
     if robot.tool not in goals:
         return home
@@ -391,9 +489,10 @@ def first_ball(robot: Robot) -> Pose:
 
 
 def reachable_curve(robot: Robot, goals: RobotGoals, solver: Solver) -> CurveSource:
-    """A figure of eight round the first ball, as large as the tool can follow it."""
-    ball, extent = first_ball(robot), float(robot.model.stat.extent)
-    middle, radius = np.array(ball.position), _CURVE_RADIUS * extent
+    """Return a figure of eight around the first ball, as large as the tool can follow it."""
+    ball = first_ball(robot)
+    middle = np.array(ball.position)
+    radius = _CURVE_RADIUS * float(robot.model.stat.extent)
     towards = np.array(robot.forward(robot.home).position)
     for _ in range(_SHRINKS):
         curve = CurveSource.lemniscate(
@@ -407,15 +506,16 @@ def reachable_curve(robot: Robot, goals: RobotGoals, solver: Solver) -> CurveSou
 
 
 def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource) -> bool:
-    """Whether the tool gets to all of a curve, from home on."""
+    """Return whether the tool reaches all points of a curve, starting at home."""
     q = robot.home
     for t in np.linspace(0.0, CURVE_PERIOD, _CURVE_STEPS):
         wanted = goals.all(curve.poll(float(t)).target, solver)
         try:
             solution = solve(robot, wanted, solver=solver, start=q, budget=BUDGET)
         except RobotIkError:
-            return True  # the method cannot serve these goals: any curve will do
+            return True  # the method cannot serve these goals, so the curve does not matter
         q = solution.q
-        if solution.errors[0].position > 1e-3 or solution.errors[0].angle > 1e-2:
+        error = solution.errors[0]
+        if error.position > _CURVE_POSITION or error.angle > _CURVE_ANGLE:
             return False
     return True

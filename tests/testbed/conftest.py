@@ -1,4 +1,4 @@
-"""A page in this process, browsers that look at it, and a screen for windows: one of each for all tests."""
+"""A page in this process, browsers that look at it, and a screen for windows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 from robot_ik.testbed.commands import Command, Start
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 from tests.waiting import LONG, wait_for
 
 
@@ -32,7 +34,9 @@ class Bed:
     def view(self) -> View:
         return self.page._view
 
-    def until(self, holds: Callable[[View], Any], what: str = "the session never came to that") -> View:
+    def until(
+        self, holds: Callable[[View], Any], what: str = "the session never came to that"
+    ) -> View:
         """Waits until the session is so; fails with what it was waiting for."""
         return wait_for(lambda: view if holds(view := self.view) else None, what)
 
@@ -63,10 +67,13 @@ def _opened() -> Iterator[Bed]:
 
 @pytest.fixture(scope="module")
 def bed(_opened: Bed) -> Iterator[Bed]:
-    """The page with its loop, which stops at a file's end: it would take a tenth of all later tests' time."""
+    """The page with its loop, which stops at the end of a file to free the processor."""
     stop = threading.Event()
     loop = threading.Thread(  # drawn at 15 Hz: a browser without a GPU is no quicker
-        target=run, args=(_opened.session, _opened.page.draw, stop), kwargs={"every": 4}, name="testbed-loop"
+        target=run,
+        args=(_opened.session, _opened.page.draw, stop),
+        kwargs={"every": 4},
+        name="testbed-loop",
     )
     loop.start()
     try:
@@ -86,9 +93,6 @@ def guarded(_opened: Bed) -> Iterator[Any]:
         yield page
 
 
-# ------------------------------------------------------------------------------------ windows
-
-
 @dataclass(frozen=True)
 class Screen:
     """An X server whose frame buffer is a file."""
@@ -105,7 +109,7 @@ class Screen:
         return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
 
     def settled(self, differs_from: Any = None) -> Any:
-        """A picture that has stopped changing and is not ``differs_from`` (or is shaded, no bare screen)."""
+        """A picture at rest that differs from ``differs_from``, or shows a window."""
         end = time.monotonic() + LONG
         last = self.shot()
         while time.monotonic() < end:
@@ -127,13 +131,25 @@ def changed(a: Any, b: Any) -> int:
 
 
 @pytest.fixture(scope="session")
-def screen(require: Callable[..., str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Screen]:
+def screen(
+    require: Callable[..., str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Screen]:
     """A display of its own, on a number that the server finds free by itself."""
     xvfb = require("xvfb", "opens the viewer window")
     reading, writing = os.pipe()
     folder = tmp_path_factory.mktemp("screen")
     # -noreset: it stays when its last window closes.
-    command = [xvfb, "-displayfd", str(writing), "-screen", "0", "480x360x24", "-nolisten", "tcp", "-noreset"]
+    command = [
+        xvfb,
+        "-displayfd",
+        str(writing),
+        "-screen",
+        "0",
+        "480x360x24",
+        "-nolisten",
+        "tcp",
+        "-noreset",
+    ]
     server = subprocess.Popen(
         [*command, "-fbdir", str(folder)], pass_fds=[writing], stderr=subprocess.DEVNULL
     )
@@ -170,22 +186,31 @@ class Windows:
 
     def __init__(self, screen: Screen, folder: Path) -> None:
         environment = {
-            **os.environ, "DISPLAY": screen.display, "LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "1",
-        }  # fmt: skip
+            **os.environ,
+            "DISPLAY": screen.display,
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "LP_NUM_THREADS": "1",
+        }
         environment.pop("MUJOCO_GL", None)
-        self._folder, self._count = folder, 0
+        self._folder = folder
+        self._count = 0
         self._errors = folder / "stderr"
         with self._errors.open("w") as errors:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", OPENER],
-                env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
-            )  # fmt: skip
+                env=environment,
+                text=True,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+            )
         self.busy = False  # with a program
         assert self.line() == "ready"
 
     def start(self, program: str) -> None:
         """Runs a program; what it prints comes by ``line``."""
-        self._count, self.busy = self._count + 1, True
+        self._count = self._count + 1
+        self.busy = True
         file = self._folder / f"program{self._count}.py"
         file.write_text(program)
         self.say(str(file))
@@ -226,7 +251,7 @@ def opener(screen: Screen, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 def windows(
     screen: Screen, opener: list[Windows], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Windows]:
-    """The process; a new one where the last has died, or hangs in the program of a test that failed."""
+    """The process; a new one if the last has died or hangs in a failed test."""
     if not opener or opener[-1].process.poll() is not None:
         opener.append(Windows(screen, tmp_path_factory.mktemp("windows")))
     yield opener[-1]

@@ -18,7 +18,9 @@ from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")
@@ -52,12 +54,18 @@ def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -
     session.send(MoveGoal((0.2, 0.05, 0.1)))
     session.send(SetArm("follow"))
     view = until(
-        session, lambda v: v.arm and v.arm.state == "enabled" and v.arm.apart < 0.02, "does not follow"
+        session,
+        lambda v: v.arm and v.arm.state == "enabled" and v.arm.apart < 0.02,
+        "does not follow",
     )
     assert view.arm is not None and view.arm.q is not None
     assert np.abs(view.arm.q - view.instances[0].q).max() < 0.02
     assert np.isfinite(view.arm.xpos).all()
-    until(session, lambda v: v.arm and v.arm.servos and all(s.torque for s in v.arm.servos), "no telemetry")
+    until(
+        session,
+        lambda v: v.arm and v.arm.servos and all(s.torque for s in v.arm.servos),
+        "no telemetry",
+    )
     session.send(SetRunning(False))
     until(session, lambda v: v.arm and v.arm.state == "hold", "stop does not hold the arm")
     session.send(SetArm("follow"))
@@ -70,7 +78,7 @@ def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -
 
 
 def stays(session: Session, link: ArmLink, state: str) -> None:
-    """Fails where the arm leaves a state within the next 30 cycles of its own and of the session."""
+    """Fails if the arm leaves a state within 30 cycles of its own and of the session."""
     cycles = link._arm.clock.now() + 30.0 / link._arm.config.rate_hz
     end = session.view().tick + 30
 
@@ -98,7 +106,11 @@ def test_an_arm_without_torque_is_said_to_be_limp(session: Session, link: ArmLin
     """Hold switches no torque on: who lets go of an arm that is said to hold lets it fall."""
     for before in ("release", "teach"):
         session.send(SetArm("follow"))
-        until(session, lambda v: v.arm and v.arm.state == "enabled" and not v.arm.limp, "does not follow")
+        until(
+            session,
+            lambda v: v.arm and v.arm.state == "enabled" and not v.arm.limp,
+            "does not follow",
+        )
         session.send(SetArm(before))
         until(session, lambda v: v.arm and v.arm.limp, "not said to be limp")
         session.send(SetArm("hold"))
@@ -116,7 +128,9 @@ def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link:
     session.send(SetArm("follow"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
     session.send(SetRobot("koch_v11"))
-    view = until(session, lambda v: v.arm and v.arm.state == "hold", "the wrong robot moves the arm")
+    view = until(
+        session, lambda v: v.arm and v.arm.state == "hold", "the wrong robot moves the arm"
+    )
     assert view.robot == "koch_v11" and view.arm is not None and "tabletop_puma" in view.arm.message
     assert not view.arm.is_shown
     session.send(SetArm("follow"))
@@ -129,10 +143,15 @@ def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link:
 
 def test_a_ball_that_jumps_makes_the_arm_walk(session: Session, link: ArmLink) -> None:
     session.send(SetArm("follow"))
-    until(session, lambda v: v.arm and v.arm.state == "enabled" and v.arm.apart < 0.05, "does not follow")
+    until(
+        session,
+        lambda v: v.arm and v.arm.state == "enabled" and v.arm.apart < 0.05,
+        "does not follow",
+    )
     fastest = float(link._arm.config.velocity.max())
     session.send(MoveGoal((-0.15, -0.2, 0.2)))
-    last, most = link.view().q, 0.0
+    last = link.view().q
+    most = 0.0
     begin = time.monotonic()
     assert last is not None
     for _ in range(60):
@@ -150,16 +169,28 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
     assert view.arm is not None and "Teach" in view.arm.message and view.arm.mode == "hold"
     session.send(MoveGoal((0.2, 0.05, 0.1)))
     session.send(SetArm("teach"))  # simulated servos are guided by the page's robot
-    until(session, lambda v: v.arm and v.arm.apart < 0.02 and v.arm.state == "connected", "nobody guides it")
+    until(
+        session,
+        lambda v: v.arm and v.arm.apart < 0.02 and v.arm.state == "connected",
+        "nobody guides it",
+    )
     begin = link.view().q
     session.send(MoveGoal((0.15, -0.1, 0.15)))
-    until(session, lambda v: v.arm and np.abs(v.arm.q - begin).max() > 0.2 and v.arm.apart < 0.02, "no way")
+    until(
+        session,
+        lambda v: v.arm and np.abs(v.arm.q - begin).max() > 0.2 and v.arm.apart < 0.02,
+        "no way",
+    )
     shown = link.view().q
     assert link.view().recorded > 0.0
     session.send(SetArm("release"))
-    until(session, lambda v: link.recording and v.arm and v.arm.recorded > 0.1, "nothing was recorded")
+    until(
+        session, lambda v: link.recording and v.arm and v.arm.recorded > 0.1, "nothing was recorded"
+    )
     assert begin is not None and shown is not None and link.recording is not None
-    assert np.abs(link.recording.q[-1] - shown).max() < 0.03  # so far it may still have been from its goal
+    assert (
+        np.abs(link.recording.q[-1] - shown).max() < 0.03
+    )  # so far it may still have been from its goal
     for servo in link._arm.config.drives:  # somewhere else meanwhile
         link._arm.bus.virtual_bus.servo(servo.id).rotate_by_hand(100.0)  # type: ignore[union-attr]
     session.send(SetArm("replay"))
@@ -174,7 +205,9 @@ def test_stop_ends_a_replay(session: Session, link: ArmLink) -> None:
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
     session.send(SetRunning(False))
-    view = until(session, lambda v: v.arm and v.arm.state == "hold" and v.arm.mode == "hold", "it goes on")
+    view = until(
+        session, lambda v: v.arm and v.arm.state == "hold" and v.arm.mode == "hold", "it goes on"
+    )
     assert view.arm is not None and "stopped" in view.arm.message
 
 
@@ -207,7 +240,8 @@ def test_closing_leaves_the_arm_by_its_policy() -> None:
 def test_a_page_that_cannot_be_drawn_does_not_end_a_session_with_an_arm(
     session: Session, link: ArmLink, caplog: pytest.LogCaptureFixture
 ) -> None:
-    stop, messages = threading.Event(), []
+    stop = threading.Event()
+    messages = []
 
     def draw(view: View) -> None:
         messages.append(view.message)
@@ -222,7 +256,9 @@ def test_a_page_that_cannot_be_drawn_does_not_end_a_session_with_an_arm(
     run(session, draw, stop)
     assert link.view().state == "hold"
     assert "IndexError" in messages[-1] and "STOP still works" in messages[-1]
-    assert [row.levelname for row in caplog.records if "cannot be drawn" in row.message] == ["ERROR"]
+    assert [row.levelname for row in caplog.records if "cannot be drawn" in row.message] == [
+        "ERROR"
+    ]
 
 
 def test_a_page_that_cannot_be_drawn_ends_a_session_without_an_arm() -> None:
@@ -233,7 +269,9 @@ def test_a_page_that_cannot_be_drawn_ends_a_session_without_an_arm() -> None:
         run(session, draw, threading.Event())
 
 
-def test_the_arms_ghost_is_drawn_where_it_differs_from_its_own_robot(session: Session, link: ArmLink) -> None:
+def test_the_arms_ghost_is_drawn_where_it_differs_from_its_own_robot(
+    session: Session, link: ArmLink
+) -> None:
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
     from robot_ik.testbed.frontends.page_server import PageServer

@@ -14,11 +14,10 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.cli.main import main
-from robot_ik.errors import MissingExtraError
-from robot_ik.jobs.testbed import film
+from robot_ik.errors import ConfigError, MissingExtraError
+from robot_ik.jobs.testbed import film, film_in_process
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS
 from robot_ik.testbed.commands import (
-    KEYMAP,
     CommandLog,
     MoveGoal,
     SetCount,
@@ -27,7 +26,10 @@ from robot_ik.testbed.commands import (
     Start,
 )
 from robot_ik.testbed.frontends.recorder import Recorder
-from robot_ik.testbed.session import Session, View, last_view, replayed
+from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.loop import last_view, replayed
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 SCRIPT = CommandLog(
     Start("tabletop_puma"),
@@ -72,16 +74,15 @@ def test_the_same_script_gives_the_same_view_in_the_browser(wanted: str) -> None
 
 
 def test_no_key_means_two_things() -> None:
-    for column in ("browser", "window"):
+    for column in ("code", "window"):
         keys = [getattr(key, column) for key in KEYMAP if getattr(key, column)]
         assert len(set(keys)) == len(keys)
-    # viser's scene moves its camera with these, and no switch turns that off
-    assert not {"W", "A", "S", "D", "Q", "E"} & {key.browser for key in KEYMAP}
 
 
 def test_the_key_for_methods_goes_through_all_of_them() -> None:
     key = next(key for key in KEYMAP if key.about.startswith("next method"))
-    method, seen = "dls", set()
+    method = "dls"
+    seen = set()
     for _ in rik.SOLVERS:
         command = key.command(SimpleNamespace(instances=[SimpleNamespace(method=method)]))  # type: ignore
         assert isinstance(command, SetMethod)
@@ -102,12 +103,17 @@ def ball_pixels(image: Any) -> int:
 
 def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra video")
-    out, numbers = tmp_path / "bed.mp4", tmp_path / "bed.csv"
+    out = tmp_path / "bed.mp4"
+    numbers = tmp_path / "bed.csv"
     seen: list[float] = []
     view = film(
-        SCRIPT, out, numbers=numbers, size=(320, 240), rate_hz=30.0,
+        SCRIPT,
+        out,
+        numbers=numbers,
+        size=(320, 240),
+        rate_hz=30.0,
         progress=lambda phase, share: seen.append(share),
-    )  # fmt: skip
+    )
     assert view.tick == 40 and seen == [k / 40 for k in range(1, 41)]
     with av.open(str(out)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
@@ -123,6 +129,17 @@ def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     assert float(rows[-1]["error_m"]) == view.instances[1].error
 
 
+def test_a_film_is_made_by_another_process(tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="needs the extra video")
+    log = CommandLog(Start("tabletop_puma"), (), ticks=8)
+    file = tmp_path / "film.mp4"
+    file.write_bytes(film_in_process(log))
+    with av.open(str(file)) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 4
+    with pytest.raises(ConfigError):
+        film_in_process(CommandLog(Start("tabletop_puma"), ()))
+
+
 def test_a_gif_is_written(tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra video")
     film(SCRIPT, tmp_path / "a.gif", size=(96, 64), seconds=0.2)
@@ -130,7 +147,9 @@ def test_a_gif_is_written(tmp_path: Path) -> None:
         assert sum(1 for _ in container.decode(video=0)) == 6
 
 
-def test_a_log_without_a_length_is_no_film(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_without_a_length_is_no_film(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     CommandLog(Start("tabletop_puma"), ()).save(tmp_path / "a.jsonl")
     assert main(["video", str(tmp_path / "a.jsonl"), str(tmp_path / "a.png")]) == 2
     assert "--seconds" in capsys.readouterr().err
@@ -143,14 +162,31 @@ def test_a_log_without_a_length_is_no_film(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ("view --seconds 0", "--seconds: 0 s; allowed: above 0, at most 1000000 (default: until Ctrl-C)"),
-        ("video --seconds 0 a.png", "--seconds: 0 s; allowed: above 0, at most 1000000 (default: as long as"),
-        ("view --arm tabletop_puma", "--arm: tabletop_puma is for servos, and no bus is named; allowed"),
-        ("view --on-exit hold", "--on-exit: hold is for servos, and no bus is named; allowed: with"),
-        ("view --bus sim --viewer recorder", "--bus: the recorder moves no servos; allowed: with --viewer"),
+        (
+            "view --seconds 0",
+            "--seconds: 0 s; allowed: above 0, at most 1000000 (default: until Ctrl-C)",
+        ),
+        (
+            "video --seconds 0 a.png",
+            "--seconds: 0 s; allowed: above 0, at most 1000000 (default: as long as",
+        ),
+        (
+            "view --arm tabletop_puma",
+            "--arm: tabletop_puma is for servos, and no bus is named; allowed",
+        ),
+        (
+            "view --on-exit hold",
+            "--on-exit: hold is for servos, and no bus is named; allowed: with",
+        ),
+        (
+            "view --bus sim --viewer recorder",
+            "--bus: the recorder moves no servos; allowed: with --viewer",
+        ),
     ],
 )
-def test_what_would_be_ignored_is_refused(words: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_would_be_ignored_is_refused(
+    words: str, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(words.split()) == 2
     assert text in capsys.readouterr().err
 
@@ -158,7 +194,8 @@ def test_what_would_be_ignored_is_refused(words: str, text: str, capsys: pytest.
 def test_a_replay_says_whether_it_ends_in_the_same_bits(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], wanted: str
 ) -> None:
-    good, bad = tmp_path / "good.jsonl", tmp_path / "bad.jsonl"
+    good = tmp_path / "good.jsonl"
+    bad = tmp_path / "bad.jsonl"
     CommandLog(SCRIPT.start, SCRIPT.commands, SCRIPT.ticks, wanted).save(good)
     CommandLog(SCRIPT.start, SCRIPT.commands, SCRIPT.ticks, "0" * 32).save(bad)
     assert main(["view", "--replay", str(good)]) == 0
@@ -175,7 +212,8 @@ def test_view_opens_the_page_writes_its_log_and_ends(
     pytest.importorskip("viser", reason="needs the extra web")
     log = tmp_path / "log.jsonl"
     arguments = (
-        "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser --seconds 0.5 --log"
+        "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser "
+        "--seconds 0.5 --log"
     )
     assert main([*arguments.split(), str(log)]) == 0
     assert "http://127.0.0.1:87" in capsys.readouterr().out
@@ -189,7 +227,10 @@ def test_view_opens_the_page_writes_its_log_and_ends(
 def test_view_shows_the_robot_of_the_arm_that_is_named(tmp_path: Path) -> None:
     pytest.importorskip("viser", reason="needs the extra web")
     log = tmp_path / "log.jsonl"
-    words = "view --bus sim --arm puma560 --no-open --no-camera --port 8725 --viewer browser --seconds 0.2"
+    words = (
+        "view --bus sim --arm puma560 --no-open --no-camera --port 8725 --viewer browser "
+        "--seconds 0.2"
+    )
     assert main([*words.split(), "--log", str(log)]) == 0
     assert CommandLog.load(log).start.robot == "puma560"
 
@@ -202,10 +243,15 @@ def test_a_film_of_the_recorder_is_overwritten_only_when_asked(
     (tmp_path / "testbed.mp4").write_text("mine")
     arguments = ["view", "--robot", "tabletop_puma", "--viewer", "recorder", "--seconds", "0.02"]
     assert main(arguments) == 2
-    assert "--overwrite" in capsys.readouterr().err and (tmp_path / "testbed.mp4").read_text() == "mine"
+    assert (
+        "--overwrite" in capsys.readouterr().err
+        and (tmp_path / "testbed.mp4").read_text() == "mine"
+    )
     assert main([*arguments, "--overwrite", "--log", "log.jsonl"]) == 0
     assert (tmp_path / "testbed.mp4").stat().st_size > 1000
-    assert main(["view", "--replay", "log.jsonl"]) == 0 and "the same bits" in capsys.readouterr().err
+    assert (
+        main(["view", "--replay", "log.jsonl"]) == 0 and "the same bits" in capsys.readouterr().err
+    )
 
 
 def test_view_that_is_ended_from_outside_writes_its_log(
@@ -270,12 +316,18 @@ def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -
     assert main(["view", "--robot", "puma561", "--no-open"]) == 2
     for wrong, said in (
         ("--method lm ccd", "2 methods for 1 robot"),
-        ("--method newton", "newton"), ("--method dls lm ccd sdls bfgs", "methods"), ("--seed -5", "seed"),
-        ("--seconds -1", "--seconds"), ("--port 99999", "99999"), ("--host 192.0.2.1", "192.0.2.1"),
-    ):  # fmt: skip
+        ("--method newton", "newton"),
+        ("--method dls lm ccd sdls bfgs", "methods"),
+        ("--seed -5", "seed"),
+        ("--seconds -1", "--seconds"),
+        ("--port 99999", "99999"),
+        ("--host 192.0.2.1", "192.0.2.1"),
+    ):
         arguments = f"view --robot tabletop_puma --viewer browser --no-open --no-camera {wrong}"
         assert main(arguments.split()) == 2
         assert said in capsys.readouterr().err
     assert main(["view", "--bus", "sim", "--robot", "panda", "--no-open"]) == 2
     said = capsys.readouterr().err
-    assert "panda: comes without an arm file" in said and "puma560" in said and "arm.toml" not in said
+    assert (
+        "panda: comes without an arm file" in said and "puma560" in said and "arm.toml" not in said
+    )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import hashlib
+import json
 import math
 import os
 import random
@@ -18,16 +20,23 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from websockets.exceptions import ConnectionClosed
 
 from robot_ik.errors import CameraError
 from robot_ik.jobs.testbed import arm_link
-from robot_ik.testbed.commands import SetCount, Start
-from robot_ik.testbed.session import Session, View, run
+from robot_ik.testbed.camera_picture import CameraPicture
+from robot_ik.testbed.commands import COMMANDS, SetCount, SetRunning, Start
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 from tests.memory import resident_memory
+from tests.testbed.channel_client import ChannelClient
 from tests.testbed.conftest import Bed
 from tests.waiting import LONG, wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
+from robot_ik.testbed.frontends.actions import ACTIONS
+from robot_ik.testbed.frontends.camera_pictures import HEADER
 from robot_ik.testbed.frontends.gate import BAD_LIMIT
 
 
@@ -68,7 +77,11 @@ class Browser:
         data = message if isinstance(message, bytes) else msgspec.msgpack.encode(message)
         mask = os.urandom(4)
         size = len(data)
-        head = struct.pack("!BB", 0x82, 0x80 | size) if size < 126 else struct.pack("!BBH", 0x82, 0xFE, size)
+        head = (
+            struct.pack("!BB", 0x82, 0x80 | size)
+            if size < 126
+            else struct.pack("!BBH", 0x82, 0xFE, size)
+        )
         if size >= 1 << 16:
             head = struct.pack("!BBQ", 0x82, 0xFF, size)
         self.socket.sendall(head + mask + bytes(b ^ mask[k % 4] for k, b in enumerate(data)))
@@ -145,7 +158,9 @@ def browser(bed: Bed, port: int) -> Iterator[Browser]:
         ({"Host": ""}, 403),
     ],
 )
-def test_only_pages_of_this_server_connect(port: int, headers: dict[str, str | None], wanted: int) -> None:
+def test_only_pages_of_this_server_connect(
+    port: int, headers: dict[str, str | None], wanted: int
+) -> None:
     given = {name: value and value.replace("PORT", str(port)) for name, value in headers.items()}
     assert asked(port, **given)[0] == wanted
 
@@ -181,11 +196,42 @@ def test_the_page_is_not_given_to_other_names_or_for_other_servers(port: int) ->
     assert page_of(port, "/?a=1&websocket=ws%3A%2F%2Fevil.example")[0] == 400
 
 
+def test_the_channel_is_behind_the_gate(port: int) -> None:
+    for headers, wanted in (
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": None}, 403),
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, 403),
+        ({"Sec_WebSocket_Protocol": None}, 101),
+    ):
+        browser = Browser(port, **headers)
+        assert browser.ask("/testbed/channel")[0] == wanted
+        browser.close()
+
+
+def test_files_of_the_page_are_given_and_no_others(port: int) -> None:
+    for path in ("page.js", "page.css", "channel_worker.js", "thumbnails/puma560.png"):
+        assert page_of(port, f"/testbed/{path}")[0] == 200
+    for path in (
+        "../gate.py",
+        "..%2fgate.py",
+        "%2e%2e/gate.py",
+        "/etc/passwd",
+        "page.js/",
+        "",
+        "page.py",
+        "thumbnails/../page.js/../../gate.py",
+        "channel",
+    ):
+        assert page_of(port, f"/testbed/{path}")[0] == 404
+
+
 def test_with_a_token_nothing_is_given_without_it(guarded: Any) -> None:
-    port, token = int(guarded.server.get_port()), guarded.gate.token
+    port = int(guarded.server.get_port())
+    token = guarded.gate.token
     assert token in guarded.url
     assert page_of(port)[0] == 403
     assert page_of(port, "/?token=wrong")[0] == 403
+    assert page_of(port, "/testbed/page.js")[0] == 403
     assert asked(port)[0] == 403
     status, headers, _ = page_of(port, f"/?token={token}")
     assert status == 303 and headers["Location"] == "/"
@@ -206,70 +252,176 @@ def test_a_host_that_others_reach_gets_a_token(host: str) -> None:
     assert all(is_loopback(name) for name in ("127.0.0.1", "localhost", "::1", "127.8.8.8"))
 
 
-def uuid_of(bed: Bed, label: str) -> str:
-    handles = bed.page.server.gui._gui_input_handle_from_uuid
-    return next(uuid for uuid, handle in handles.items() if getattr(handle, "label", None) == label)
-
-
 def nobody_drives(bed: Bed) -> None:
     """Waits until the server has noticed that the last driver is gone."""
-    wait_for(lambda: bed.page.gate.driver is None)
+    wait_for(lambda: bed.page.gate.driver.page is None)
 
 
-def update(uuid: str, **updates: Any) -> dict[str, Any]:
-    return {"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates}
-
-
-def test_values_pass_and_attributes_do_not(bed: Bed, browser: Browser) -> None:
-    speed, stop = uuid_of(bed, "Speed"), uuid_of(bed, "STOP")
-    slider = bed.page.server.gui._gui_input_handle_from_uuid[speed]
-    wrong = [
-        update(speed, value=1e9), update(speed, value=-0.1), update(speed, value="fast"),
-        update(speed, value=True), update(speed, max=100.0), update(speed, value=2.0, min=-5.0),
-        update(stop, update_cb=[]), update(stop, disabled=True), update(stop, visible=False),
-        update("nobody", value=1.0), update(uuid_of(bed, "Robot"), value="../etc"),
-        update(speed, value=math.nan), {"type": "GuiUpdateMessage", "uuid": speed},
-    ]  # fmt: skip
-    before = bed.view.speed
-    for message in wrong:
-        browser.send(message)
-    browser.send(update(speed, value=1.5))
-    bed.until(lambda view: view.speed == 1.5, "the right value was lost")
-    assert before == 1.0 and slider.max == 3.0 and slider.min == 0.0
-    button = bed.page.server.gui._gui_input_handle_from_uuid[stop]
-    assert button._impl.update_cb and not button.disabled
-    browser.send(update(stop, value=True))
-    bed.until(lambda view: not view.running, "the stop button was switched off")
-    browser.send(update(uuid_of(bed, "Run"), value="Reset"))
-    browser.send(update(speed, value=1.0))
-    bed.until(lambda view: view.running and view.speed == 1.0)
-
-
-def test_one_browser_drives_the_others_watch_and_stop_works_from_all(bed: Bed, browser: Browser) -> None:
-    watcher = Browser(browser.port).open_page()
-    speed = uuid_of(bed, "Speed")
-    browser.send(update(speed, value=2.0))
-    bed.until(lambda view: view.speed == 2.0)
-    watcher.send(update(speed, value=0.5))
-    watcher.send(update(uuid_of(bed, "STOP"), value=True))
-    bed.until(lambda view: not view.running)
-    assert bed.view.speed == 2.0
-    browser.close()  # the driver leaves, and the next to act drives
+@pytest.fixture
+def page(bed: Bed) -> Iterator[ChannelClient]:
+    """A page that drives as soon as it asks for something."""
     nobody_drives(bed)
-    watcher.send(update(uuid_of(bed, "Run"), value="Reset"))
-    watcher.send(update(speed, value=1.0))
-    bed.until(lambda view: view.speed == 1.0 and view.running)
-    watcher.close()
+    with ChannelClient(bed.page.url) as made:
+        made.until(lambda one: {"settings", "role"} <= set(one.latest))
+        yield made
+    nobody_drives(bed)
+
+
+@contextlib.contextmanager
+def paired(bed: Bed) -> Iterator[tuple[Browser, ChannelClient]]:
+    """A page with both of its sockets, as a browser has them."""
+    gate = bed.page.gate
+    before = set(gate.pages)
+    with ChannelClient(bed.page.url) as channel:
+        browser = Browser(int(bed.page.server.get_port())).open_page()
+        key = wait_for(lambda: set(gate.pages) - before, "the gate does not know the page").pop()
+        channel.send({"page": key})
+        wait_for(lambda: bed.page.channel.has(key), "the page is not paired")
+        yield browser, channel
+        browser.close()
+
+
+WRONG = (
+    {"command": "set_speed", "speed": 1e9},
+    {"command": "set_speed", "speed": -0.1},
+    {"command": "set_speed", "speed": "fast"},
+    {"command": "set_speed", "speed": True},
+    {"command": "set_speed"},
+    {"command": "set_speed", "speed": 2.0, "max": 5.0},
+    '{"command": "set_speed", "speed": NaN}',
+    {"command": "stop"},
+    {"command": "set_motion", "motion": "joints"},
+    {"action": "show_overlay", "on": "yes"},
+    {"action": "show_overlay"},
+    {"action": "exec", "code": "1"},
+    {"action": "save_motion", "format": "exe"},
+    {"action": "press_key", "code": "KeyX"},
+    {"command": {"command": "reset"}},
+    {"page": "somebody else"},
+    {"page": 7},
+    {"nothing": True},
+    [1, 2],
+    "{",
+)
+"""Messages that no page sends, fewer malformed ones than a connection may send."""
+
+
+def test_right_messages_make_commands_and_wrong_ones_do_not(
+    bed: Bed, page: ChannelClient, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = len(bed.sent)
+    for message in WRONG:
+        page.send(message)
+    page.command("set_speed", speed=1.5)
+    bed.until(lambda view: view.speed == 1.5, "the right value was lost")
+    assert [type(command).__name__ for command in bed.sent[before:]] == ["SetSpeed"]
+    page.command("set_speed", speed=1.0)
+    bed.until(lambda view: view.speed == 1.0)
+    assert any("fast" in notice and "allowed" in notice for notice in page.notices)
+    assert not caplog.records
+
+
+def test_a_value_of_a_wrong_message_is_said_to_the_page_that_sent_it(
+    bed: Bed, page: ChannelClient
+) -> None:
+    with ChannelClient(bed.page.url) as other:
+        page.command("set_count", count=3)
+        page.until(lambda one: one.notices, "no notice")
+        assert "count" in page.notices[0]
+        other.command("set_running", running=False)
+        bed.until(lambda view: not view.running)
+        assert other.notices == []
+    page.command("set_running", running=True)
+    bed.until(lambda view: view.running)
+
+
+def test_one_page_drives_the_others_watch_and_stop_works_from_all(
+    bed: Bed, page: ChannelClient
+) -> None:
+    with ChannelClient(bed.page.url) as watcher:
+        page.command("set_speed", speed=2.0)
+        bed.until(lambda view: view.speed == 2.0)
+        page.until(lambda one: one.latest.get("role", {}).get("drives"), "the driver is not told")
+        role = watcher.until(
+            lambda one: one.latest.get("role", {}).get("driven") and one.latest["role"]
+        )
+        assert not role["drives"]
+        before = len(bed.sent)
+        watcher.command("set_speed", speed=0.5)
+        watcher.action("press_key", code="KeyR")
+        watcher.action("show_overlay", on=False)
+        watcher.action("hand_over")
+        watcher.command("set_running", running=True)
+        watcher.until(lambda one: len(one.notices) >= 5, "a watcher is not told")
+        assert all("STOP works" in notice for notice in watcher.notices)
+        assert bed.sent[before:] == [] and page.latest["settings"]["overlay"]
+        watcher.command("set_running", running=False)
+        bed.until(lambda view: not view.running, "a watcher's STOP does nothing")
+        page.close()  # the driver leaves, and the next to act drives
+        nobody_drives(bed)
+        watcher.action("press_key", code="Space")
+        watcher.command("set_speed", speed=1.0)
+        bed.until(lambda view: view.speed == 1.0 and view.running)
+        watcher.until(lambda one: one.latest.get("role", {}).get("drives"))
+
+
+def test_a_watcher_may_save_files_and_place_its_camera(bed: Bed, page: ChannelClient) -> None:
+    page.command("set_speed", speed=1.0)
+    page.until(lambda one: one.latest.get("role", {}).get("drives"))
+    with ChannelClient(bed.page.url) as watcher:
+        watcher.action("fit_camera")
+        watcher.action("report_graphics", software=True)
+        watcher.action("save_log")
+        watcher.until(lambda one: "testbed.jsonl" in one.files, "no log came")
+        assert watcher.notices == [] and "testbed.jsonl" not in page.files
+
+
+def test_the_driver_rule_holds_over_both_sockets(bed: Bed) -> None:
+    bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
+    nobody_drives(bed)
+    with paired(bed) as (browser, channel), paired(bed) as (other, other_channel):
+        channel.command("set_speed", speed=1.0)
+        channel.until(lambda one: one.latest.get("role", {}).get("drives"))
+        other.send(drag(bed, "start"))
+        other_channel.until(lambda one: one.notices, "a watcher that drags is not told")
+        assert bed.view.dragged == ""
+        browser.send(drag(bed, "start"))
+        bed.until(lambda view: view.dragged, "the driver cannot drag")
+        browser.close()  # viser's page loses its connection, and its channel does not
+        bed.until(lambda view: not view.dragged, "a lost browser still drags")
+        assert channel.latest["role"]["drives"]
+        channel.close()
+        nobody_drives(bed)
+
+
+def test_a_page_cannot_take_the_place_of_another(bed: Bed) -> None:
+    nobody_drives(bed)
+    with paired(bed) as (_, channel), ChannelClient(bed.page.url) as thief:
+        channel.command("set_speed", speed=1.0)
+        channel.until(lambda one: one.latest.get("role", {}).get("drives"))
+        for guess in ("", "0" * 32, bed.page.gate.driver.page[:-1]):
+            thief.send({"page": guess})
+        thief.command("set_speed", speed=2.0)
+        thief.until(lambda one: one.notices)
+        assert bed.view.speed == 1.0
 
 
 def drag(bed: Bed, phase: str, **changed: Any) -> dict[str, Any]:
     """A message of a mouse that drags the robot's last part."""
     name = bed.page._scene.bodies[-1][1].name
     return {
-        "type": "SceneNodeDragMessage", "phase": phase, "name": name, "instance_index": 0,
-        "start_position": [0.0, 0.0, 1.0], "start_screen_pos": [0.5, 0.5], "end_position": [0.1, 0.1, 1.0],
-        "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None, **changed,
-    }  # fmt: skip
+        "type": "SceneNodeDragMessage",
+        "phase": phase,
+        "name": name,
+        "instance_index": 0,
+        "start_position": [0.0, 0.0, 1.0],
+        "start_screen_pos": [0.5, 0.5],
+        "end_position": [0.1, 0.1, 1.0],
+        "end_screen_pos": [0.5, 0.5],
+        "button": "left",
+        "modifier": None,
+        **changed,
+    }
 
 
 def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
@@ -279,31 +431,60 @@ def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
     browser.send(drag(bed, "start"))
     bed.until(lambda view: view.dragged, "the part was not dragged")
     bed.session.send(SetCount(2))
-    bed.until(lambda view: view.count == 2 and not view.dragged, "the drag goes on in another scene")
+    bed.until(
+        lambda view: view.count == 2 and not view.dragged, "the drag goes on in another scene"
+    )
     before = len(bed.sent)
     for phase in (*["update"] * 5, "end"):
         browser.send(drag(bed, phase))
-    browser.send(update(uuid_of(bed, "Speed"), value=1.5))
-    bed.until(lambda view: view.speed == 1.5)
-    assert [type(command).__name__ for command in bed.sent[before:]] == ["SetSpeed"]
+    scene_is_drawn(bed)
+    browser.send(drag_of("/robot/ball"))
+    wait_for(lambda: len(bed.sent) > before, "the ball stays")
+    assert {type(command).__name__ for command in bed.sent[before:]} == {"MoveGoal"}
     assert "Traceback" not in "".join(capfd.readouterr())
-    browser.send(update(uuid_of(bed, "Speed"), value=1.0))
     bed.session.send(SetCount(1))
-    bed.until(lambda view: view.speed == 1.0 and view.count == 1)
+    bed.until(lambda view: view.count == 1)
 
 
-def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(bed: Bed, browser: Browser) -> None:
-    """A method that changes takes away a slider that is being moved."""
+def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(
+    bed: Bed, browser: Browser
+) -> None:
+    """A robot that changes takes away a part that is being dragged."""
+    scene_is_drawn(bed)
     before = bed.page.gate.dropped["malformed"]
     for _ in range(2 * BAD_LIMIT):
-        browser.send(update("taken-away", value=0.5))
         browser.send(drag(bed, "update", name="/robot/taken_away"))
+        browser.send({"type": "GuiUpdateMessage", "uuid": "taken-away", "updates": {"value": 1}})
         browser.send({"type": "CommandTriggerMessage", "uuid": "taken-away"})
-    browser.send(update(uuid_of(bed, "Speed"), value=1.5))
-    bed.until(lambda view: view.speed == 1.5, "the browser was dropped")
+    sent = len(bed.sent)
+    browser.send(drag_of("/robot/ball"))
+    wait_for(lambda: len(bed.sent) > sent, "the browser was dropped")
     assert bed.page.gate.dropped["malformed"] == before
-    browser.send(update(uuid_of(bed, "Speed"), value=1.0))
-    bed.until(lambda view: view.speed == 1.0)
+
+
+BALL = (-0.4, -0.3, 0.9)
+
+
+def scene_is_drawn(bed: Bed) -> None:
+    """Waits until the scene has as many robots as the session: before, its nodes are replaced."""
+    wait_for(lambda: bed.page._scene.count == bed.view.count)
+
+
+def drag_of(name: str) -> dict[str, Any]:
+    """A message of a mouse that drags a node to ``BALL``."""
+    position = list(BALL)
+    return {
+        "type": "SceneNodeDragMessage",
+        "phase": "update",
+        "name": name,
+        "instance_index": 0,
+        "start_position": position,
+        "start_screen_pos": [0.5, 0.5],
+        "end_position": position,
+        "end_screen_pos": [0.5, 0.5],
+        "button": "left",
+        "modifier": None,
+    }
 
 
 def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
@@ -318,22 +499,51 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
     from robot_ik.testbed.frontends.browser import Page
     from robot_ik.testbed.frontends.page_server import PageServer
 
-    seen = [CameraError("the cable <is> out"), None, (np.zeros((8, 8, 3), np.uint8), "a picture")]
-    texts = ["the cable &lt;is&gt; out", "no scene", "a picture"]
+    picture = CameraPicture(np.zeros((8, 12, 3), np.uint8), ((7, 0.5, 0.1),), "a picture")
+    results: list[Any] = [CameraError("the cable <is> out"), None, picture]
+    notes = ["the cable <is> out", "no scene", "a picture"]
 
-    def read() -> Any:
-        if isinstance(seen[0], Exception):
-            raise seen[0]
-        return seen[0]
+    def read() -> CameraPicture | None:
+        if isinstance(results[0], Exception):
+            raise results[0]
+        return results[0]
 
-    with Page(bed.session, PageServer(port=8612, shadows=False), camera=lambda: read) as page:
-        page._camera.switch(True)
-        for text in texts:
-            wait_for(lambda text=text: text in page._camera._text.content, f"{text!r} is not said")
-            seen.pop(0)
-            seen += [None] * (not seen)
-        page._camera.switch(False)
-        assert "switch them on" in page._camera._text.content
+    server = PageServer(port=8612, shadows=False)
+    with (
+        Page(bed.session, server, camera=lambda: read) as page,
+        ChannelClient(page.url) as client,
+    ):
+        client.action("show_camera", on=True)
+        for note in notes:
+            client.until(
+                lambda one, note=note: note in one.latest.get("camera", {}).get("note", ""), note
+            )
+            if len(results) > 1:
+                results.pop(0)
+        client.until(lambda one: one.pictures, "no picture came")
+        number, _, width, height = HEADER.unpack_from(client.pictures[0])
+        assert (number, width, height) == (1, 12, 8)
+        assert client.pictures[0][HEADER.size :].startswith(b"\xff\xd8"), "no JPEG"
+        assert client.latest["camera"]["markers"] == [[7, 0.5, 0.1]]
+        client.action("show_camera", on=False)
+        client.until(lambda one: not one.latest["settings"]["camera"])
+
+
+def test_a_page_gets_the_next_picture_when_it_has_shown_the_last(bed: Bed) -> None:
+    channel = bed.page.channel
+    with ChannelClient(bed.page.url) as slow, ChannelClient(bed.page.url) as quick:
+        wait_for(lambda: channel.is_watched)
+        quick.until(lambda one: "role" in one.latest)
+        slow.until(lambda one: "role" in one.latest)
+        for k in range(3):
+            channel.picture(b"%d" % k)
+            quick.until(lambda one, k=k: one.pictures and one.pictures[-1] == b"%d" % k)
+            quick.send({"shown": k})
+            quick.command("set_running", running=False)  # STOP: its effect shows that it was read
+            bed.until(lambda view: not view.running)
+            bed.session.send(SetRunning(True))
+            bed.until(lambda view: view.running)
+        assert slow.pictures == [b"0"]
 
 
 def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: None) -> None:
@@ -341,7 +551,8 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: Non
     from robot_ik.testbed.frontends.browser import Page
     from robot_ik.testbed.frontends.page_server import PageServer
 
-    link, stop = arm_link("tabletop_puma", None, "pty"), threading.Event()
+    link = arm_link("tabletop_puma", None, "pty")
+    stop = threading.Event()
     with (
         Session(Start("tabletop_puma"), arm=link) as session,
         Page(session, PageServer(port=8613, shadows=False)) as page,
@@ -351,18 +562,15 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: Non
         loop.start()
         try:
             bed.until(lambda view: not view.busy and view.tick > 0)
-            browser = Browser(int(page.server.get_port())).open_page()
-            buttons = uuid_of(bed, "Arm")
-            for lose in (browser.close, page.gate.hand_over):
-                if lose is not browser.close:
-                    browser = Browser(int(page.server.get_port())).open_page()
-                browser.send(update(buttons, value="Follow"))
-                bed.until(lambda view: arm_is("enabled", view), "it does not follow")
-                lose()
-                bed.until(
-                    lambda view: arm_is("hold", view) and view.arm.mode == "hold",
-                    "it goes on following a page that is gone",
-                )
+            for lose in (ChannelClient.close, lambda client: client.action("hand_over")):
+                with ChannelClient(page.url) as client:
+                    client.command("set_arm", state="follow")
+                    bed.until(lambda view: arm_is("enabled", view), "it does not follow")
+                    lose(client)
+                    bed.until(
+                        lambda view: arm_is("hold", view) and view.arm.mode == "hold",
+                        "it goes on following a page that is gone",
+                    )
         finally:
             stop.set()
             loop.join()
@@ -380,42 +588,55 @@ def test_the_share_tunnel_is_gone(bed: Bed, browser: Browser) -> None:
     from viser import _messages as vm
 
     assert vm.ShareUrlRequest not in bed.page.server._websock_server._incoming_handlers
+    scene_is_drawn(bed)
+    sent = len(bed.sent)
     browser.send({"type": "ShareUrlRequest"})
-    speed = uuid_of(bed, "Speed")
-    browser.send(update(speed, value=1.25))
-    bed.until(lambda view: view.speed == 1.25)
-    browser.send(update(speed, value=1.0))
-    bed.until(lambda view: view.speed == 1.0)
+    browser.send(drag_of("/robot/ball"))
+    wait_for(lambda: len(bed.sent) > sent, "the browser was dropped")
 
 
-def rubbish(rng: random.Random, bed: Bed) -> object:
-    """A message that no page sends."""
+JUNK = [None, True, -1, 1e300, math.inf, "x", "é" * 2000, [], {}, [[[]]], {"value": 1}]
+
+
+def rubbish(rng: random.Random) -> object:
+    """A message that viser's page does not send."""
     from viser import _messages as vm
 
     kinds = [kind.__name__ for kind in vm.Message.get_subclasses()]
-    handles = list(bed.page.server.gui._gui_input_handle_from_uuid)
-    junk = [None, True, -1, 1e300, math.inf, "x", "é" * 2000, [], {}, [[[]]], {"value": 1}, b"\0\xff"]
-    match rng.randrange(5):
+    match rng.randrange(3):
         case 0:
             return rng.randbytes(rng.randrange(200))
         case 1:
-            return rng.choice(junk)
+            return rng.choice([*JUNK, b"\0\xff"])
+    names = ("uuid", "name", "updates", "position", "wxyz", "phase", "part_count", "size_bytes")
+    fields = {name: rng.choice([*JUNK, b"\0\xff"]) for name in rng.sample(names, 3)}
+    return {"type": rng.choice(kinds), **fields}
+
+
+def channel_rubbish(rng: random.Random) -> str | bytes:
+    """A message that no page sends over the channel."""
+    names = [*COMMANDS, *ACTIONS, "page", "shown", "é", ""]
+    keys = ("speed", "on", "name", "value", "position", "instance", "index", "text", "kind")
+    match rng.randrange(4):
+        case 0:
+            return rng.randbytes(rng.randrange(200))
+        case 1:
+            return json.dumps(rng.choice(JUNK))
         case 2:
-            names = ("uuid", "name", "updates", "position", "wxyz", "phase", "part_count", "size_bytes")
-            return {"type": rng.choice(kinds), **{name: rng.choice(junk) for name in rng.sample(names, 3)}}
-        case 3:
-            return update(
-                rng.choice(handles), **{rng.choice(("update_cb", "_impl", "max")): rng.choice(junk)}
-            )
-    return update(rng.choice(handles), value=rng.choice([math.nan, [1], {"a": 1}, 1e300, b"x", "é" * 2000]))
+            return "".join(chr(rng.randrange(1, 0x2FF)) for _ in range(rng.randrange(80)))
+    fields = {key: rng.choice(JUNK) for key in rng.sample(keys, 3)}
+    return json.dumps({rng.choice(("command", "action")): rng.choice(names), **fields})
 
 
 def fuzz(bed: Bed, count: int, seed: int) -> None:
-    rng, port = random.Random(seed), int(bed.page.server.get_port())
+    """Sends rubbish over both sockets, and connects anew whenever a connection is dropped."""
+    rng = random.Random(seed)
+    port = int(bed.page.server.get_port())
     browser = Browser(port).open_page()
+    client = ChannelClient(bed.page.url)
     for k in range(count):
         try:
-            browser.send(rubbish(rng, bed))
+            browser.send(rubbish(rng))
             if k % 50 == 0:
                 browser.socket.settimeout(0.001)
                 while browser.socket.recv(1 << 20):
@@ -424,7 +645,12 @@ def fuzz(bed: Bed, count: int, seed: int) -> None:
             browser.socket.settimeout(LONG)
         except OSError:  # dropped after too many
             browser = Browser(port).open_page()
+        try:
+            client.send(channel_rubbish(rng))
+        except ConnectionClosed:
+            client = ChannelClient(bed.page.url)
     browser.close()
+    client.close()
 
 
 def test_fuzzed_messages_make_no_command_and_no_traceback(
@@ -465,7 +691,7 @@ def test_a_websocket_key_is_answered_as_the_standard_says(port: int) -> None:
 
 
 def test_an_event_set_from_another_thread_wakes_all_who_wait() -> None:
-    from robot_ik.testbed.frontends.gate import SharedEvent
+    from robot_ik.testbed.frontends.viser_server import SharedEvent
 
     async def story() -> int:
         loop = asyncio.get_running_loop()

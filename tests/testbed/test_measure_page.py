@@ -12,7 +12,8 @@ import pytest
 
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.testbed.frontends.browser import Page
@@ -47,7 +48,8 @@ def test_what_errors_its_target_or_was_not_measured_is_said(
 
 
 def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:
-    stop, positions = threading.Event(), ((0.2, 0.05, 0.1), (0.2, -0.05, 0.1))
+    stop = threading.Event()
+    positions = ((0.2, 0.05, 0.1), (0.2, -0.05, 0.1))
     with (
         Session(Start("tabletop_puma"), beside=False) as session,
         Page(session, PageServer(port=8670)) as page,
@@ -57,8 +59,13 @@ def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:
         try:
             with bench.PageClient(page.url) as client:
                 # A machine that has no kernels yet compiles them first.
-                end, moved, received, drags = time.monotonic() + LONG, False, 0, 0
-                while not (moved and any(np.allclose(session.ball.position, one) for one in positions)):
+                end = time.monotonic() + LONG
+                moved = False
+                received = 0
+                drags = 0
+                while not (
+                    moved and any(np.allclose(session.ball.position, one) for one in positions)
+                ):
                     assert time.monotonic() < end, f"moved: {moved}, ball: {session.ball.position}"
                     # Again and again: the first packet may come when the arm is already there.
                     client.drag_ball(positions[drags % 2])

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import gzip
-import time
 import urllib.request
 
 import pytest
 
 pytest.importorskip("viser", reason="needs the extra web")
-from viser._messages import EnableLightsMessage
+import viser
 
 from robot_ik.cli.main import main
+from robot_ik.testbed.commands import Start
 from robot_ik.testbed.frontends import page_server
+from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
+from robot_ik.testbed.session import Session
 from tests.doc_pages import script
+from tests.testbed.channel_client import ChannelClient
 from tests.waiting import LONG, wait_for
 
 PageClient = script("measure_page").PageClient
-
-
-def _lights(opened: PageServer) -> list[bool]:
-    """Whether lights cast shadows, in the order in which the browsers heard of it."""
-    server = opened.server._websock_server
-    buffers = [
-        server._broadcast_buffer, *(one.message_buffer for one in server._client_state_from_id.values())
-    ]  # fmt: skip
-    messages = [message for buffer in buffers for message in list(buffer.message_from_id.values())]
-    return [message.cast_shadow for message in messages if isinstance(message, EnableLightsMessage)]
 
 
 def test_the_address_for_other_machines_is_named_too(
@@ -42,24 +35,54 @@ def test_the_address_for_other_machines_is_named_too(
         assert said.count("token=") == 2 * outside
 
 
-def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a GPU they take a browser more than a second, in which it would show nothing."""
-    monkeypatch.setattr(page_server, "_SHADOWS_AFTER", 0.2)
-    with PageServer(port=8790) as opened:
-        assert _lights(opened) == [False]
-        with PageClient(opened.url):
-            wait_for(lambda: _lights(opened) == [False, True], "no shadows")
-    with PageServer(port=8790, shadows=False) as opened, PageClient(opened.url):
-        time.sleep(0.4)
-        assert _lights(opened) == [False]
+@pytest.mark.parametrize("allowed", [True, False])
+def test_shadows_come_to_browsers_with_a_gpu_only(
+    allowed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lights: list[bool] = []
+    monkeypatch.setattr(
+        viser.SceneApi,
+        "configure_default_lights",
+        lambda self, enabled=True, cast_shadow=True: lights.append(cast_shadow),
+    )
+    server = PageServer(port=8790, shadows=allowed)
+    with (
+        Session(Start("tabletop_puma"), beside=False) as session,
+        Page(session, server) as page,
+        PageClient(page.url),
+        ChannelClient(page.url) as client,
+    ):
+        assert lights == [False]
+        key = wait_for(lambda: set(server.gate.pages)).pop()
+        wait_for(lambda: server.client_of(key))
+        client.send({"page": key})
+        for software in (True, False):
+            count = len(lights)
+            client.action("report_graphics", software=software)
+            wait_for(lambda count=count: len(lights) > count)
+            assert lights[-1] is (allowed and not software)
 
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
-def test_the_page_carries_the_script_that_watches_the_connection(encoding: str) -> None:
+def test_the_page_is_visers_with_the_files_of_ours(encoding: str) -> None:
     with PageServer(port=8790) as opened:
         request = urllib.request.Request(opened.url, headers={"Accept-Encoding": encoding})
         with urllib.request.urlopen(request, timeout=LONG) as reply:
-            body, headers = reply.read(), reply.headers
-    assert headers["Content-Encoding"] == encoding and int(headers["Content-Length"]) == len(body)
+            body = reply.read()
+            headers = reply.headers
+    assert headers.get("Content-Encoding", "identity") == encoding
+    assert int(headers["Content-Length"]) == len(body)
     page = gzip.decompress(body) if encoding == "gzip" else body
-    assert page.count(b"connection-lost") == 1 and page.rstrip().endswith(b"</html>")
+    assert page.count(b"/testbed/page.js") == 1 and page.rstrip().endswith(b"</html>")
+
+
+def test_a_page_that_comes_before_the_session_gets_everything_later() -> None:
+    server = PageServer(port=8790)
+    with ChannelClient(server.url) as early:
+        early.send({"command": "reset"})  # nothing can take it yet
+        early.until(lambda one: "role" in one.latest)
+        assert "program" not in early.latest
+        with Session(Start("tabletop_puma"), beside=False) as session, Page(session, server):
+            early.until(lambda one: {"program", "robot", "settings", "view"} <= set(one.latest))
+            assert early.latest["robot"]["name"] == "tabletop_puma"
+            assert len(early.latest["view"]["instances"][0]["joints"]) == 6

@@ -33,7 +33,8 @@ def test_a_session_says_how_far_it_is_and_is_ready_though_the_processes_fail(
         program.chmod(0o755)
     monkeypatch.setattr("robot_ik.testbed.preparing.is_compiled", lambda *given: False)
     monkeypatch.setattr(sys, "executable", str(program))
-    said, progress = set(), "compiling dls, once on this machine: 2 functions so far …"
+    said = set()
+    progress = "compiling dls, once on this machine: 2 functions so far …"
     with Session(Start()) as session:
         session.tick()
         assert session.busy and not session.ready, "a compiler held the loop up"
@@ -54,6 +55,10 @@ def test_a_setup_reaches_its_process_as_it_is() -> None:
     options = (("damping", 0.1), ("restarts", 0))
     extras = (ExtraGoal("balance", True, 1, "the centre of mass stays"),)
     setup = Setup(
-        "humanoid", 2, (MethodChoice("dls", options), MethodChoice("lm")), extras=extras, limits=False
+        "humanoid",
+        2,
+        (MethodChoice("dls", options), MethodChoice("lm")),
+        extras=extras,
+        limits=False,
     )
     assert preparing._SETUP.validate_json(preparing._SETUP.dump_json(setup)) == setup

@@ -18,7 +18,9 @@ from robot_ik.testbed.frontends.scene import body_meshes
 
 
 @pytest.mark.parametrize(("name", "most"), [("humanoid", 60_000), ("panda", 20_000)])
-def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(name: str, most: int) -> None:
+def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(
+    name: str, most: int
+) -> None:
     """A browser asks every face whether the mouse is over it: of 240,000 that took seconds."""
     model = load_robot(name).model
     drawn = list(body_meshes(model))
@@ -35,6 +37,10 @@ def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(na
             colours = [set(map(tuple, one.visual.vertex_colors)) for one in (seen, fine)]
             assert colours[0] == colours[1]
             assert seen.volume > 0.0, "its faces look inwards"
-            assert np.array_equal(seen.faces, mesh.faces) and np.array_equal(seen.vertices, mesh.vertices)
-            outwards = np.einsum("fi,fi->f", seen.vertex_normals[seen.faces[:, 0]], seen.face_normals)
+            assert np.array_equal(seen.faces, mesh.faces) and np.array_equal(
+                seen.vertices, mesh.vertices
+            )
+            outwards = np.einsum(
+                "fi,fi->f", seen.vertex_normals[seen.faces[:, 0]], seen.face_normals
+            )
             assert outwards.min() > 0.0, "a normal looks inwards"

@@ -13,12 +13,14 @@ import pytest
 from robot_ik.errors import ViewerError
 from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.frontends.window import SessionWindow, WindowSink
-from robot_ik.testbed.session import Session, replayed
+from robot_ik.testbed.frontends.session_window import SessionWindow
+from robot_ik.testbed.frontends.window import WindowSink
+from robot_ik.testbed.loop import replayed
+from robot_ik.testbed.session import Session
 from tests.testbed.conftest import Screen, Windows, changed
 from tests.testbed.test_frontends import SCRIPT
 
-# Speaks one word a step and waits for a line before the next, so that the test looks at a still picture.
+# Prints one word a step and waits for a line, so that the test gets a picture at rest.
 MOVED = """
 import sys
 import numpy as np
@@ -146,7 +148,8 @@ with WindowSink(robot, solids=scene_solids(scene), see=see, viewpoint=viewpoint)
     # everything within the cone of view, seen from where the camera stands
     camera, model = window._viewer.cam, window._model
     azimuth, elevation = np.deg2rad([camera.azimuth, camera.elevation])
-    ahead = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    level = np.cos(elevation)
+    ahead = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)]
     place = camera.lookat - camera.distance * np.array(ahead)
     for point in [*window.data.geom_xpos, *see]:
         way = point - place
@@ -159,17 +162,17 @@ print("closed", flush=True)
 
 
 @pytest.mark.parametrize("name", ["puma560", pytest.param("panda", marks=pytest.mark.soak)])
-def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(name: str, windows: Windows) -> None:
+def test_the_scene_is_there_and_the_window_stays_until_it_is_closed(
+    name: str, windows: Windows
+) -> None:
     assert windows.run(SCENE.replace("NAME", name)) == ["closed"]
 
-
-# ------------------------------------------------------------------------------ the testbed's session
 
 SHOWN = """
 from pathlib import Path
 from robot_ik.testbed.commands import CommandLog
-from robot_ik.testbed.frontends.window import SessionWindow
-from robot_ik.testbed.session import replayed
+from robot_ik.testbed.frontends.session_window import SessionWindow
+from robot_ik.testbed.loop import replayed
 
 window = None
 for session in replayed(CommandLog.load(Path("LOG"))):
@@ -180,10 +183,14 @@ window.close()
 """
 
 
-def test_the_same_script_gives_the_same_view_in_the_window(windows: Windows, tmp_path: Path) -> None:
+def test_the_same_script_gives_the_same_view_in_the_window(
+    windows: Windows, tmp_path: Path
+) -> None:
     SCRIPT.save(tmp_path / "script.jsonl")
     *_, session = replayed(SCRIPT)
-    assert windows.run(SHOWN.replace("LOG", str(tmp_path / "script.jsonl"))) == [session.view().digest()]
+    assert windows.run(SHOWN.replace("LOG", str(tmp_path / "script.jsonl"))) == [
+        session.view().digest()
+    ]
 
 
 # The loop runs here; what the session got is said at the end.
@@ -191,8 +198,9 @@ PERSON = """
 import subprocess, sys, threading, time
 import numpy as np
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.session import Session, run
-from robot_ik.testbed.frontends.window import SessionWindow
+from robot_ik.testbed.loop import run
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.frontends.session_window import SessionWindow
 
 def act(*words, rest=0.0):
     subprocess.run(["xdotool", *map(str, words)], check=True)
@@ -236,7 +244,8 @@ def person():
         act("key", "r")
         until(lambda: window._view.motion == "curve", "R did not reset")
         act("key", "4")
-        until(lambda: window._view.count == 4 and window._viewer.user_scn.ngeom > 20, "no four arms")
+        scene = window._viewer.user_scn
+        until(lambda: window._view.count == 4 and scene.ngeom > 20, "no four arms")
         act("key", "Up")
         until(lambda: window._view.motion == "hand", "four arms: an arrow did not move the ball")
         act("key", "r")

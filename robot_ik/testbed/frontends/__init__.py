@@ -1,1 +1,1 @@
-"""Front ends: each is a ``JointSink`` that shows joint angles and knows nothing of how they were found."""
+"""Front ends of the testbed: the page, MuJoCo's window, the recorder."""

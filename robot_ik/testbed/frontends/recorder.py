@@ -32,26 +32,39 @@ from robot_ik.testbed.arrangement import (
     Colour,
     arranged,
 )
-from robot_ik.testbed.session import Session, View
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
 
 _INK = (60, 50, 45)
-# Side of a tile of the floor, in extents of the model.
+"""Colour of letters, BGR."""
+
 _TILE_SIDE = 0.5
-# Radius and half thickness of the plate under an instance, in extents of the model.
-_PLATE = (0.21, 0.002)
-# Part of the plate's tone that is that of its instance, the rest is white.
+"""Side of a tile of the floor, in extents of the model."""
+
+_PLATE_RADIUS = 0.21
+"""Of the plate under an instance, in extents of the model."""
+
+_PLATE_HALF_HEIGHT = 0.002
+"""Likewise."""
+
 _PLATE_TINT = 0.4
-_LETTER = 0.022  # height of letters over the picture's
-_NEAR = 0.05  # metres before the lens: what is nearer is not drawn
+"""Part of the plate's tone that is that of its instance. The rest is white."""
+
+_LETTER = 0.022
+"""Height of letters over that of the picture."""
+
+_NEAR = 0.05
+"""Metres before the lens. Nearer points are not drawn."""
 
 
 class Recorder:
     """The front end ``recorder``.
 
     Args:
-        session: What is filmed.
+        session: The session that is filmed.
         size: Width and height of the pictures, pixels.
-        write: Takes the pictures (height, width, 3) BGR with their times, s; None: only numbers are kept.
+        write: Called with each picture (height, width, 3) BGR and its time, s. None: only numbers
+            are kept.
     """
 
     def __init__(
@@ -60,13 +73,15 @@ class Recorder:
         size: tuple[int, int] = (1280, 720),
         write: Callable[[Image, float], None] | None = None,
     ) -> None:
-        self.session, self._size, self._write = session, size, write
+        self.session = session
+        self._size = size
+        self._write = write
         self._robot: Robot | None = None
         self._count = 0
         self._rows: list[list[object]] = []
 
     def draw(self, view: View) -> None:
-        """One picture and one row for each instance."""
+        """Take one picture, and one row for each instance."""
         if self._write is not None:
             self._write(self.picture(view), view.now)
         names = column_names(self.session.robot)
@@ -74,15 +89,24 @@ class Recorder:
             angles = zip(names, one.q.tolist(), strict=True)
             self._rows.append(
                 [
-                    view.tick, f"{view.now:.6f}", view.robot, k + 1, one.method, one.status, one.iterations,
-                    *view.ball.position.tolist(), one.error, one.angle,
-                    f"{one.statistics.mean:.9f}", f"{one.statistics.solved:.4f}",
+                    view.tick,
+                    f"{view.now:.6f}",
+                    view.robot,
+                    k + 1,
+                    one.method,
+                    one.status,
+                    one.iterations,
+                    *view.ball.position.tolist(),
+                    one.error,
+                    one.angle,
+                    f"{one.statistics.mean:.9f}",
+                    f"{one.statistics.solved:.4f}",
                     " ".join(f"{name}={value!r}" for name, value in angles),
                 ]
-            )  # fmt: skip
+            )
 
     def save_numbers(self, path: Path) -> None:
-        """Writes a CSV file: a row for each instance of each view.
+        """Write a CSV file with a row for each instance of each view.
 
         Raises:
             OutputError: It cannot be written.
@@ -90,9 +114,10 @@ class Recorder:
         write_atomically(path, csv_table(COLUMNS, self._rows))
 
     def picture(self, view: View) -> Image:
-        """What a camera in front of the robots sees, with the statistics in a corner."""
+        """Return what a camera in front of the robots sees, with the statistics in a corner."""
         if self._robot is not self.session.robot or self._count != view.count:
-            self._robot, self._count = self.session.robot, view.count
+            self._robot = self.session.robot
+            self._count = view.count
             self._set_up(self._robot, view.count)
         bodies = [body for k in range(view.count) for body in self._bodies(view, k)]
         photo = photograph(bodies, self._lens, self._camera, self._room)
@@ -106,8 +131,9 @@ class Recorder:
         return image
 
     def _bodies(self, view: View, k: int) -> Iterator[Body]:
-        """Robot and ball of an instance; its plate where there are several."""
-        one, offset = view.instances[k], self._arrangement.offsets[k]
+        """Yield robot and ball of an instance, and its plate if there are several."""
+        one = view.instances[k]
+        offset = self._arrangement.offsets[k]
         extent = self._arrangement.extent
         if view.count > 1:
             rgba = _plate_rgba(INSTANCE_COLOURS[k])
@@ -117,31 +143,33 @@ class Recorder:
         yield Body(ball, [], Pose(np.array(view.ball.position) + offset))
 
     def _set_up(self, robot: Robot, count: int) -> None:
-        """Lens, camera and ground for a robot."""
+        """Choose lens, camera and ground for a robot."""
         width, height = self._size
         focal = 0.5 * height / math.tan(0.5 * FIELD_OF_VIEW)
-        self._lens = CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        centre = (width - 1) / 2, (height - 1) / 2
+        self._lens = CameraIntrinsics(width, height, focal, focal, *centre)
         self._arrangement: Arrangement = arranged(robot, count)
         position, look = self._arrangement.camera(self.session.ball_path(), width / height)
         self._camera = Pose.look_at(position, look)
         extent = self._arrangement.extent
-        self._room = tiled_room(extent + float(np.ptp(self._arrangement.offsets)), _TILE_SIDE * extent)
+        size = extent + float(np.ptp(self._arrangement.offsets))
+        self._room = tiled_room(size, _TILE_SIDE * extent)
 
-    def _seen(self, points: Array) -> tuple[Array, Array]:
-        """Pixels (n, 2) and depths (n,) of points (n, 3)."""
+    def _projected(self, points: Array) -> tuple[Array, Array]:
+        """Return pixels (n, 2) and depths (n,) of points (n, 3)."""
         inside = (points - self._camera.position) @ self._camera.rotation
         return self._lens.project(inside), inside[:, 2]
 
     def _lines(self, image: Image, lines: list[Array], colour: Colour, thickness: int) -> None:
         for line in lines:
-            pixels, depth = self._seen(line)
+            pixels, depth = self._projected(line)
             good = (depth > _NEAR) & (np.abs(pixels) < 1e4).all(axis=1)
             if good.sum() > 1:
                 row = np.round(16.0 * pixels[good]).astype(np.int32)
                 cv2.polylines(image, [row], False, colour, thickness, cv2.LINE_AA, 4)
 
     def _caption(self, image: Image, view: View) -> None:
-        """A line for each instance: method, steps, share solved, error."""
+        """Write a line for each instance: method, steps, share solved, error."""
         size = max(10, round(_LETTER * image.shape[0]))
         for k, one in enumerate(view.instances):
             y = round((1.6 * k + 1.5) * size)
@@ -151,30 +179,46 @@ class Recorder:
 
 
 def _rgba(colour: Colour) -> tuple[float, float, float, float]:
-    """A colour of 0 to 255 as MuJoCo has it."""
+    """Return a colour of 0 to 255 as MuJoCo has it."""
     red, green, blue = (value / 255.0 for value in colour)
     return (red, green, blue, 1.0)
 
 
 def _plate_rgba(colour: Colour) -> tuple[float, float, float, float]:
-    """The light tone of the plate of an instance of that colour."""
+    """Return the light tone of the plate of an instance of that colour."""
     red, green, blue, _ = (1.0 - _PLATE_TINT * (1.0 - value) for value in _rgba(colour))
     return (red, green, blue, 1.0)
 
 
 @lru_cache(maxsize=16)
 def _plate_model(extent: float, rgba: tuple[float, float, float, float]) -> mujoco.MjModel:
-    """A round plate on the floor."""
-    radius, half = (share * extent for share in _PLATE)
+    """Return a round plate on the floor."""
+    half = _PLATE_HALF_HEIGHT * extent
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, half, 0], pos=[0, 0, -half], rgba=rgba
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[_PLATE_RADIUS * extent, half, 0],
+        pos=[0, 0, -half],
+        rgba=rgba,
     )
     return spec.compile()
 
 
 COLUMNS = (
-    "tick", "time_s", "robot", "instance", "method", "status", "iterations", "ball_x", "ball_y", "ball_z",
-    "error_m", "angle_rad", "mean_s", "solved", "q",
-)  # fmt: skip
-"""Of the CSV file."""
+    "tick",
+    "time_s",
+    "robot",
+    "instance",
+    "method",
+    "status",
+    "iterations",
+    "ball_x",
+    "ball_y",
+    "ball_z",
+    "error_m",
+    "angle_rad",
+    "mean_s",
+    "solved",
+    "q",
+)
+"""Columns of the CSV file."""

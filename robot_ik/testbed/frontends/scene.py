@@ -1,7 +1,7 @@
-"""The 3D part of the page: robots as batched meshes (a body of all instances is one node), ball, trails.
+"""The 3D view: robots as batched meshes, ball, trails, ghosts.
 
-All that belongs together is drawn as batched nodes: poses of single nodes arrive separately, and would
-run ahead of them in a slow browser.
+A body of all instances is one node. Everything that moves together is drawn as batched nodes: poses
+of single nodes arrive separately and would run ahead of them in a slow browser.
 """
 
 from __future__ import annotations
@@ -31,38 +31,72 @@ from robot_ik.testbed.arrangement import (
     arranged,
     linear,
 )
-from robot_ik.testbed.session import View
+from robot_ik.testbed.view import View
 
 Floats = NDArray[np.float32]
 
 SEGMENTS = 58
 """Pieces of a trail."""
+
 GHOSTS = 8
-"""Branches that are drawn at most."""
+"""Most branches that are drawn."""
+
 _BRANCH_COLOUR: Colour = (110, 130, 155)
 _ARM_COLOUR: Colour = (250, 204, 21)
-_REACH_COLOUR: Colour = (110, 130, 155)  # not the ball's: the points hide neither it nor the robot
+
+_REACH_COLOUR: Colour = (110, 130, 155)
+"""Differs from the ball's colour, so that the ball stays visible."""
+
 _GHOST_OPACITY = 0.28
+
 _CLOUD_POINTS = 4000
-_PLATE_RADIUS = 0.21  # of the extent
-_BALL_FACES = 36  # round it
-_SAME_ANGLE = math.radians(1.0)  # of a joint, between arm and robot: less is not drawn as a ghost
-_SAME_LENGTH = 1e-3  # metres, likewise of a slide
-_NOWHERE = -1e3  # metres: where what is not shown lies
+"""Points of the reach."""
+
+_PLATE_RADIUS = 0.21
+"""Of the model's extent."""
+
+_PLATE_HEIGHT = 0.004
+"""Metres."""
+
+_PLATE_CENTRE = 0.003
+"""Metres above the ground, so that the plate and the ground do not flicker."""
+
+_PLATE_OPACITY = 0.4
+_BALL_FACES = 36
+"""Faces around the ball."""
+
+_SAME_ANGLE = math.radians(1.0)
+"""Of a joint, between arm and robot. A smaller difference is not drawn as a ghost."""
+
+_SAME_LENGTH = 1e-3
+"""Metres, likewise of a slide."""
+
+_TRAIL_WIDTH = 3.0
+"""Pixels."""
+
+_NOWHERE = -1e3
+"""Metres. Position of hidden parts."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyMesh:
-    """What is drawn of a body, in its frame."""
+    """The mesh of a body, in its frame.
 
-    vertices: Floats  # (v, 3) metres
-    faces: NDArray[np.uint32]  # (f, 3) indices into them, counter-clockwise from outside
-    glb: bytes  # the same with normals and colours, or textures, as a glTF file
+    Attributes:
+        vertices: (v, 3) m.
+        faces: (f, 3) indices of vertices, counter-clockwise from outside.
+        glb: The same with normals and colours, or textures, as a glTF file.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.uint32]
+    glb: bytes
 
 
 def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, BodyMesh]]:
-    """(body, mesh) with what MuJoCo shows by default; a body is one mesh, but for what has a texture."""
-    whole, visible = cached_mesh(model), visible_geoms(model)
+    """Yield body and mesh of what MuJoCo shows by default: a mesh a body, and one a texture."""
+    whole = cached_mesh(model)
+    visible = visible_geoms(model)
     for body in range(model.nbody):
         geoms = [g for g in visible if model.geom_bodyid[g] == body]
         plain = [g for g in geoms if not _is_patterned(model, g)]
@@ -73,56 +107,70 @@ def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, BodyMesh]]:
 
 
 def _is_patterned(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom is a height field, or a mesh that may have a texture on it."""
-    kind, mesh = model.geom_type[geom], model.geom_dataid[geom]
+    """Return whether a geom is a height field, or a mesh that may have a texture."""
+    kind = model.geom_type[geom]
+    mesh = model.geom_dataid[geom]
     if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
         return True
+    is_mesh = kind == mujoco.mjtGeom.mjGEOM_MESH
     textured = model.ntex > 0 and model.geom_matid[geom] >= 0
-    return bool(textured and kind == mujoco.mjtGeom.mjGEOM_MESH and model.mesh_texcoordnum[mesh] > 0)
+    return bool(textured and is_mesh and model.mesh_texcoordnum[mesh] > 0)
 
 
 def _patterned_meshes(model: mujoco.MjModel, geoms: list[int]) -> Iterator[BodyMesh]:
-    """Geoms by mjviser, one mesh a texture."""
+    """Yield geoms by mjviser, one mesh a texture."""
     from mjviser import conversions  # imports trimesh and SciPy: a third of a page's start
 
     for part in conversions.group_geoms_by_visual_compat(model, geoms):
-        mesh, file = conversions.merge_geoms(model, part), io.BytesIO()
+        mesh = conversions.merge_geoms(model, part)
+        file = io.BytesIO()
         mesh.export(file, file_type="glb")
-        yield BodyMesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32), file.getvalue())
+        vertices = mesh.vertices.astype(np.float32)
+        yield BodyMesh(vertices, mesh.faces.astype(np.uint32), file.getvalue())
 
 
 def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> BodyMesh:
-    """Geoms in their body's frame: round where they are round, with sharp edges where they have edges.
+    """Return geoms in the frame of their body, with smooth surfaces and sharp edges.
 
-    Not by mjviser, whose capsules have 4000 faces: a browser asks each whether the mouse is over it.
+    mjviser's capsules have 4000 faces, and a browser tests each of them for the mouse.
     """
-    found = np.isin(whole.face_geom_id, geoms)
-    quads, owner = whole.faces[found], whole.face_geom_id[found]
+    chosen = np.isin(whole.face_geom_id, geoms)
+    quads = whole.faces[chosen]
+    owner = whole.face_geom_id[chosen]
     matrices = np.zeros((model.ngeom, 9))
     for g in geoms:
         mujoco.mju_quat2Mat(matrices[g], model.geom_quat[g])
     rotation = matrices.reshape(-1, 3, 3)[owner]
-    corners = np.einsum("fij,fkj->fki", rotation, whole.vertices[quads]) + model.geom_pos[owner][:, None]
-    normals = np.einsum("fij,fkj->fki", rotation, whole.corner_normals[found])
+    corners = np.einsum("fij,fkj->fki", rotation, whole.vertices[quads])
+    corners += model.geom_pos[owner][:, None]
+    normals = np.einsum("fij,fkj->fki", rotation, whole.corner_normals[chosen])
     colours = np.repeat((255.0 * np.clip(geom_rgba(model)[owner], 0.0, 1.0))[:, None], 4, axis=1)
     rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
     _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
-    faces, unique = _triangles(number.reshape(-1, 4)), rows[first]
-    vertices, normals = unique[:, :3].astype(np.float32), unique[:, 3:6].astype(np.float32)
-    return BodyMesh(vertices, faces, _glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces))
+    faces = _triangles(number.reshape(-1, 4))
+    unique = rows[first]
+    vertices = unique[:, :3].astype(np.float32)
+    normals = unique[:, 3:6].astype(np.float32)
+    glb = _glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
+    return BodyMesh(vertices, faces, glb)
 
 
 def _triangles(quads: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
-    """(f, 3) of quads (n, 4), of which those that repeat their last corner are triangles already."""
+    """Return triangles (f, 3) of quads (n, 4). A triangle repeats its last corner."""
     others = quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]
     return np.vstack([quads[:, :3], others]).astype(np.uint32)
 
 
-_FLOAT, _BYTE, _INDEX = 5126, 5121, 5125  # component types of glTF
+# Component types of glTF.
+_FLOAT = 5126
+_BYTE = 5121
+_INDEX = 5125
 
 
-def _glb(vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]) -> bytes:
-    """A mesh with a colour at each vertex as a binary glTF 2.0 file (its specification, 3.6 and 4).
+def _glb(
+    vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]
+) -> bytes:
+    """Return a mesh with colours as a binary glTF 2.0 file (its specification, 3.6 and 4).
 
     Args:
         vertices: (v, 3).
@@ -138,20 +186,23 @@ def _glb(vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: N
         (faces.reshape(-1), {"type": "SCALAR", "componentType": _INDEX}),
     )
     ends = np.cumsum([array.nbytes for array, _ in columns]).tolist()
+    attributes = {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}
     head = {
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3}]}
-        ],
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 3}]}],
         "accessors": [
-            {"bufferView": k, "count": len(array), **about} for k, (array, about) in enumerate(columns)
+            {"bufferView": k, "count": len(array), **about}
+            for k, (array, about) in enumerate(columns)
         ],
         "bufferViews": [
             {"buffer": 0, "byteOffset": end - array.nbytes, "byteLength": array.nbytes}
             for end, (array, _) in zip(ends, columns, strict=True)
         ],
         "buffers": [{"byteLength": ends[-1]}],
-    }  # fmt: skip
+    }
     text = json.dumps(head).encode()
     text += b" " * (-len(text) % 4)
     data = b"".join(array.tobytes() for array, _ in columns)
@@ -167,58 +218,80 @@ class Ghosts:
     """Up to ``count`` translucent copies of a robot."""
 
     def __init__(
-        self, server: viser.ViserServer, model: mujoco.MjModel, name: str, colour: Colour, count: int
+        self,
+        server: viser.ViserServer,
+        model: mujoco.MjModel,
+        name: str,
+        colour: Colour,
+        count: int,
     ) -> None:
         self._count = count
         self._root = server.scene.add_frame(f"/robot/{name}", show_axes=False, visible=False)
-        one, hidden = _poses(count)
+        wxyzs, positions = _poses(count)
         self._bodies: list[tuple[int, Any]] = []
         for n, (body, mesh) in enumerate(body_meshes(model)):
             handle = server.scene.add_batched_meshes_simple(
-                f"/robot/{name}/{n}", mesh.vertices, mesh.faces, one, hidden,
-                batched_colors=linear(colour), opacity=_GHOST_OPACITY, lod="off",
-                cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+                f"/robot/{name}/{n}",
+                mesh.vertices,
+                mesh.faces,
+                wxyzs,
+                positions,
+                batched_colors=linear(colour),
+                opacity=_GHOST_OPACITY,
+                lod="off",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
             self._bodies.append((body, handle))
 
     def draw(self, poses: list[tuple[Array, Array]], offset: Array) -> None:
-        """Bodies' positions (nbody, 3) and quaternions (nbody, 4) of each copy, beside ``offset`` (3,)."""
+        """Show copies of the robot.
+
+        Args:
+            poses: Positions (nbody, 3) and quaternions (nbody, 4) of the bodies of each copy.
+            offset: (3,) added to all positions, m.
+        """
         self._root.visible = bool(poses)
         if not poses:
             return
         quaternions, positions = _poses(self._count)
         for body, handle in self._bodies:
             for k, (xpos, xquat) in enumerate(poses[: self._count]):
-                positions[k], quaternions[k] = xpos[body] + offset, xquat[body]
+                positions[k] = xpos[body] + offset
+                quaternions[k] = xquat[body]
             positions[len(poses) :] = _NOWHERE
             assign(handle, batched_positions=positions.copy(), batched_wxyzs=quaternions.copy())
 
 
 def assign(handle: Any, **arrays: Floats) -> None:
-    """Assigns several arrays of a node in one message, in which viser would send one message each."""
+    """Assign several arrays of a node in one message. viser would send one message each."""
     for name, array in arrays.items():
         setattr(handle._impl.props, name, array)
-    handle._impl.api._queue_scene_message(vm.SceneNodeUpdateMessage(handle._impl.name, dict(arrays)))
+    message = vm.SceneNodeUpdateMessage(handle._impl.name, dict(arrays))
+    handle._impl.api._queue_scene_message(message)
 
 
 def _poses(count: int) -> tuple[Floats, Floats]:
-    """Quaternions (n, 4) and positions (n, 3) of what is not shown yet."""
-    return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
+    """Return quaternions (n, 4) and positions (n, 3) of hidden parts."""
+    quaternions = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+    return quaternions, np.full((count, 3), _NOWHERE, np.float32)
 
 
 def slide_numbers(robot: Robot) -> NDArray[np.bool_]:
-    """(nq,) whether a number of ``q`` is a length; the others are angles, or parts of a pose."""
+    """Return which numbers (nq,) of ``q`` are lengths of slides."""
     slides = robot.model.jnt_type[list(robot.tree.joint_ids)] == mujoco.mjtJoint.mjJNT_SLIDE
-    found = np.zeros(robot.nq, bool)
-    found[robot.tree.qadr[slides]] = True
-    return found
+    is_length = np.zeros(robot.nq, bool)
+    is_length[robot.tree.qadr[slides]] = True
+    return is_length
 
 
 class BrowserScene:
-    """What is drawn of one robot in n instances; thrown away when robot or count change."""
+    """The drawing of one robot in n instances. Another robot or count needs another scene."""
 
     def __init__(self, server: viser.ViserServer, robot: Robot, count: int) -> None:
-        self._server, self.robot, self.count = server, robot, count
+        self._server = server
+        self.robot = robot
+        self.count = count
         self.arrangement = arranged(robot, count)
         self.offsets = self.arrangement.offsets.astype(np.float32)
         self.bodies: list[tuple[int, Any]] = []
@@ -233,7 +306,8 @@ class BrowserScene:
             self._add_bodies()
             self._add_ball()
             self._trails = self._add_trails()
-            self._labels = [self._label(k) for k in range(count)]
+            for k in range(count):
+                self._add_place(k)
 
     def _add_bodies(self) -> None:
         for n, (body, mesh) in enumerate(body_meshes(self.robot.model)):
@@ -245,66 +319,79 @@ class BrowserScene:
     def _add_ball(self) -> None:
         ball = sphere(np.array([BALL_RADIUS * self.arrangement.extent]), _BALL_FACES)
         self.ball = self._server.scene.add_batched_meshes_simple(
-            "/robot/ball", ball.vertices, _triangles(ball.faces), *_poses(self.count),
-            batched_colors=linear(GOAL_COLOUR), lod="off", receive_shadow=False,
-        )  # fmt: skip
+            "/robot/ball",
+            ball.vertices,
+            _triangles(ball.faces),
+            *_poses(self.count),
+            batched_colors=linear(GOAL_COLOUR),
+            lod="off",
+            receive_shadow=False,
+        )
 
     def _add_trails(self) -> Any:
-        # One node for all, and of a fixed size: colours are checked against the number of points.
+        # One node of a fixed size: viser compares the number of colours and points.
         empty = np.full((self.count * SEGMENTS, 2, 3), _NOWHERE, np.float32)
-        colours = np.repeat([linear(colour) for colour in INSTANCE_COLOURS[: self.count]], SEGMENTS, axis=0)
+        tones = [linear(colour) for colour in INSTANCE_COLOURS[: self.count]]
+        colours = np.repeat(tones, SEGMENTS, axis=0)
         return self._server.scene.add_line_segments(
-            "/robot/trails", empty, np.stack([colours, colours], axis=1), thickness=3.0,
+            "/robot/trails",
+            empty,
+            np.stack([colours, colours], axis=1),
+            thickness=_TRAIL_WIDTH,
             thickness_units="screen",
-        )  # fmt: skip
+        )
 
-    def _label(self, k: int) -> Any:
-        scene, several = self._server.scene, self.count > 1
+    def _add_place(self, k: int) -> None:
+        """Add the plate under an instance, and an empty frame where the page puts its label."""
+        scene = self._server.scene
         scene.add_cylinder(
-            f"/robot/plate_{k}", radius=_PLATE_RADIUS * self.arrangement.extent, height=0.004,
-            color=INSTANCE_COLOURS[k], opacity=0.4, visible=several, cast_shadow=False,
-            position=self.arrangement.offsets[k] + np.array((0.0, 0.0, 0.003)),
-        )  # fmt: skip
-        return scene.add_label(
-            f"/robot/label_{k}", "", position=self.arrangement.labels[k], anchor="top-center",
-            visible=several, font_screen_scale=1.1,
-        )  # fmt: skip
+            f"/robot/plate_{k}",
+            radius=_PLATE_RADIUS * self.arrangement.extent,
+            height=_PLATE_HEIGHT,
+            color=INSTANCE_COLOURS[k],
+            opacity=_PLATE_OPACITY,
+            visible=self.count > 1,
+            cast_shadow=False,
+            position=self.arrangement.offsets[k] + np.array((0.0, 0.0, _PLATE_CENTRE)),
+        )
+        scene.add_frame(f"/robot/label_{k}", show_axes=False, position=self.arrangement.labels[k])
 
     def remove(self) -> None:
-        """Takes all of it away."""
+        """Remove all nodes."""
         self.root.remove()
 
     def name_of(self, handle: object) -> str | None:
-        """The body that a handle draws; None where it is of a scene before this one."""
+        """Return the body that a handle draws, or None for a handle of an earlier scene."""
         body = next((body for body, one in self.bodies if one is handle), None)
         return None if body is None else str(self.robot.model.body(body).name)
 
     def on_drag(self, ball: Callable[[Any], Any], link: Callable[[Any], Any]) -> None:
-        """Calls ``ball`` and ``link`` with viser's drag events."""
+        """Call ``ball`` and ``link`` with viser's drag events."""
         self.ball.on_drag("left")(ball)
         for body, handle in self.bodies:
-            if body > 0 and self.robot.model.body_weldid[body] != 0:  # what is fixed to the world stays there
+            is_fixed = self.robot.model.body_weldid[body] == 0  # to the world
+            if body > 0 and not is_fixed:
                 handle.on_drag("left")(link)
 
-    def show_overlay(self, on: bool) -> None:
-        """Trails and labels, or none."""
+    def show_trails(self, on: bool) -> None:
+        """Show the trails of the tools, or none."""
         self._trails_shown = on
         self._trails.visible = on
-        for label in self._labels:
-            label.visible = on and self.count > 1
 
     def show_axes(self, on: bool) -> None:
-        """The tool's frame of each instance."""
+        """Show the tool's frame of each instance, or none."""
         if on and self._axes is None:
             self._axes = self._server.scene.add_batched_axes(
-                "/robot/tools", *_poses(self.count), axes_length=0.1 * self.arrangement.extent,
+                "/robot/tools",
+                *_poses(self.count),
+                axes_length=0.1 * self.arrangement.extent,
                 axes_radius=0.004 * self.arrangement.extent,
-            )  # fmt: skip
+            )
         if self._axes is not None:
             self._axes.visible = on
 
     def show_reach(self, on: bool) -> None:
-        """Places that the tool can reach: at random joint angles within the limits, by MuJoCo."""
+        """Show positions of the tool at random joint angles within the limits, or none."""
         if self._cloud is not None:
             self._cloud.remove()
             self._cloud = None
@@ -313,30 +400,29 @@ class BrowserScene:
             robot = self.robot
             points = [robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)]
             self._cloud = self._server.scene.add_point_cloud(
-                "/robot/reach", np.array(points, np.float32), colors=_REACH_COLOUR,
-                point_size=0.002 * self.arrangement.extent, point_shape="circle",
-            )  # fmt: skip
-
-    def name_instances(self, view: View) -> None:
-        """Labels on the floor."""
-        for k, (label, one) in enumerate(zip(self._labels, view.instances, strict=True)):
-            label.text = f"{k + 1}  {one.method}"
+                "/robot/reach",
+                np.array(points, np.float32),
+                colors=_REACH_COLOUR,
+                point_size=0.002 * self.arrangement.extent,
+                point_shape="circle",
+            )
 
     def draw(self, view: View) -> None:
-        """One frame, sent as one piece; what has not moved is not sent."""
+        """Draw one frame. It is sent as one piece, without the bodies that have not moved."""
         now = np.empty_like(self._drawn)
         now[:, :, :3] = [one.xpos for one in view.instances]
         now[:, :, :3] += self.offsets[:, None]
         now[:, :, 3:] = [one.xquat for one in view.instances]
         moved = (now != self._drawn).any(axis=(0, 2)).tolist()
         self._drawn = now
-        xpos, xquat = now[:, :, :3], now[:, :, 3:]
+        xpos = now[:, :, :3]
+        xquat = now[:, :, 3:]
         with self._server.atomic():
             for body, handle in self.bodies:
                 if moved[body]:
-                    assign(
-                        handle, batched_positions=xpos[:, body].copy(), batched_wxyzs=xquat[:, body].copy()
-                    )
+                    positions = xpos[:, body].copy()
+                    wxyzs = xquat[:, body].copy()
+                    assign(handle, batched_positions=positions, batched_wxyzs=wxyzs)
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)
@@ -345,21 +431,20 @@ class BrowserScene:
             self._draw_ghosts(view)
 
     def _draw_trails(self, view: View) -> None:
-        """Every second position of the tools, newest first; what is missing has no length."""
+        """Draw every second position of the tools, newest first. Missing pieces have no length."""
         points = np.full((self.count, SEGMENTS, 2, 3), _NOWHERE, np.float32)
         for k, one in enumerate(view.instances):
             positions = one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]
             if n := max(0, len(positions) - 1):
-                points[k, :n, 0], points[k, :n, 1], points[k, n:] = (
-                    positions[:-1],
-                    positions[1:],
-                    positions[-1],
-                )
+                points[k, :n, 0] = positions[:-1]
+                points[k, :n, 1] = positions[1:]
+                points[k, n:] = positions[-1]
         assign(self._trails, points=points.reshape(-1, 2, 3))
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)
-        tools = [Pose(xpos[k, frame.body], xquat[k, frame.body]) @ frame.local for k in range(self.count)]
+        bodies = [Pose(xpos[k, frame.body], xquat[k, frame.body]) for k in range(self.count)]
+        tools = [body @ frame.local for body in bodies]
         self._axes.batched_positions = np.array([tool.position for tool in tools], np.float32)
         self._axes.batched_wxyzs = np.array([tool.wxyz for tool in tools], np.float32)
 
@@ -367,7 +452,8 @@ class BrowserScene:
         branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]
         self._draw_copies("branches", self.robot.model, _BRANCH_COLOUR, GHOSTS, branches)
         if view.arm is not None:
-            arm, poses = view.arm, []
+            arm = view.arm
+            poses = []
             if arm.xpos is not None and arm.xquat is not None and self._is_apart(view):
                 poses = [(arm.xpos, arm.xquat)]
             self._draw_copies("arm", arm.robot.model, _ARM_COLOUR, 1, poses)
@@ -380,14 +466,14 @@ class BrowserScene:
         count: int,
         poses: list[tuple[Array, Array]],
     ) -> None:
-        """Up to ``count`` ghosts of a model at the bodies' ``poses``; their meshes are made when needed."""
+        """Draw up to ``count`` ghosts of a model. Their meshes are made when needed."""
         if poses and name not in self._ghosts:
             self._ghosts[name] = Ghosts(self._server, model, name, colour, count)
         if name in self._ghosts:
             self._ghosts[name].draw(poses, self.arrangement.offsets[0])
 
     def _is_apart(self, view: View) -> bool:
-        """Whether the servo arm is of the robot that is shown, and visibly elsewhere than the first one.
+        """Return whether the servo arm is visibly apart from the first instance.
 
         At the same place the two surfaces flicker through each other.
         """

@@ -1,0 +1,154 @@
+"""What a page asks for beside the session's commands. It is no part of the command log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, dataclass_transform
+
+from pydantic import Field
+from pydantic.alias_generators import to_snake
+
+from robot_ik.config import shown
+from robot_ik.errors import ConfigError
+from robot_ik.testbed.commands import Checked
+
+
+@dataclass_transform(frozen_default=True)
+@dataclass(frozen=True)
+class Action(Checked):
+    """Something that a page asks for. Every subclass is a frozen dataclass.
+
+    Attributes:
+        for_all: Whether a page that only watches may ask for it.
+    """
+
+    for_all: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
+
+    @classmethod
+    def key(cls) -> str:
+        """Return its name in a message: ``SetTheme`` is ``set_theme``."""
+        return to_snake(cls.__name__)
+
+
+class PressKey(Action):
+    """Execute the command of a key."""
+
+    code: Annotated[str, Field(max_length=40)]
+
+
+class SetTheme(Action):
+    """Use dark or light colours on all pages."""
+
+    dark: bool
+
+
+class ShowOverlay(Action):
+    """Show trails and labels over the scene, or none."""
+
+    on: bool
+
+
+class ShowHandles(Action):
+    """Show the arrows that move the ball along one axis, or none."""
+
+    on: bool
+
+
+class ShowTurnHandles(Action):
+    """Show the arcs that turn the ball's pose, or none."""
+
+    on: bool
+
+
+class ShowToolFrames(Action):
+    """Show the tool's frame of each instance, or none."""
+
+    on: bool
+
+
+class ShowReach(Action):
+    """Show positions of the tool at random joint angles, or none."""
+
+    on: bool
+
+
+class ShowCamera(Action):
+    """Take pictures of the camera, or none."""
+
+    on: bool
+
+
+class HandOver(Action):
+    """Let the next page that acts drive."""
+
+
+class FitCamera(Action):
+    """Put the camera of this page back to its first place."""
+
+    for_all = True
+
+
+class ReportGraphics(Action):
+    """Report whether this browser draws without a GPU."""
+
+    for_all = True
+    software: bool
+
+
+class SaveLog(Action):
+    """Save the command log as a file of this browser."""
+
+    for_all = True
+
+
+class SaveRecording(Action):
+    """Save what a hand has shown the arm as a file of this browser."""
+
+    for_all = True
+
+
+class SavePoses(Action):
+    """Save the timeline as ``poses.toml``, a file of this browser."""
+
+    for_all = True
+
+
+class SaveMotion(Action):
+    """Save the timeline's motion as CSV or BVH, a file of this browser."""
+
+    for_all = True
+    format: Annotated[str, Field(pattern="^(csv|bvh)$")]
+
+
+class ShareMotion(Action):
+    """Save the scene and the timeline's motion as one HTML file of this browser."""
+
+    for_all = True
+
+
+class FilmSession(Action):
+    """Film the command log as a file of this browser."""
+
+    for_all = True
+
+
+ACTIONS: dict[str, type[Action]] = {kind.key(): kind for kind in Action.__subclasses__()}
+"""Every action by its name in a message."""
+
+
+def action_from(values: Mapping[str, Any], place: str) -> Action:
+    """Return the action of ``{"action": name, …}``.
+
+    Raises:
+        ConfigError: There is no such action, or it does not take a value.
+    """
+    arguments = dict(values)
+    name = str(arguments.pop("action", ""))
+    if name not in ACTIONS:
+        problem = f"there is no action {shown(name)}"
+        raise ConfigError(problem, file=place, key="action", allowed=", ".join(ACTIONS))
+    return ACTIONS[name].read(arguments, place)

@@ -1,0 +1,107 @@
+"""Pictures of a camera for the page, taken beside the loop."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+
+from robot_ik.ports import Closing, Image
+from robot_ik.testbed.camera_picture import CameraPicture, ReadPicture
+from robot_ik.testbed.frontends.channel import Channel
+
+_log = logging.getLogger(__name__)
+
+PERIOD = 0.25
+"""Seconds between two pictures: the synthetic camera takes a quarter of a core at this rate."""
+
+JPEG_QUALITY = 82
+
+HEADER = struct.Struct("<IdHH")
+"""Before each JPEG: number of the picture, time (s, Unix clock), width and height."""
+
+_CLOSE_LIMIT = 5.0
+"""Seconds to wait for the thread to end."""
+
+NO_SCENE = "This robot has no scene with a camera: choose tabletop_puma."
+STARTING = "The first picture takes some seconds."
+
+
+class CameraPictures(Closing):
+    """Sends pictures to the page while they are switched on.
+
+    Args:
+        open_camera: Opens the camera, when pictures are asked for first.
+        channel: Where pictures go.
+    """
+
+    def __init__(self, open_camera: Callable[[], ReadPicture], channel: Channel) -> None:
+        self._open = functools.cache(open_camera)
+        self._channel = channel
+        self._is_on = threading.Event()
+        self._over = threading.Event()
+        self._count = 0
+        self._thread = threading.Thread(target=self._work, name="testbed-camera", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_on(self) -> bool:
+        """Whether pictures are taken."""
+        return self._is_on.is_set()
+
+    def switch(self, on: bool) -> None:
+        """Take pictures, or none."""
+        if on:
+            self._say(STARTING)
+            self._is_on.set()
+        else:
+            self._is_on.clear()
+            self._say("")
+
+    def _work(self) -> None:
+        while not self._over.is_set():
+            self._is_on.wait()
+            if self._over.is_set():
+                return
+            try:
+                picture = self._open()()
+            except Exception as error:  # without this the thread would end unseen
+                _log.debug("no picture", exc_info=True)
+                self._say(f"no picture: {str(error).splitlines()[0]}", error=True)
+            else:
+                self._show(picture)
+            self._over.wait(PERIOD)
+
+    def _show(self, picture: CameraPicture | None) -> None:
+        if not self._is_on.is_set():
+            return
+        if picture is None:
+            self._say(NO_SCENE, error=True)
+            return
+        self._count += 1
+        self._channel.picture(packed(picture.image, self._count))
+        markers = [list(marker) for marker in picture.markers]
+        self._say(picture.note, markers=markers)
+
+    def _say(self, note: str, *, markers: list[Any] | None = None, error: bool = False) -> None:
+        camera = {"note": note, "markers": markers or [], "error": error}
+        self._channel.greet("camera", camera)
+
+    def close(self) -> None:
+        """End the thread."""
+        self._over.set()
+        self._is_on.set()
+        self._thread.join(_CLOSE_LIMIT)
+
+
+def packed(image: Image, number: int) -> bytes:
+    """Return a picture (h, w, 3) BGR as one binary message: header and JPEG."""
+    height, width = image.shape[:2]
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return HEADER.pack(number, time.time(), width, height) + data.tobytes()

@@ -1,0 +1,232 @@
+"""A testbed session in a window of MuJoCo's passive viewer."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from robot_ik.errors import ViewerError
+from robot_ik.model import compiled, read_spec
+from robot_ik.robot import Robot
+from robot_ik.testbed.arrangement import BALL_RADIUS, GOAL_COLOUR, INSTANCE_COLOURS, arranged
+from robot_ik.testbed.commands import MoveGoal
+from robot_ik.testbed.frontends.window import (
+    ViewerWindow,
+    add_connector,
+    add_light,
+    launch,
+    point_camera,
+    rgba_of,
+)
+from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.session import Session
+from robot_ik.testbed.view import View
+
+_WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
+
+_BALL = "testbed_ball"
+"""Name of the ball's body."""
+
+_MOVED = 1e-7
+"""Metres. A smaller motion of the ball is rounding."""
+
+_TEXT_ROWS = 12
+"""Rows of the table in the corner."""
+
+_LONGEST_MESSAGE = 80
+"""Characters of a message in the table."""
+
+_ASPECT = 1.5
+"""Width over height of the window that the camera is fitted to."""
+
+_TRAIL_STEP = 4
+"""Positions between two points of a trail."""
+
+_TRAIL_WIDTH = 3.0
+"""Pixels."""
+
+_SPECIAL = {"Space": 32, "Right": 262, "Left": 263, "Down": 264, "Up": 265}
+"""GLFW's numbers of keys without a letter."""
+
+
+class SessionWindow(ViewerWindow):
+    """The front end ``window``: a testbed session in MuJoCo's passive viewer.
+
+    The ball is selected from the start: Ctrl and the right mouse button move it. Keys are those of
+    the first thesis (``KEYMAP``).
+
+    Args:
+        session: The session that is shown and driven.
+
+    Raises:
+        ViewerError: As ``WindowSink``.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._view = session.view()
+        self._overlay = True
+        self._robot: Robot | None = None
+        self._open()
+
+    @property
+    def help(self) -> str:
+        """All keys in one line."""
+        return "; ".join(f"{key.window} {key.about}" for key in KEYMAP if key.window)
+
+    def _open(self) -> None:
+        """Open a window for the session's robot. Another robot needs another window."""
+        robot = self.session.robot
+        self._robot = robot
+        self._grabbed = False
+        self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
+        self._model, self._ball = _with_ball(robot, float(robot.model.stat.extent))
+        add_light(self._model)
+        self._data = mujoco.MjData(self._model)
+        self._option = mujoco.MjvOption()
+        self._viewer, self._threads = launch(
+            self._model, self._data, _WITHOUT_VIEWER, key_callback=self._on_key
+        )
+        body = int(self._model.body(_BALL).id)
+        with self._viewer.lock():
+            self._viewer.perturb.select = body
+            self._kept = [flags.copy() for flags in self._flags()]
+        self._arrange()
+
+    def _arrange(self) -> None:
+        """Place the instances and the camera. The first instance is where its model is.
+
+        The window stays open: while another window opens, keys are lost.
+        """
+        robot = self.session.robot
+        self._count = self._view.count
+        arrangement = arranged(robot, self._count)
+        self._offsets = arrangement.offsets - arrangement.offsets[0]
+        self._others = [mujoco.MjData(robot.model) for _ in range(self._count - 1)]
+        camera = arrangement.camera(self.session.ball_path(), _ASPECT)
+        position, target = camera - arrangement.offsets[0]
+        with self._viewer.lock():
+            point_camera(self._viewer.cam, position, target)
+
+    def _on_key(self, code: int) -> None:
+        """Send the command of a key. The viewer's thread calls it."""
+        for key in KEYMAP:
+            if key.window and code == _SPECIAL.get(key.window, ord(key.window[0])):
+                if key.command is None:
+                    self._overlay = not self._overlay
+                else:
+                    self.session.send(key.command(self._view))
+
+    def draw(self, view: View) -> bool:
+        """Show a view. Return False once the window is closed."""
+        if not self._viewer.is_running():
+            return False
+        self._view = view
+        if self.session.robot.model is not getattr(self._robot, "model", None):
+            self.close()
+            self._open()
+        elif view.count != self._count:
+            self._arrange()
+        robot = self.session.robot
+        with self._viewer.lock():
+            self._restore_flags()
+            self._take_drag()
+            self._placed = np.array(view.ball.position)
+            self._data.mocap_pos[self._ball] = self._placed
+            self._data.qpos[: robot.model.nq] = robot.qpos(view.instances[0].q)
+            mujoco.mj_forward(self._model, self._data)
+            self._draw_others(view)
+        self._viewer.set_texts(self._texts(view) if self._overlay else [])
+        self._viewer.sync()
+        self._take_drag()
+        return True
+
+    def _take_drag(self) -> None:
+        """Send where the mouse has put the ball. ``sync`` writes it into the ball's mocap pose."""
+        position = self._data.mocap_pos[self._ball].copy()
+        is_active = bool(self._viewer.perturb.active)
+        was_grabbed = self._grabbed or is_active  # the last move comes with the release
+        self._grabbed = is_active
+        is_placed = np.isfinite(self._placed).all()
+        if was_grabbed and is_placed and np.abs(position - self._placed).max() > _MOVED:
+            self._placed = position
+            x, y, z = (float(value) for value in position)
+            self.session.send(MoveGoal((x, y, z)))
+
+    def _flags(self) -> tuple[Any, ...]:
+        return self._viewer.opt.flags, self._viewer.opt.geomgroup, self._viewer.user_scn.flags
+
+    def _restore_flags(self) -> None:
+        """Undo what MuJoCo's own keys switched: it uses every letter of the testbed, too."""
+        for flags, kept in zip(self._flags(), self._kept, strict=True):
+            flags[:] = kept
+
+    def _draw_others(self, view: View) -> None:
+        """Draw trails, and the geoms of the other instances, shifted."""
+        scene = self._viewer.user_scn
+        robot = self.session.robot
+        scene.ngeom = 0
+        for k, data in enumerate(self._others, 1):
+            data.qpos[:] = robot.qpos(view.instances[k].q)
+            mujoco.mj_forward(robot.model, data)
+            first = scene.ngeom
+            categories = mujoco.mjtCatBit.mjCAT_DYNAMIC, mujoco.mjtCatBit.mjCAT_STATIC
+            mask = int(categories[0]) | int(categories[1])
+            perturb = mujoco.MjvPerturb()
+            mujoco.mjv_addGeoms(robot.model, data, self._option, perturb, mask, scene)
+            for g in range(first, scene.ngeom):
+                scene.geoms[g].pos[:] += self._offsets[k]
+        line = mujoco.mjtGeom.mjGEOM_LINE  # capsules take a third of the frame rate in software
+        for k, one in enumerate(view.instances if self._overlay else ()):
+            points = (one.trail + self._offsets[k])[::_TRAIL_STEP]
+            colour = rgba_of(INSTANCE_COLOURS[k])
+            for a, b in pairwise(points):
+                add_connector(scene, line, colour, _TRAIL_WIDTH, a, b)
+
+    def _texts(self, view: View) -> list[Any]:
+        """Return mode, ball and statistics for the corners."""
+        rows = [
+            ("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)),
+            ("moves", view.motion),
+            ("asks", view.kind),
+            ("state", view.busy or view.state),
+        ]
+        for k, one in enumerate(view.instances):
+            summary = one.summary.replace("°", " deg")  # MuJoCo's letters are ASCII
+            rows.append((f"{k + 1} {one.method}", summary))
+        if view.message:
+            rows.append(("", view.message[:_LONGEST_MESSAGE]))
+        left, right = ("\n".join(column) for column in zip(*rows[:_TEXT_ROWS], strict=True))
+        corner = mujoco.mjtGridPos
+        keys = "\n".join(key.window for key in KEYMAP if key.window)
+        about = "\n".join(key.about for key in KEYMAP if key.window)
+        font = mujoco.mjtFontScale.mjFONTSCALE_100
+        return [
+            (font, corner.mjGRID_TOPLEFT, left, right),
+            (font, corner.mjGRID_BOTTOMLEFT, keys, about),
+        ]
+
+
+def _with_ball(robot: Robot, extent: float) -> tuple[Any, int]:
+    """Return the robot's model with a ball that the mouse can move, and its mocap index.
+
+    Raises:
+        ViewerError: The model was not loaded from a file.
+    """
+    if not robot.path.is_file():
+        problem = f"{robot.name} is no file, and the window needs one"
+        raise ViewerError(problem, hint="--viewer browser")
+    spec, _ = read_spec(robot.path, robot.path)
+    ball = spec.worldbody.add_body(name=_BALL, mocap=True)
+    ball.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[BALL_RADIUS * extent, 0.0, 0.0],
+        rgba=list(rgba_of(GOAL_COLOUR)),
+        contype=0,
+        conaffinity=0,
+    )
+    model = compiled(spec)
+    return model, int(model.body(_BALL).mocapid[0])

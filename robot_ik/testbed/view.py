@@ -1,0 +1,156 @@
+"""What is seen of a session at one tick. Nothing in a view changes any more."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from robot_ik.figure.decide import Decision
+from robot_ik.geometry import Pose
+from robot_ik.ports import Array
+from robot_ik.testbed import commands
+from robot_ik.testbed.instance import InstanceView
+from robot_ik.testbed.obstacles import ContactView, ObstacleView
+from robot_ik.testbed.setup import ExtraGoal
+from robot_ik.testbed.timeline import TimelineView
+
+if TYPE_CHECKING:
+    from robot_ik.testbed.arm import ArmView
+
+
+@dataclass(frozen=True, eq=False)
+class BranchView:
+    """One branch of the solution.
+
+    Attributes:
+        name: Its name.
+        q: (nq,) joint angles, rad or m.
+        xpos: (nbody, 3) positions of the bodies, world.
+        xquat: (nbody, 4) their orientations, wxyz.
+    """
+
+    name: str
+    q: Array
+    xpos: Array
+    xquat: Array
+
+
+@dataclass(frozen=True)
+class FigureView:
+    """A figure that decides by itself.
+
+    Attributes:
+        mode: ``active``: it follows the ball. ``passive``: it acts on the ball on demand.
+        action: What it does now.
+        phase: How far that has come, 0 to 1.
+        decision: What it decided to do, and why.
+        waiting: Whether it is passive and waits for the command to act.
+        locked: Whether it is passive and acts, so that the ball cannot be moved.
+    """
+
+    mode: commands.FigureMode
+    action: str
+    phase: float
+    decision: Decision
+    waiting: bool
+    locked: bool
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A session at one tick.
+
+    Attributes:
+        tick: Ticks taken.
+        now: Their time, s.
+        robot: Name or path as it was asked for.
+        motion: What moves the ball: a curve, random positions, a hand, joint values, the timeline.
+        running: Whether the session runs. False after STOP.
+        speed: Of the ball; 1 is real time.
+        pace: Seconds at each random position.
+        restarts: Whether methods restart while the ball is at random positions.
+        ball: Pose of the ball, world.
+        kind: What the ball asks of the tool.
+        extras: Goals beside it.
+        limits: Whether joint limits hold.
+        show_branches: Whether branches are shown.
+        dragged: Body that is dragged. Empty: none.
+        instances: One to four.
+        branches: Of the first instance, if they are shown.
+        busy: What is prepared beside the loop. Empty: nothing.
+        message: An error in one sentence, for some seconds.
+        arm: The servo arm that the first instance drives. None without one.
+        figure: The first instance, if it is a figure that decides by itself.
+        can_act: Whether this robot is a figure that can decide by itself.
+        missing_meshes: Mesh files of the robot that are not drawn, as its file names them.
+        timeline: Key poses and cursor.
+        obstacles: Obstacles and their distances.
+        contact: The deepest contact between two parts of the robot; measured with obstacles only.
+    """
+
+    tick: int
+    now: float
+    robot: str
+    motion: commands.Motion
+    running: bool
+    speed: float
+    pace: float
+    restarts: bool
+    ball: Pose
+    kind: commands.GoalKind
+    extras: tuple[ExtraGoal, ...]
+    limits: bool
+    show_branches: bool
+    dragged: str
+    instances: tuple[InstanceView, ...]
+    branches: tuple[BranchView, ...]
+    busy: str
+    message: str
+    arm: ArmView | None
+    figure: FigureView | None
+    can_act: bool
+    missing_meshes: tuple[str, ...]
+    timeline: TimelineView
+    obstacles: tuple[ObstacleView, ...]
+    contact: ContactView | None
+
+    @property
+    def count(self) -> commands.Count:
+        """Instances side by side."""
+        return len(self.instances)  # type: ignore[return-value]
+
+    @property
+    def state(self) -> str:
+        """What the session does, in a few words."""
+        if self.tick == 0:
+            return "getting ready"
+        if self.dragged:
+            return f"{self.dragged} is dragged"
+        return "running" if self.running else "holding still"
+
+    def digest(self) -> str:
+        """Return a fingerprint of everything that commands decide: no times and no servo arm."""
+        fields: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed]
+        fields += [self.pace, self.restarts, self.kind, self.limits, self.dragged]
+        fields += [dataclasses.astuple(extra) for extra in self.extras]
+        fields.append(None if self.figure is None else dataclasses.astuple(self.figure))
+        fields.append(dataclasses.astuple(self.timeline))
+        fields += [obstacle.shape for obstacle in self.obstacles]
+        arrays = [self.ball.position, self.ball.wxyz]
+        arrays += [obstacle.position for obstacle in self.obstacles]
+        for one in self.instances:
+            statistics = one.statistics
+            fields += [one.method, one.options, one.status, one.iterations, one.distance]
+            fields += [one.budget.iterations, statistics.count, statistics.iterations]
+            fields.append(statistics.solved)
+            arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.error, one.angle))]
+        arrays += [branch.q for branch in self.branches]
+        content = hashlib.sha256(json.dumps(fields).encode())
+        for array in arrays:
+            content.update(np.ascontiguousarray(array, dtype=float).tobytes())
+        return content.hexdigest()[:32]
