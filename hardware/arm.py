@@ -1,4 +1,4 @@
-"""An arm of servos: it takes and gives joint values, and is left by its exit policy.
+"""An arm of servos: it takes joint values, measures them, and is left by its exit policy.
 
 One thread drives an arm.  The heartbeat is the only other thread, and shares a lock with it.  Every
 method that talks to the servos holds that lock.  ``request_stop`` and ``close`` may be called from
@@ -160,7 +160,7 @@ class Arm(Closing):
             self._shares_bus = self.bus.is_open
             try:
                 self.bus.open()
-                feedback = verify(self.bus, self.config, real=self.bus.real)
+                feedback = verify(self.bus, self.config)
                 self._currents.clear()
                 self._require_not_closed()
             except BaseException:
@@ -295,10 +295,10 @@ class Arm(Closing):
         with self._lock:
             after = self._after("send")
             self._obey_stop()
-            came = self.clock.now()
+            arrival = self.clock.now()
             self._latching(lambda: self._cycle.drive(q, now))
             # A refused command does not come here: the arm goes stale as without it.
-            self._commanded = came
+            self._commanded = arrival
             self._streaming = True
             self.state = after
             return np.array(self._cycle.limits.q)
@@ -306,9 +306,9 @@ class Arm(Closing):
     def read(self) -> JointReading:
         """Return the measured joint values.
 
-        The samples of this cycle's ``send`` are returned without asking the servos again.  A joint
-        that missed a cycle keeps its last sample, and ``time`` is that of the oldest sample.  In
-        ``FAULT`` the last samples are returned and no servo is asked.
+        If ``send`` has measured in this cycle, its samples are returned and no servo is read.  A
+        joint that missed a cycle keeps its last sample, and ``time`` is that of the oldest sample.
+        In ``FAULT`` the last samples are returned and no servo is read.
 
         Raises:
             ArmStateError: Not connected.
@@ -368,7 +368,7 @@ class Arm(Closing):
             distance = self._go(q, timeout, stop=self._closed_elsewhere)
             self._require_not_closed()
             if distance.any():
-                # The joints press no longer on an obstacle.
+                # Holding ends the pressure of the joints on an obstacle.
                 self._latching(self._cycle.hold)
         if distance.any():
             k = int((distance / self.config.resolution).argmax())
@@ -376,7 +376,7 @@ class Arm(Closing):
             remaining = worst.text(float(distance[k]))
             raise HardwareError(
                 f"{worst.name!r} is still {remaining} from where it was sent",
-                hint="is something in its way?",
+                hint="check whether an obstacle blocks it, or give a longer timeout",
             )
 
     def grip(
@@ -525,7 +525,7 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            feedback = verify(self.bus, self.config, real=self.bus.real, currents=self._currents)
+            feedback = verify(self.bus, self.config, currents=self._currents)
             self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
@@ -547,9 +547,7 @@ class Arm(Closing):
             self._raise_stop()
             _check_timeout(timeout)
             self._release_guardian()  # it has the file descriptor of the port that went away
-            feedback = find_again(
-                self.bus, self.config, timeout, real=self.bus.real, currents=self._currents
-            )
+            feedback = find_again(self.bus, self.config, timeout, currents=self._currents)
             if self._exit.energised:
                 self._guardian = guardian_for(self.bus, self.config)
             self._begin_anew(feedback, after)

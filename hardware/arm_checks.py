@@ -9,7 +9,7 @@ from robot_ik.config import KeyProblem
 from robot_ik.hardware.models import CONTROL_TABLES
 from robot_ik.hardware.registers import ControlTable
 from robot_ik.hardware.servo import Joint, SwingArm
-from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, min_watchdog_ms
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -101,12 +101,12 @@ def _check_watchdogs(config: ArmConfig) -> None:
     if not config.stale_ms:
         return
     period = 1.0 / config.rate_hz
-    smallest = least_watchdog_ms(config.stale_ms, period)
+    smallest = min_watchdog_ms(config.stale_ms, period)
     if config.watchdog_ms < smallest:
         if (
             config.stale_ms == config.watchdog_ms // 2
         ):  # not in the file: it grows with the watchdog
-            while smallest < least_watchdog_ms(smallest // 2, period):
+            while smallest < min_watchdog_ms(smallest // 2, period):
                 smallest += WATCHDOG_UNIT_MS
         raise KeyProblem(
             f"the servos would stop by themselves after {config.watchdog_ms} ms, before the "

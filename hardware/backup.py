@@ -1,4 +1,4 @@
-"""Control tables as files: what a servo remembers, saved and restored.
+"""Control tables as files: registers of servos, saved and restored.
 
 Only EEPROM is restored, because RAM is lost at power-off anyway.  Registers that decide how a servo
 is reached are saved and never restored: ``servo_setup`` changes them.
@@ -47,7 +47,7 @@ SMALLEST_VALUE = -(2**31)
 """Smallest value of a saved register that is not restored: a signed register of four bytes."""
 
 LARGEST_VALUE = 2**32
-"""Largest value of a saved register that is not restored."""
+"""Upper bound of a saved register that is not restored: an unsigned register of four bytes."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,10 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     ]
     if failed:
         names = ", ".join(f"{change.register} of {change.joint}" for change in failed)
-        raise HardwareError(f"written, and reads back otherwise: {names}")
+        raise HardwareError(
+            f"these registers were written and read back with other values: {names}",
+            hint="check supply and cable, and restore again",
+        )
     return changes
 
 

@@ -1,4 +1,4 @@
-"""What every servo bus can do: a serial port, a pty or plain Python objects.
+"""Interface of every servo bus: a serial port, a pty or plain Python objects.
 
 Values cross this interface decoded (signed if the register is signed) and in the servo's own units.
 Radians begin one layer up, in ``Joint``.  All methods are safe to call from any thread.

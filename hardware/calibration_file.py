@@ -216,7 +216,7 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
 
 
 def _backup(file: Path, text: str) -> Path:
-    """Write ``text`` to the first free name FILE.N.bak and return that path."""
+    """Write ``text`` to the first free path FILE.N.bak and return that path."""
     number = 1
     while (kept := file.with_name(f"{file.name}.{number}.bak")).exists():
         number += 1

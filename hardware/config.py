@@ -52,7 +52,7 @@ class ArmConfig:
         joints: Joints of every group.
         file: Arm file; None if a program made the arm.
         stale_ms: ms without a command after which the arm is held and watched; 0: never.  The Bus
-            Watchdog must be longer, see ``watchdogs.least_watchdog_ms``.
+            Watchdog must be longer, see ``watchdogs.min_watchdog_ms``.
         on_stale: What follows without a command for longer: ``hold``, ``park`` or ``torque_off``.
         uncalibrated: The zeros are placeholders, so real servos get no torque.
         on_orphan: What happens if the program is killed: ``hold`` (nothing, the servos keep their

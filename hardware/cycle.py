@@ -21,7 +21,12 @@ from robot_ik.hardware.following import Following
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter, finite
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.servo import Drive
-from robot_ik.hardware.servo_faults import has_torque, jump_fault, shutdown_fault, silence_fault
+from robot_ik.hardware.servo_faults import (
+    confirm_torque,
+    jump_fault,
+    shutdown_fault,
+    silence_fault,
+)
 from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
@@ -71,8 +76,8 @@ class MotionReport:
 class Cycle:
     """The inner loop of an arm whose servos have torque.
 
-    It raises the faults that it finds, and the arm decides what follows.  Commands are of all
-    joints, or by name: joints that are not named keep their last command.
+    It raises the faults that it finds, and the arm handles them.  A command has all joints, or some
+    by name.  Joints that are not named keep their last command.
 
     Args:
         config: Arm file.
@@ -117,7 +122,7 @@ class Cycle:
             self._trusted_pause = WATCHDOG_TRUST * 0.001 * config.watchdog_ms
         # Time of the last packet, s.
         self._last_traffic = -math.inf
-        # Servos that did not answer whether their bus watchdog has tripped.
+        # Servos whose bus watchdog register could not be read.
         self._unheard_ids: set[int] = set()
 
     def positions(self) -> dict[str, float]:
@@ -237,17 +242,18 @@ class Cycle:
         Args:
             drive: Servo.
             status: Its reply in this cycle.
-            has_no_torque: Its feedback says that it has no torque.
+            has_no_torque: Its feedback shows no torque.
         """
         if status.alert:
             raise shutdown_fault(self._bus, drive)
-        if has_no_torque and has_torque(self._bus, drive):
+        if has_no_torque and confirm_torque(self._bus, drive):
             log.warning(
-                "servo %d has torque, which its feedback denies: read plainly now", drive.id
+                "the feedback of servo %d is wrong about its torque: it is read plainly now",
+                drive.id,
             )
             self.feedback.read_plainly(drive.id)
         if drive.id in self.samples.jumped:
-            has_torque(self._bus, drive)
+            confirm_torque(self._bus, drive)
             raise jump_fault(drive, self.samples.jumped[drive.id], self.samples.ticks[drive.id])
 
     def go(
@@ -332,10 +338,10 @@ class Cycle:
         """Return servo id -> ticks at which the arm is held, and take them as the goals.
 
         These are the last goals, or the position of a shaft that is far from its goal.  Nothing is
-        sent.  It is decided once, when holding begins.  If it were decided again and again for a
+        sent.  The goals are chosen once, when holding begins.  If they were chosen repeatedly for a
         loaded joint, each goal would be a little lower than the last, and the arm would creep down.
-        A servo that has jumped since is held at its present position: it would go to its goal by a
-        revolution.
+        A servo whose position has jumped is held at its present position.  Its last goal is a
+        revolution away.
         """
         goals = dict(self.goals)
         for joint, servo in self._config.drives:
@@ -351,10 +357,10 @@ class Cycle:
         return goals
 
     def stay_alive(self) -> None:
-        """After a long pause, look whether a bus watchdog has tripped, and hold the arm if so.
+        """After a long pause, check the bus watchdogs, and hold the arm if one has tripped.
 
-        A servo whose watchdog has tripped refuses goals, and a sync write has no reply that says
-        so.  A servo whose reply is lost here is asked again as soon as it is heard.
+        A servo whose watchdog has tripped refuses goals, and a sync write has no reply that would
+        show it.  A servo whose reply is lost here is read again as soon as it answers.
 
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError,

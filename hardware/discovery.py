@@ -39,7 +39,7 @@ LIKELY = (
 """Rates in the order in which servos are likely to be found: set up, as bought, the others."""
 
 SAME_RATES = 3
-"""Rates at which all servos answer alike only if the port has no baud rate."""
+"""Number of rates. If the same ids answer at so many rates, the port has no baud rate."""
 
 READ_BYTES = 25
 """Bytes of a read and its reply in Protocol 2, without the data.  Protocol 1 has fewer."""
@@ -254,7 +254,7 @@ def no_reply_hint(bauds: Iterable[int]) -> str:
 
 
 def scan_notes(found: Sequence[FoundServo]) -> list[str]:
-    """Return what is wrong with all servos of a scan together."""
+    """Return the problems that concern several servos of a scan."""
     if len(found) > 1 and all(servo.shared for servo in found):
         return ["every reply is damaged: check the cable, its contacts and the adapter"]
     notes = [
@@ -268,13 +268,13 @@ def scan_notes(found: Sequence[FoundServo]) -> list[str]:
         rates.setdefault(servo.baud, []).append(str(servo.id))
     if len(rates) >= SAME_RATES and len(set(map(tuple, rates.values()))) == 1:
         notes.append(
-            "they answer at every rate: the port has none of its own, as a pseudo terminal "
-            "(robot-ik sim-bus --match-baud serves servos that hear one rate only)"
+            "they answer at every rate: the port has none of its own, like every pseudo terminal "
+            "(with robot-ik sim-bus --match-baud each servo answers at its own rate only)"
         )
     elif len(rates) > 1:
         listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
         notes.append(
-            f"they talk at different rates ({listed}). "
+            f"the servos have different rates ({listed}). "
             "Connect one alone: robot-ik servo setup --id N --baud RATE"
         )
     return notes

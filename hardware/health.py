@@ -9,7 +9,13 @@ from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
+from robot_ik.hardware.discovery import (
+    BITS_PER_BYTE,
+    LIKELY,
+    FoundServo,
+    no_reply_hint,
+    scan,
+)
 from robot_ik.hardware.family import family_of
 from robot_ik.hardware.ports import quicker, serial_row
 from robot_ik.hardware.servo import Drive
@@ -129,8 +135,8 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
     """
     try:
         found = scan(port, [config.baud], family=config.family)
-        seen = {servo.id for servo in found}
-        if not seen.issuperset(config.servo_ids):
+        answered_ids = {servo.id for servo in found}
+        if not answered_ids.issuperset(config.servo_ids):
             found += scan(
                 port, [rate for rate in LIKELY if rate != config.baud], family=config.family
             )
@@ -158,15 +164,18 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
     if not lates:
         return []
     late = min(lates)
-    byte = 10.0 / config.baud
-    n = len(config.servo_ids)
-    rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
+    byte_time = BITS_PER_BYTE / config.baud
+    cycle_bytes = _CYCLE_BYTES + _CYCLE_BYTES_EACH * len(config.servo_ids)
+    rate = 1.0 / (late + cycle_bytes * byte_time)
     text = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
         return [CheckRow("servo speed", OK, text)]
     return [
         CheckRow(
-            "servo speed", NOTE, f"{text}; the arm file wants {config.rate_hz:g}", quicker(port)
+            "servo speed",
+            NOTE,
+            f"{text}; rate_hz of the arm file is {config.rate_hz:g}",
+            quicker(port),
         )
     ]
 

@@ -1,4 +1,4 @@
-"""What acts when the program that drives an arm ends, pauses or dies.
+"""Watchdogs for a program that drives an arm and ends, pauses or is killed.
 
     failure                          what acts                      when, and what happens
     -------------------------------  -----------------------------  -------------------------------
@@ -12,7 +12,7 @@
                                      of a family that has one       packet the servo stops and
                                                                     holds with torque on
 
-The heartbeat must act well before the Bus Watchdogs do.  ``least_watchdog_ms`` says by how much.
+The heartbeat must act before the Bus Watchdogs trip.  ``min_watchdog_ms`` is the condition.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def stale_time(stale_ms: int, period: float) -> float:
     return max(0.001 * stale_ms, STALE_CYCLES * period)
 
 
-def least_watchdog_ms(stale_ms: int, period: float) -> int:
+def min_watchdog_ms(stale_ms: int, period: float) -> int:
     """Return the shortest Bus Watchdog that trips only if the heartbeat cannot run.
 
     The first beat after ``stale_time`` finds the arm stale, and holding it takes ``HOLD_CYCLES``.

@@ -13,7 +13,7 @@ from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.feedback import LEAST_SAMPLES, SUSTAINED, Thresholds
+from robot_ik.hardware.feedback import MIN_SAMPLES, SUSTAINED, Thresholds
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import Drive, StopAt
 from robot_ik.hardware.virtual.bus import VirtualBus
@@ -203,7 +203,7 @@ def test_a_fault_comes_after_an_unbroken_run_of_samples_and_no_earlier(samples):
             continue
         since = since if run else now
         run += 1
-        assert (fault is not None) == (run >= LEAST_SAMPLES and now - since >= SUSTAINED)
+        assert (fault is not None) == (run >= MIN_SAMPLES and now - since >= SUSTAINED)
 
 
 def test_samples_from_before_a_pause_say_nothing():
