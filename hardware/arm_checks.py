@@ -48,7 +48,7 @@ def check_arm(config: ArmConfig) -> None:
             table = joint.servo.table
             if config.baud not in table.baud_rates:
                 rates = ", ".join(map(str, table.baud_rates))
-                problem = f"{table.model} ({joint.name}) cannot talk at {config.baud} bits/s"
+                problem = f"{table.model} ({joint.name}) has no baud rate of {config.baud} bits/s"
                 key = ""
                 raise KeyProblem(problem, "bus.baud", rates)
             _check_currents(joint, table)

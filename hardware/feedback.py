@@ -204,7 +204,8 @@ class Thresholds:
                     self._drive.name,
                     (status,),
                     hint=f"servo id {self._drive.id} was at {value:.4g} {unit} for "
-                    f"{duration:.1f} s; stop_at of the arm file is {limit:g}. All joints hold. Remove its load or "
-                    "let it cool. Then run robot-ik servo reset-fault, or call Arm.reset_fault()",
+                    f"{duration:.1f} s; stop_at of the arm file is {limit:g}. All joints hold. "
+                    "Remove its load or let it cool. Then run robot-ik servo reset-fault, or call "
+                    "Arm.reset_fault()",
                 )
         return None

@@ -38,7 +38,7 @@ def set_up(
         ConfigError: The servo is another model, or cannot have this id or rate.
         ArmStateError: Its torque is on.
         HardwareError: More than one servo answers, two share an id, the model is not known, or the
-            servo does not answer under the new address as it should.  Errors of the bus.
+            servo reads back other values at the new address.  Errors of the bus.
     """
     require_id(id, "--id")
     found = scan(port, bauds, progress=progress)
@@ -54,7 +54,7 @@ def set_up(
         )
     if baud not in table.baud_rates:
         raise ConfigError(
-            f"{servo.model} cannot talk at {baud} bits/s",
+            f"{servo.model} has no baud rate of {baud} bits/s",
             file="command line",
             key="--baud",
             allowed=", ".join(map(str, table.baud_rates)),
@@ -66,8 +66,8 @@ def set_up(
             raise ArmStateError(
                 f"torque of the servo (id {servo.id}) is on, so its EEPROM is locked; nothing was "
                 "written",
-                hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
-                f"{servo.id} --baud {servo.baud}",
+                hint="support the parts on its horn and switch torque off: robot-ik servo torque "
+                f"off --ids {servo.id} --baud {servo.baud}",
             )
         family.write_address(bus, table, servo.id, id, baud)
 

@@ -63,8 +63,8 @@ def min_watchdog_ms(stale_ms: int, period: float) -> int:
 class Heartbeat:
     """Calls a function every ``BEAT`` seconds until stopped, from a thread of its own.
 
-    A program that is busy with something else would not notice a servo that overheats, and the Bus
-    Watchdogs would trip although nothing is wrong.
+    Without it, a busy program would not notice a servo that overheats, and the Bus Watchdogs would
+    trip without a failure.
 
     Args:
         beat: The function.  It must not raise.

@@ -63,7 +63,7 @@ LARGEST_PROFILE = 32767
 """Largest value of both profile registers."""
 
 CYCLE_REGISTERS = ("torque_enable", "present_position")
-"""What every control cycle reads."""
+"""Registers that every control cycle reads."""
 
 
 class DynamixelX:
@@ -339,7 +339,7 @@ class DynamixelX:
         if bus.read(id, pointers).data != value:
             bus.write(id, pointers, value)
             if bus.read(id, pointers).data != value:
-                raise HardwareError("the indirect addresses read back otherwise")
+                raise HardwareError("the indirect addresses read back with other values")
 
         begin = table["indirect_data_1"].address
         block = Register("torque, position and health", begin, len(addresses), signed=True)
@@ -387,7 +387,7 @@ class DynamixelX:
 
 
 def _effort_register(table: ControlTable) -> str:
-    """Return the register of the motor's effort: some models measure no current."""
+    """Return the register of the motor's effort: current, or load if no current is measured."""
     return "present_current" if "present_current" in table else "present_load"
 
 

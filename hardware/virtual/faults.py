@@ -70,11 +70,9 @@ class Kind:
     def span(self) -> str:
         """Allowed values as text; empty if the fault takes no value."""
         whole = "a whole number, " if self.whole else ""
-        return (
-            ""
-            if self.low is None or self.high is None
-            else f"{whole}{self.low:.10g}..{self.high:.10g}"
-        )
+        if self.low is None or self.high is None:
+            return ""
+        return f"{whole}{self.low:.10g}..{self.high:.10g}"
 
     def require(self, value: float | None) -> None:
         """Raise ``KeyProblem`` for a value that is missing, out of range or not expected."""
@@ -165,7 +163,10 @@ def joint_offset(joint: Joint, degrees: float) -> Fault:
 class Injected:
     """A fault on a bus: scheduled, active or over. Times and packets count from the injection.
 
-    The bus holds its lock. Its ``KeyError`` is raised if there is no such servo.
+    The caller holds the lock of the bus.
+
+    Raises:
+        KeyError: The bus has no such servo.
     """
 
     def __init__(self, fault: Fault, bus: VirtualBus) -> None:

@@ -1,7 +1,7 @@
 """One Dynamixel X servo without a motor: its memory, its rules and what its registers do.
 
-What a register does follows the ROBOTIS e-manual (X series). Where the manual is silent, the choice
-is the less comfortable one for the host:
+The registers follow the ROBOTIS e-manual (X series). Where the manual says nothing, the servo
+behaves in the way that is harder for the host:
 
 * Goal Position keeps its value while torque is off, so torque on moves the shaft to a stale goal.
 * A reboot forgets revolutions.
@@ -326,7 +326,7 @@ class VirtualServo:
         """Do the kept write; an instruction error if there is none."""
         if self._registered is None:
             return ErrorCode.INSTRUCTION
-        (address, data) = self._registered
+        address, data = self._registered
         self._registered = None
         self.memory.set("registered_instruction", 0)
         return self.write(address, data)

@@ -118,9 +118,8 @@ class JointMotor:
         position, velocity = shaft.motion.at(t)
         error = self._angle(position) - self._joint.angle
         if servo.mode == OperatingMode.VELOCITY:
-            limit = (
-                0.1 * self._drive.joint.lever
-            )  # limits how far the goal may run ahead of a blocked joint
+            # The goal may be only so far ahead of a blocked joint.
+            limit = 0.1 * self._drive.joint.lever
             error = max(-limit, min(limit, error))
         rate = velocity / self._ticks_per - self._joint.rate
         return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
@@ -247,7 +246,7 @@ def _followers(model: mujoco.MjModel, driven: set[int]) -> list[tuple[int, int, 
 
     With such a constraint one servo moves both fingers of a gripper.
     """
-    found = []
+    followers = []
     for k in range(model.neq):
         if (
             model.eq_type[k] != mujoco.mjtEq.mjEQ_JOINT
@@ -257,8 +256,8 @@ def _followers(model: mujoco.MjModel, driven: set[int]) -> list[tuple[int, int, 
             continue
         follower, leader = (int(model.jnt_dofadr[j[k]]) for j in (model.eq_obj1id, model.eq_obj2id))
         if leader in driven and follower not in driven:
-            found.append((leader, follower, float(model.eq_data[k][1])))
-    return found
+            followers.append((leader, follower, float(model.eq_data[k][1])))
+    return followers
 
 
 class _Joint:
@@ -380,7 +379,7 @@ SOLIMP = (0.95, 0.99, 0.0005, 0.5, 2.0)
 
 @dataclass(frozen=True)
 class WorldObject:
-    """A box that lies about.
+    """A box beside the robot that can be moved and gripped.
 
     Attributes:
         name: Name of its body.
