@@ -29,7 +29,7 @@ READ_BYTES = 1024
 
 
 class Prompts:
-    """Asks for one step after the other.
+    """Prompts for one step after the other.
 
     Args:
         clock: Paces the samples.
@@ -49,15 +49,15 @@ class Prompts:
         # True for every line of standard input, False for its end.
         self._lines: queue.Queue[bool] = queue.Queue()
         self._reader: threading.Thread | None = None
-        with contextlib.suppress(OSError):  # Windows asks only sockets whether they can be read
+        with contextlib.suppress(OSError):  # on Windows select() works with sockets only
             if seconds is None and _has_input() and not self._read_input():
                 raise wrong("--seconds", NO_ENTER, "--seconds S")
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
-        """Say what to do, sample until it is done, and sample once more then.
+        """Print an instruction, sample until the step is done, and sample once more then.
 
         Args:
-            text: What the person does.
+            text: Instruction to the person.
             sample: Takes a sample.
 
         Raises:
@@ -108,7 +108,7 @@ class Prompts:
         return True
 
     def _read_lines(self) -> None:
-        # Not by sys.stdin: a thread that waits inside it has its lock at the end of the program.
+        # Not with sys.stdin: a waiting thread would keep its lock at the end of the program.
         with contextlib.suppress(OSError, ValueError):
             while self._read_input():
                 pass

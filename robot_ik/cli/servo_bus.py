@@ -62,8 +62,8 @@ def run_ports(options: ServoPortsOptions) -> int:
 class ServoScanOptions(BusOptions):
     """Lists the servos at every baud rate: id, model, firmware, supply, errors.
 
-    Writes nothing. Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 if
-    none answers.
+    Writes nothing. All rates take some seconds. Also finds ids that two servos share. Exit code 1
+    if no servo answers.
     """
 
     baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
@@ -157,8 +157,8 @@ def run_setup(options: ServoSetupOptions) -> int:
     from robot_ik.hardware.discovery import LIKELY, no_reply_hint
     from robot_ik.hardware.servo_setup import set_up
 
-    given_once = (options.id is None) != (not options.joint)
-    require(given_once, "--id", "the servo is not named", "either --id N or --joint JOINT")
+    is_named_once = (options.id is None) != (not options.joint)
+    require(is_named_once, "--id", "the servo is not named", "either --id N or --joint JOINT")
     config = load_arm(options.arm)
     joint = config.joint(options.joint) if options.joint else None
     id = joint.servo.id if joint else options.id
