@@ -19,7 +19,8 @@ from robot_ik.ports import Clock
 if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
 
-NO_ENTER = "standard input has ended, so nobody can press Enter"
+NO_ENTER = "standard input has ended, so Enter cannot be pressed"
+"""Reason why a step cannot end with Enter."""
 
 SAMPLE_PERIOD = 0.02
 """s between two samples: quick enough that a sweep by hand misses no end of a range."""
