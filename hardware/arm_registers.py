@@ -100,7 +100,7 @@ def require_models(bus: ServoBus, expected: Mapping[int, tuple[str, int]], sourc
     if damaged and numbers:
         hint = "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
     elif damaged:
-        hint = "no reply arrives whole: check the cable, its contacts and the adapter"
+        hint = "every reply is damaged: check the cable, its contacts and the adapter"
     elif not numbers:
         hint = (
             "no servo answers at all: check the servos' power and the cable; "

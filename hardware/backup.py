@@ -151,7 +151,7 @@ class _BackupFile(Table):
             key = f"servos[{k}]"
             number = servo.model_number
             if model_by_number(number) is None:
-                raise KeyProblem(f"model number {number} is not known here", f"{key}.model_number")
+                raise KeyProblem(f"model number {number} is unknown", f"{key}.model_number")
             for name, value in servo.registers.items():
                 if name not in servo.table:
                     raise KeyProblem(f"a {servo.table.model} has no register {name!r}", key)

@@ -165,7 +165,7 @@ class ArmConfig:
             )
         given = (lower, upper, velocity, acceleration)
         columns = [np.broadcast_to(np.asarray(column, dtype=float), n) for column in given]
-        made = tuple(
+        generic_joints = tuple(
             Joint(
                 name,
                 Direct(),
@@ -178,7 +178,7 @@ class ArmConfig:
             for k, name in enumerate(joints)
         )
         title = f"{robot_name} with {n} virtual servos"
-        return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", made)
+        return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", generic_joints)
 
     def save(self, path: Path | str) -> None:
         """Write the arm file completely or not at all."""

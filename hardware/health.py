@@ -134,33 +134,35 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
     All rates are tried only if a servo does not answer at the arm file's rate.
     """
     try:
-        found = scan(port, [config.baud], family=config.family)
-        answered_ids = {servo.id for servo in found}
+        servos = scan(port, [config.baud], family=config.family)
+        answered_ids = {servo.id for servo in servos}
         if not answered_ids.issuperset(config.servo_ids):
-            found += scan(
+            servos += scan(
                 port, [rate for rate in LIKELY if rate != config.baud], family=config.family
             )
     except HardwareError as error:
         return [CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
     rows = [serial_row(port, "servos")]
-    if not found:
+    if not servos:
         return [
             *rows,
             CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY)),
         ]
-    rows += _speed_rows(port, config, found)
+    rows += _speed_rows(port, config, servos)
     for drive in config.drives:
-        rows.append(_joint_row(drive, [f for f in found if f.id == drive.id], config))
+        rows.append(_joint_row(drive, [f for f in servos if f.id == drive.id], config))
     known = set(config.servo_ids)
-    for f in (f for f in found if f.id not in known):
+    for f in (f for f in servos if f.id not in known):
         problem = f"{f.model} at {f.baud}: not in the arm file"
         rows.append(CheckRow(f"servo {f.id}", NOTE, problem, "unplug it, or add its joint"))
     return rows
 
 
-def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
+def _speed_rows(port: str, config: ArmConfig, servos: Sequence[FoundServo]) -> list[CheckRow]:
     """Return the check of how late replies come, and of the cycle rate that this allows."""
-    lates = [f.late for f in found if f.baud == config.baud and not f.shared and f.late is not None]
+    lates = [
+        f.late for f in servos if f.baud == config.baud and not f.shared and f.late is not None
+    ]
     if not lates:
         return []
     late = min(lates)
@@ -180,19 +182,19 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
     ]
 
 
-def _joint_row(drive: Drive, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
+def _joint_row(drive: Drive, servos: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
     servo = drive.servo
     what = f"servo {servo.id} {drive.name}"
-    if not found:
+    if not servos:
         do = (
             "check its cable and power; from the factory it has id 1: "
             f"robot-ik servo setup --joint {drive.name}"
         )
         return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
-    if len(found) > 1 or found[0].shared:
+    if len(servos) > 1 or servos[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
         return CheckRow(what, PROBLEM, "replies collide: two servos with this id", do)
-    f = found[0]
+    f = servos[0]
     supply = "" if f.voltage is None else f", {f.voltage:.1f} V"
     warm = "" if f.temperature is None else f", {f.temperature} C"
     about = f"{f.family.title} {f.model}, firmware {f.firmware}{supply}{warm}"

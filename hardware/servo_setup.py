@@ -41,10 +41,10 @@ def set_up(
             servo reads back other values at the new address.  Errors of the bus.
     """
     require_id(id, "--id")
-    found = scan(port, bauds, progress=progress)
-    if not found:
+    servos = scan(port, bauds, progress=progress)
+    if not servos:
         return None
-    servo, table = _only_servo(found)
+    servo, table = _only_servo(servos)
     if model and servo.model != model:
         raise ConfigError(
             f"this servo is a {servo.model}",
@@ -81,29 +81,29 @@ def set_up(
     return servo
 
 
-def _only_servo(found: Sequence[FoundServo]) -> tuple[FoundServo, ControlTable]:
+def _only_servo(servos: Sequence[FoundServo]) -> tuple[FoundServo, ControlTable]:
     """Return the servo that may be set up, and its control table.
 
     Args:
-        found: Servos that answer, at least one.
+        servos: Servos that answer, at least one.
 
     Raises:
         HardwareError: Two servos share an id, more than one answers, or the model is not known.
     """
-    shared = [servo for servo in found if servo.shared]
+    shared = [servo for servo in servos if servo.shared]
     if shared:
         raise HardwareError(
             f"id {shared[0].id} gives damaged replies: two servos with one id, or a bad cable",
             hint="connect one servo alone and try again",
         )
-    if len(found) > 1:
-        names = ", ".join(f"id {servo.id} {servo.model} at {servo.baud}" for servo in found)
+    if len(servos) > 1:
+        names = ", ".join(f"id {servo.id} {servo.model} at {servo.baud}" for servo in servos)
         raise HardwareError(
-            f"{len(found)} servos answer ({names}); exactly one may be connected, nothing was "
+            f"{len(servos)} servos answer ({names}); exactly one may be connected, nothing was "
             "written",
             hint="unplug the others: an id that is taken would make both of them unreachable",
         )
-    table = found[0].table
+    table = servos[0].table
     if table is None:
-        raise HardwareError(f"{found[0].model} is not a known servo model; nothing was written")
-    return found[0], table
+        raise HardwareError(f"{servos[0].model} is not a known servo model; nothing was written")
+    return servos[0], table

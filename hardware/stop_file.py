@@ -64,16 +64,16 @@ def runtime_folder() -> Path:
     """
     try:
         FOLDER.mkdir(mode=0o700, exist_ok=True)
-        found = FOLDER.lstat()
+        status = FOLDER.lstat()
     except OSError as error:
         raise HardwareError(f"no runtime folder {FOLDER}: {error.strerror}") from error
-    foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
-    if foreign or not stat.S_ISDIR(found.st_mode):
+    foreign = hasattr(os, "getuid") and status.st_uid != os.getuid()
+    if foreign or not stat.S_ISDIR(status.st_mode):
         raise HardwareError(
             f"{FOLDER} is not a folder of this user",
             hint="remove it, or ask its owner to remove it",
         )
-    if stat.S_IMODE(found.st_mode) != 0o700:
+    if stat.S_IMODE(status.st_mode) != 0o700:
         FOLDER.chmod(0o700)
     return FOLDER
 

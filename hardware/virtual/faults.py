@@ -233,7 +233,7 @@ class _Override:
         )
 
     def __call__(self, target: Any, value: float) -> Undo:
-        own, layers = self._laid.setdefault(target, (self._read(target), []))
+        original, layers = self._laid.setdefault(target, (self._read(target), []))
         layer = (object(), self._convert(value))
         layers.append(layer)
         self._write(target, layer[1])
@@ -242,7 +242,7 @@ class _Override:
             was_last = layers[-1] is layer
             layers.remove(layer)
             if was_last:
-                self._write(target, layers[-1][1] if layers else own)
+                self._write(target, layers[-1][1] if layers else original)
             if not layers:
                 del self._laid[target]
 
@@ -434,10 +434,10 @@ def load_faults(path: Path | str, config: ArmConfig) -> FaultFile:
 
 def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultFile:
     """Return the faults of a text. ``file`` is its name in errors."""
-    found = check_table(FaultFile, parse_toml(text, file), file)
-    for k, fault in enumerate(found.faults):
+    fault_file = check_table(FaultFile, parse_toml(text, file), file)
+    for k, fault in enumerate(fault_file.faults):
         make_fault(config, file, f"faults[{k}]", **dataclasses.asdict(fault))
-    return found
+    return fault_file
 
 
 def make_fault(

@@ -211,10 +211,10 @@ class VirtualServo:
     @jammed.setter
     def jammed(self, value: bool) -> None:
         self.update()
-        here = self.shaft.encoder
+        position = self.shaft.encoder
         if not value:
             self.shaft.stop()
-        self.shaft.stops = (here, here) if value else (-math.inf, math.inf)
+        self.shaft.stops = (position, position) if value else (-math.inf, math.inf)
         if not value:
             self._set_out()
 

@@ -96,8 +96,8 @@ class Shaft:
         if velocity:
             torque += math.copysign(self.load.friction, velocity)
         # Against a stop, or against too much load, the error raises the torque.
-        wanted = self._planned()[0] if self._unreached is None else self._unreached
-        missing = wanted - position
+        target = self._planned()[0] if self._unreached is None else self._unreached
+        missing = target - position
         effort = missing * self._values["position_p_gain"] * _EFFORT_OF_GAIN / PWM_FULL
         torque += effort * self._memory.table.motor.stall_torque
         return max(-limit, min(limit, torque))

@@ -77,17 +77,17 @@ def run_scan(options: ServoScanOptions) -> int:
 
     bauds = checked_rates(options.baud) or LIKELY
     with served_or_serial_port(options.bus, options.arm) as port, console.progress() as bar:
-        found = scan(port, bauds, progress=console.shares_on(bar, "scan"))
+        servos = scan(port, bauds, progress=console.shares_on(bar, "scan"))
     if options.json:
-        rows = [{"model": servo.model, **asdict(servo)} for servo in found]
+        rows = [{"model": servo.model, **asdict(servo)} for servo in servos]
         console.print_json({"schema": 1, "port": port, "bauds": list(bauds), "servos": rows})
-    elif found:
-        print_found(found)
-    if not found:
+    elif servos:
+        print_found(servos)
+    if not servos:
         console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
-    for note in scan_notes(found):
+    for note in scan_notes(servos):
         console.say(note, "yellow")
-    return console.DONE if found else console.NOT_ACHIEVED
+    return console.DONE if servos else console.NOT_ACHIEVED
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
@@ -104,7 +104,7 @@ def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     return tuple(dict.fromkeys(rates))
 
 
-def print_found(found: Sequence[FoundServo]) -> None:
+def print_found(servos: Sequence[FoundServo]) -> None:
     """Print a table of servos on stdout."""
     columns = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
     rows = [
@@ -119,7 +119,7 @@ def print_found(found: Sequence[FoundServo]) -> None:
             _on_off(servo.torque, "?"),
             _errors(servo),
         )
-        for servo in found
+        for servo in servos
     ]
     console.show(console.table(*columns, rows=rows))
 
