@@ -1,7 +1,7 @@
 """An arm of servos: it takes joint values, measures them, and is left by its exit policy.
 
 One thread drives an arm.  The heartbeat is the only other thread, and shares a lock with it.  Every
-method that talks to the servos holds that lock.  ``request_stop`` and ``close`` may be called from
+method that uses the bus holds that lock.  ``request_stop`` and ``close`` may be called from
 any thread.  The states are in ``arm_state``.  What acts if no command comes is in ``watchdogs``.
 """
 
@@ -111,7 +111,7 @@ class Arm(Closing):
         # Joint -> value at which the arm was enabled.  Joints of a gripper are not in it: parking
         # must not open a grip.
         self._rest: dict[str, float] = {}
-        # Joint -> mA that the program asked for since ``connect``.
+        # Joint -> mA that the program has set since ``connect``.
         self._currents: dict[str, float] = {}
         # The program streams commands, so a pause is a reason to hold.
         self._streaming = False
@@ -145,7 +145,7 @@ class Arm(Closing):
     def connect(self) -> None:
         """Open the bus, check that these are the arm file's servos, and set them up.
 
-        Torque stays as it is.
+        Torque stays unchanged.
 
         Raises:
             ArmStateError: Already connected, or torque is on and a setting must change.
@@ -290,7 +290,7 @@ class Arm(Closing):
             MotorFaultError: A servo shut down or went silent, by joint.  The others hold.  Latched.
             BusTimeoutError: All servos went silent.  Latched.
             BusDisconnectedError: The port went away.  Latched.
-            StopRequestedError: The arm was asked to stop.  Latched.
+            StopRequestedError: A stop was requested.  Latched.
         """
         with self._lock:
             after = self._after("send")
@@ -530,7 +530,7 @@ class Arm(Closing):
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
-        """Open the port as soon as it is back, and verify everything.  Never gives torque.
+        """Open the port as soon as it is back, and verify everything.  Torque stays unchanged.
 
         Args:
             timeout: s to wait for the port.  Use a name of the port that stays, e.g.
@@ -646,7 +646,7 @@ class Arm(Closing):
             raise stopped.with_traceback(None)
 
     def _carry_out_stop(self) -> StopRequestedError:
-        """Leave the arm as the last request asks, and latch it as a fault."""
+        """Leave the arm by the policy of the last request, and latch it as a fault."""
         policy = self._stop_requests.take()
         report = self._exit.leave(policy, self._cycle)
         self._stop_requests.acknowledge(ok=report.ok, text=report.text)
@@ -714,7 +714,7 @@ class Arm(Closing):
         """Leave the arm by the last request to stop, else by ``on_exit``.
 
         Args:
-            alone: This thread has the lock, so no other thread talks to the servos.
+            alone: This thread has the lock, so no other thread uses the bus.
         """
         if not self._exit.energised:
             if self.state is not ArmState.DISCONNECTED:
@@ -770,6 +770,9 @@ class Arm(Closing):
 
 
 def _check_timeout(timeout: float | None) -> None:
-    """Raise ``UnsafeCommandError`` for NaN and what is no number: such a time would never end."""
+    """Raise ``UnsafeCommandError`` for NaN and for values that are no number.
+
+    A motion with such a timeout would never end.
+    """
     if timeout is not None and timeout != math.inf and finite(timeout) is None:
         raise UnsafeCommandError(f"a timeout of {reprlib.repr(timeout)}", "a number of seconds")

@@ -59,7 +59,7 @@ class ArmExit:
         return report
 
     def leave_untouched(self) -> ExitReport:
-        """Leave every servo as it is: none has torque because of this arm.
+        """Return the report of an arm that switched no torque on.  No servo is written.
 
         An earlier report stays.
         """

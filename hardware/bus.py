@@ -158,8 +158,8 @@ class ServoBus(Protocol):
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
         """Return the same register of several servos; a row for every id.
 
-        Servos that do not answer are asked again, within a time and unless they were silent in the
-        cycle before as well.  So one dead servo does not slow down the others.
+        Servos that do not answer are read again, within a time and unless they were silent in the
+        cycle before as well.  So a dead servo does not slow down the others.
         """
         ...
 

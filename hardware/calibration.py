@@ -29,7 +29,7 @@ MIN_WIGGLE = math.radians(3.0)
 """rad at the joint. A person may turn a joint by less by accident."""
 
 ASKED_WIGGLE = math.radians(10.0)
-"""rad at the joint that the user is asked for."""
+"""rad at the joint by which the user is prompted to turn it."""
 
 STILL_TICKS = 12
 """Ticks (about 1 degree). A held joint moves by less while its zero is taken."""

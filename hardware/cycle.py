@@ -115,7 +115,7 @@ class Cycle:
         self._goal_register = shared_register(config, "goal_position")
         self._following = Following(config, longest_tick=LONGEST_TICK * self.period, pause=PAUSE)
         self._command_clock = CommandClock(self._clock, self.period)
-        # A shadow servo obeys what is written to the first servo of its joint.
+        # A shadow servo obeys writes to the first servo of its joint.
         self._written_ids = [drive.id for drive in config.drives if not drive.is_shadow]
         self._trusted_pause = math.inf
         if config.watchdog_ms:

@@ -60,7 +60,7 @@ DELAY_UNIT = 2
 """us of one count of Return Delay Time."""
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done, and the share that is done."""
+"""Called with the present step and the share of the scan that is done."""
 
 
 def no_progress(_what: str, _share: float) -> None:
@@ -137,7 +137,7 @@ def scan(
         Servos by rate, then by id.
 
     Raises:
-        BusNotOpenError: The port cannot be opened, or does not know a rate.
+        BusNotOpenError: The port cannot be opened, or does not support a rate.
         BusDisconnectedError: The port went away.
     """
     servos: list[FoundServo] = []
@@ -152,7 +152,7 @@ def scan(
 def _candidates(
     baud: int, servos: Sequence[FoundServo], family: ServoFamily | None
 ) -> list[ServoFamily]:
-    """Return the families to look for at a rate: those that know it, or the one that answered."""
+    """Return the families to look for at a rate: those that have it, or the one that answered."""
     answered = {servo.family.name for servo in servos if servo.number is not None}
     if family is not None:
         return [family] if baud in family.baud_rates else []

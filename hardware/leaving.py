@@ -121,12 +121,12 @@ def leave(
 ) -> ExitReport:
     """Leave an arm: torque off or hold, written to the arm's own servos only, and read back.
 
-    Every servo is written before it is asked anything.  No error of the bus is raised: failures are
+    Every servo is written before it is read.  No error of the bus is raised: failures are
     in the report and in the log.  Servos that confirm have no Bus Watchdog armed afterwards, so
     that they take the goals of the next program.
 
     Args:
-        bus: If it is not open, the report says that no servo confirmed.
+        bus: Bus.  If it is not open, the report has every servo as unconfirmed.
         config: Arm file.
         policy: One of ``ON_EXIT``; ``park`` is torque off here.
         goals: Servo id -> goal position, ticks, for ``hold``.  Without them torque goes off.

@@ -33,7 +33,7 @@ def serial_ports() -> list[Any]:
 
 
 def port_row(port: Any) -> dict[str, Any]:
-    """Return what is known of a port without opening it.
+    """Return the properties of a port without opening it.
 
     Args:
         port: As pyserial lists it.

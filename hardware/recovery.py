@@ -1,6 +1,6 @@
 """After a fault: servos restarted, the port opened again, everything verified.
 
-Torque stays as it is.  Errors of the bus are raised by joint name.
+Torque stays unchanged.  Errors of the bus are raised by joint name.
 """
 
 from __future__ import annotations

@@ -225,7 +225,7 @@ class SleepingPortHandler(PortHandler):
 
 
 def describe_failure(port: str, error: Exception) -> BusNotOpenError:
-    """Return an error that says why ``port`` cannot be opened and lists the ports there are."""
+    """Return an error with the reason why ``port`` cannot be opened and the ports of the system."""
     text = str(error)
     number = getattr(error, "errno", None)
     if sys.platform == "win32":

@@ -30,7 +30,7 @@ def verify(
     Args:
         bus: Open bus.
         config: Arm file.
-        currents: Joint name -> mA that the program asked for.
+        currents: Joint name -> mA that the program has set.
 
     Returns:
         What a control cycle reads from the servos.
@@ -100,7 +100,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig, currents: Mapping[str, float
     Args:
         bus: Open bus.
         config: Arm file.
-        currents: Joint name -> mA that the program asked for.
+        currents: Joint name -> mA that the program has set.
     """
     config.family.set_up(bus, config)
     set_all_currents(bus, config, currents)

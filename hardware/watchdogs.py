@@ -2,9 +2,9 @@
 
     failure                          what acts                      when, and what happens
     -------------------------------  -----------------------------  -------------------------------
-    a person or the system ends      ``signals.ExitGuard``:         at once: the arm is left as
-    the program                      signals become exceptions      ``on_exit`` says, then the
-                                                                    handlers from before run
+    a person or the system ends      ``signals.ExitGuard``:         at once: the arm is left by
+    the program                      signals become exceptions      ``on_exit``, then the handlers
+                                                                    from before run
     the program stops commanding     ``Heartbeat``: a thread        ``stale_ms`` after the last
                                                                     command the arm holds; after
                                                                     2 s ``on_stale`` decides

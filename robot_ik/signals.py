@@ -4,7 +4,7 @@
 ``ExitGuard``           turns signals into exceptions while an arm is enabled
 ``raised_signals``      turns signals into exceptions in a program without a guard
 
-A signal handler may run in the middle of a packet, so it must not talk to a bus.  It raises an
+A signal handler may run in the middle of a packet, so it must not use a bus.  It raises an
 exception, ``KeyboardInterrupt`` for SIGINT and ``SystemExit(128 + number)`` for the others.  The
 bus then ends its transaction, and the arm is left on a clean line.
 

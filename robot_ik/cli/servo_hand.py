@@ -43,7 +43,7 @@ class ServoCalibrateOptions(BusOptions):
     ] = None
     """Duration of each step, s, without Enter."""
     from_lerobot: Annotated[Path | None, single("FILE.json")] = None
-    """Use a LeRobot calibration instead of steps by hand; its 0 degrees is the middle of a range."""
+    """Use a LeRobot calibration instead; its 0 degrees is the middle of a range."""
     to_lerobot: Annotated[Path | None, single("FILE.json")] = None
     """Also write LeRobot's calibration."""
     check: bool = False
@@ -52,7 +52,7 @@ class ServoCalibrateOptions(BusOptions):
 
 
 def run_calibrate(options: ServoCalibrateOptions) -> int:
-    """Measure, check, and write; 1 if a step was not done as asked."""
+    """Measure, check, and write; 1 if a step failed."""
     from robot_ik.hardware.calibration_file import calibration_beside
 
     if options.out.suffix != ".toml" or options.out.name.endswith(".calibration.toml"):
