@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 SAG = 0.05
 """rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.
 
-Beyond, something pushes the shaft, and it yields once.
+At a larger distance a force pushes the shaft, and the goal becomes its present position, once.
 """
 
 ARRIVED_TICKS = 3
@@ -51,7 +51,7 @@ WATCHDOG_TRUST = 0.5
 
 @dataclass
 class MotionReport:
-    """What happened to the commands since torque came on.
+    """Counts of the commands since torque came on.
 
     Attributes:
         sent: Commands sent.
@@ -89,7 +89,7 @@ class Cycle:
         limits: State of the limiter.
         goals: Servo id -> ticks sent last.
         held: The goals are those of an arm that holds.  Only the next command changes them.
-        reports: What happened to the commands.
+        reports: Counts of the commands.
         feedback: What is read from every servo.
         period: Control period, s.
     """
@@ -300,14 +300,14 @@ class Cycle:
             self._drive(command, now)
 
     def _needed_time(self, target: Array) -> float:
-        """Return the s that the caps need from the measured pose to ``target`` (n,), rad or m."""
+        """Return the time in s that the caps need from the measured pose to ``target`` (n,)."""
         velocity = self._config.velocity
         travel = np.abs(target - self.samples.q) / velocity
         ramps = 2.0 * velocity / self._config.acceleration
         return float((travel + ramps).max())
 
     def hold(self) -> None:
-        """Hold every joint at its last goal, or where it was pushed to; see ``begin_hold``.
+        """Hold every joint at the goals of ``begin_hold``.
 
         Nothing changes if the arm holds already.
         """

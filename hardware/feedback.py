@@ -1,4 +1,4 @@
-"""What a control cycle reads from every servo: torque and position, in five bytes.
+"""Feedback of a control cycle: torque and position of every servo, in five bytes.
 
 Torque and position are 68 bytes apart. Indirect addresses put them side by side. For one byte more
 than the position, a servo that has lost its torque, by a restart or by another program, shows in
@@ -139,7 +139,7 @@ class Feedback:
         return self._asked
 
     def measurement(self, status: BusStatus, now: float) -> Measurement:
-        """Return what a reply means. ``now`` is the time of the reply in s, for thresholds."""
+        """Return the measurement of a reply. ``now`` is the time of the reply, s."""
         value = status.data
         id = status.id
         if value is None:

@@ -91,7 +91,7 @@ class ExitReport:
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """The result as one sentence, for messages."""
         result = {
             "torque_off": "torque is off",
             "hold": "it holds with torque ON",

@@ -110,7 +110,7 @@ class Samples:
             self._times[row] = now
 
     def age(self, drive: Drive, now: float) -> float:
-        """Return the s since the last sample of a servo; infinite before the first."""
+        """Return the time in s since the last sample of a servo; infinite before the first."""
         return float(now - self._times[self._drives.index(drive)])
 
     def silent(self, now: float) -> list[Drive]:

@@ -38,7 +38,7 @@ HOLD_CYCLES = 2.0
 
 
 def stale_time(stale_ms: int, period: float) -> float:
-    """Return the s without a command after which an arm is held.
+    """Return the time in s without a command after which an arm is held.
 
     Args:
         stale_ms: As in the arm file.

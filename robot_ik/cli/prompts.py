@@ -88,7 +88,9 @@ class Prompts:
         if self._seconds is not None or sys.__stdin__ is None or not sys.__stdin__.isatty():
             return False
         console.show_error(error)
-        console.say("once more (Ctrl-C gives up; nothing is written)", "yellow")
+        console.say(
+            "repeat the step once more (Ctrl-C ends the command; nothing is written)", "yellow"
+        )
         return True
 
     def _is_done(self, end: float) -> bool:
