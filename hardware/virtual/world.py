@@ -105,8 +105,8 @@ class JointMotor:
         """Turn the joint as a hand does."""
         self._joint.put(self._angle(self.position + ticks))
 
-    def wanted(self, t: float) -> float | None:
-        """Return the acceleration that the controller wants at the joint, rad/s^2 (m/s^2).
+    def acceleration_demand(self, t: float) -> float | None:
+        """Return the acceleration that the controller demands at the joint, rad/s^2 (m/s^2).
 
         None if the servo has no torque or no position goal.
         """
@@ -195,7 +195,7 @@ class World:
             options.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._joints = [_Joint(self, joint, bus) for joint in config.joints]
         self._followers = _followers(self.model, {joint.dof for joint in self._joints})
-        self._wanted = np.zeros(self.model.nv)
+        self._accelerations = np.zeros(self.model.nv)
         self._force = np.zeros(self.model.nv)
         for leader, follower, share in self._followers:
             at, to = (
@@ -224,13 +224,13 @@ class World:
         model = self.model
         data = self.data
         mujoco.mj_step1(model, data)
-        self._wanted[:] = 0.0
+        self._accelerations[:] = 0.0
         for joint in self._joints:
-            self._wanted[joint.dof] = joint.wanted(self._time)
+            self._accelerations[joint.dof] = joint.acceleration_demand(self._time)
         for leader, follower, share in self._followers:
-            self._wanted[follower] = share * self._wanted[leader]
-        # Torque for the wanted accelerations. Gravity is not compensated.
-        mujoco.mj_mulM(model, data, self._force, self._wanted)
+            self._accelerations[follower] = share * self._accelerations[leader]
+        # Torque for the demanded accelerations. Gravity is not compensated.
+        mujoco.mj_mulM(model, data, self._force, self._accelerations)
         for leader, follower, share in self._followers:
             self._force[leader] += share * self._force[follower]
         for joint in self._joints:
@@ -319,9 +319,9 @@ class _Joint:
         for motor in self.motors:
             motor.read_encoder()
 
-    def wanted(self, t: float) -> float:
-        """Return the acceleration that the controllers want, the mean of two, rad/s^2 (m/s^2)."""
-        self._demands = [motor.wanted(t) for motor in self.motors]
+    def acceleration_demand(self, t: float) -> float:
+        """Return the acceleration that the controllers demand, the mean of two, rad/s^2 (m/s^2)."""
+        self._demands = [motor.acceleration_demand(t) for motor in self.motors]
         demands = [demand for demand in self._demands if demand is not None]
         return sum(demands) / len(demands) if demands else 0.0
 
