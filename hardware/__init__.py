@@ -142,14 +142,14 @@ def open_arm(
         on_exit: ``torque_off``, ``hold`` or ``park``; by default that of the arm file.
         virtual_bus: Servos of the caller (with faults, for example), for "sim" and "pty". By
             default new servos without faults.
-        start: (n,) rad. Joint values of the new servos at first.
+        start: (n,) rad. Start values of the joints of the new servos.
         park_at: (n,) rad, for ``park``; by default the pose at which the arm was enabled.
         robot: Model of the arm; by default the robot that the arm file names.
         clock: Clock of the new servos; by default virtual time on "sim" and real time on "pty".
 
     Raises:
         CalibrationMismatchError: The model is not the one of the calibration.
-        ConfigError: ``config`` is no ``ArmConfig``, ``on_exit`` or ``start`` is impossible, or
+        ConfigError: ``config`` is no ``ArmConfig``, ``on_exit`` or ``start`` is not allowed, or
             ``virtual_bus`` or ``start`` is given for a real port.
     """
     from robot_ik.hardware.arm import Arm
@@ -157,8 +157,8 @@ def open_arm(
 
     servos = _servos(config, bus, virtual_bus, start, clock)
     check_own_model(config, robot)
-    made = bus_row(bus).make(bus, config, servos)
-    return Arm(config, made, on_exit=on_exit, park_at=park_at)
+    servo_bus = bus_row(bus).make(bus, config, servos)
+    return Arm(config, servo_bus, on_exit=on_exit, park_at=park_at)
 
 
 def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = None) -> ServoBus:

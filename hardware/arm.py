@@ -1,7 +1,7 @@
-"""An arm of servos: it takes and gives joint values, and is left by its exit policy.
+"""An arm of servos: it takes joint values, measures them, and is left by its exit policy.
 
 One thread drives an arm.  The heartbeat is the only other thread, and shares a lock with it.  Every
-method that talks to the servos holds that lock.  ``request_stop`` and ``close`` may be called from
+method that uses the bus holds that lock.  ``request_stop`` and ``close`` may be called from
 any thread.  The states are in ``arm_state``.  What acts if no command comes is in ``watchdogs``.
 """
 
@@ -111,7 +111,7 @@ class Arm(Closing):
         # Joint -> value at which the arm was enabled.  Joints of a gripper are not in it: parking
         # must not open a grip.
         self._rest: dict[str, float] = {}
-        # Joint -> mA that the program asked for since ``connect``.
+        # Joint -> mA that the program has set since ``connect``.
         self._currents: dict[str, float] = {}
         # The program streams commands, so a pause is a reason to hold.
         self._streaming = False
@@ -145,7 +145,7 @@ class Arm(Closing):
     def connect(self) -> None:
         """Open the bus, check that these are the arm file's servos, and set them up.
 
-        Torque stays as it is.
+        Torque stays unchanged.
 
         Raises:
             ArmStateError: Already connected, or torque is on and a setting must change.
@@ -160,7 +160,7 @@ class Arm(Closing):
             self._shares_bus = self.bus.is_open
             try:
                 self.bus.open()
-                feedback = verify(self.bus, self.config, real=self.bus.real)
+                feedback = verify(self.bus, self.config)
                 self._currents.clear()
                 self._require_not_closed()
             except BaseException:
@@ -290,15 +290,15 @@ class Arm(Closing):
             MotorFaultError: A servo shut down or went silent, by joint.  The others hold.  Latched.
             BusTimeoutError: All servos went silent.  Latched.
             BusDisconnectedError: The port went away.  Latched.
-            StopRequestedError: The arm was asked to stop.  Latched.
+            StopRequestedError: A stop was requested.  Latched.
         """
         with self._lock:
             after = self._after("send")
             self._obey_stop()
-            came = self.clock.now()
+            arrival = self.clock.now()
             self._latching(lambda: self._cycle.drive(q, now))
             # A refused command does not come here: the arm goes stale as without it.
-            self._commanded = came
+            self._commanded = arrival
             self._streaming = True
             self.state = after
             return np.array(self._cycle.limits.q)
@@ -306,9 +306,9 @@ class Arm(Closing):
     def read(self) -> JointReading:
         """Return the measured joint values.
 
-        The samples of this cycle's ``send`` are returned without asking the servos again.  A joint
-        that missed a cycle keeps its last sample, and ``time`` is that of the oldest sample.  In
-        ``FAULT`` the last samples are returned and no servo is asked.
+        If ``send`` has measured in this cycle, its samples are returned and no servo is read.  A
+        joint that missed a cycle keeps its last sample, and ``time`` is that of the oldest sample.
+        In ``FAULT`` the last samples are returned and no servo is read.
 
         Raises:
             ArmStateError: Not connected.
@@ -368,7 +368,7 @@ class Arm(Closing):
             distance = self._go(q, timeout, stop=self._closed_elsewhere)
             self._require_not_closed()
             if distance.any():
-                # The joints press no longer on an obstacle.
+                # Holding ends the pressure of the joints on an obstacle.
                 self._latching(self._cycle.hold)
         if distance.any():
             k = int((distance / self.config.resolution).argmax())
@@ -376,7 +376,7 @@ class Arm(Closing):
             remaining = worst.text(float(distance[k]))
             raise HardwareError(
                 f"{worst.name!r} is still {remaining} from where it was sent",
-                hint="is something in its way?",
+                hint="check whether an obstacle blocks it, or give a longer timeout",
             )
 
     def grip(
@@ -525,12 +525,12 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            feedback = verify(self.bus, self.config, real=self.bus.real, currents=self._currents)
+            feedback = verify(self.bus, self.config, currents=self._currents)
             self._begin_anew(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
-        """Open the port as soon as it is back, and verify everything.  Never gives torque.
+        """Open the port as soon as it is back, and verify everything.  Torque stays unchanged.
 
         Args:
             timeout: s to wait for the port.  Use a name of the port that stays, e.g.
@@ -547,9 +547,7 @@ class Arm(Closing):
             self._raise_stop()
             _check_timeout(timeout)
             self._release_guardian()  # it has the file descriptor of the port that went away
-            feedback = find_again(
-                self.bus, self.config, timeout, real=self.bus.real, currents=self._currents
-            )
+            feedback = find_again(self.bus, self.config, timeout, currents=self._currents)
             if self._exit.energised:
                 self._guardian = guardian_for(self.bus, self.config)
             self._begin_anew(feedback, after)
@@ -648,7 +646,7 @@ class Arm(Closing):
             raise stopped.with_traceback(None)
 
     def _carry_out_stop(self) -> StopRequestedError:
-        """Leave the arm as the last request asks, and latch it as a fault."""
+        """Leave the arm by the policy of the last request, and latch it as a fault."""
         policy = self._stop_requests.take()
         report = self._exit.leave(policy, self._cycle)
         self._stop_requests.acknowledge(ok=report.ok, text=report.text)
@@ -716,7 +714,7 @@ class Arm(Closing):
         """Leave the arm by the last request to stop, else by ``on_exit``.
 
         Args:
-            alone: This thread has the lock, so no other thread talks to the servos.
+            alone: This thread has the lock, so no other thread uses the bus.
         """
         if not self._exit.energised:
             if self.state is not ArmState.DISCONNECTED:
@@ -772,6 +770,9 @@ class Arm(Closing):
 
 
 def _check_timeout(timeout: float | None) -> None:
-    """Raise ``UnsafeCommandError`` for NaN and what is no number: such a time would never end."""
+    """Raise ``UnsafeCommandError`` for NaN and for values that are no number.
+
+    A motion with such a timeout would never end.
+    """
     if timeout is not None and timeout != math.inf and finite(timeout) is None:
         raise UnsafeCommandError(f"a timeout of {reprlib.repr(timeout)}", "a number of seconds")

@@ -9,7 +9,7 @@ from robot_ik.config import KeyProblem
 from robot_ik.hardware.models import CONTROL_TABLES
 from robot_ik.hardware.registers import ControlTable
 from robot_ik.hardware.servo import Joint, SwingArm
-from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, min_watchdog_ms
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -48,7 +48,7 @@ def check_arm(config: ArmConfig) -> None:
             table = joint.servo.table
             if config.baud not in table.baud_rates:
                 rates = ", ".join(map(str, table.baud_rates))
-                problem = f"{table.model} ({joint.name}) cannot talk at {config.baud} bits/s"
+                problem = f"{table.model} ({joint.name}) has no baud rate of {config.baud} bits/s"
                 key = ""
                 raise KeyProblem(problem, "bus.baud", rates)
             _check_currents(joint, table)
@@ -101,12 +101,12 @@ def _check_watchdogs(config: ArmConfig) -> None:
     if not config.stale_ms:
         return
     period = 1.0 / config.rate_hz
-    smallest = least_watchdog_ms(config.stale_ms, period)
+    smallest = min_watchdog_ms(config.stale_ms, period)
     if config.watchdog_ms < smallest:
         if (
             config.stale_ms == config.watchdog_ms // 2
         ):  # not in the file: it grows with the watchdog
-            while smallest < least_watchdog_ms(smallest // 2, period):
+            while smallest < min_watchdog_ms(smallest // 2, period):
                 smallest += WATCHDOG_UNIT_MS
         raise KeyProblem(
             f"the servos would stop by themselves after {config.watchdog_ms} ms, before the "

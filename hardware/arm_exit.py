@@ -37,7 +37,7 @@ class ArmExit:
         Args:
             policy: One of ``leaving.ON_EXIT``.
             cycle: Control cycle of the arm.
-            unparked: Why the arm was not parked; empty: it was.  None: it was not to be parked.
+            unparked: Why parking failed; empty: the arm was parked.  None: parking was not tried.
         """
         if not self.energised:
             return self.leave_untouched()
@@ -46,7 +46,7 @@ class ArmExit:
             if policy == "hold" and cycle.goals:
                 goals = cycle.begin_hold()
         except Exception as error:
-            log.error("the goals to hold are not known: %s", error)
+            log.error("the goals to hold are unknown: %s", error)
         begin = self._bus.clock.now()
         report = leave(self._bus, self._config, policy, goals, parked=unparked == "")
         report = replace(report, unparked=unparked or "")
@@ -59,7 +59,7 @@ class ArmExit:
         return report
 
     def leave_untouched(self) -> ExitReport:
-        """Leave every servo as it is: none has torque because of this arm.
+        """Return the report of an arm that switched no torque on.  No servo is written.
 
         An earlier report stays.
         """

@@ -37,7 +37,7 @@ def read_all(
 ) -> dict[int, int]:
     """Return one register of every servo: servo id -> value.
 
-    A servo that misses the group read is asked by itself.
+    A servo that does not answer the group read is read again alone.
 
     Args:
         bus: Open bus.
@@ -63,7 +63,7 @@ def read_all(
         if value is None:
             value = absent
         if value is None:
-            raise BusCorruptError(f"servo id {id} answered {name} without data")
+            raise BusCorruptError(f"the reply of servo id {id} for {name} has no data")
         values[id] = value
     return values
 
@@ -96,11 +96,11 @@ def require_models(bus: ServoBus, expected: Mapping[int, tuple[str, int]], sourc
         numbers |= bus.broadcast_ping()
         if _agree(numbers, expected):
             return  # a ping was lost, and all have answered now
-    hint = ""  # the error's own
+    hint = ""  # empty: the default hint of the error
     if damaged and numbers:
         hint = "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
     elif damaged:
-        hint = "no reply arrives whole: check the cable, its contacts and the adapter"
+        hint = "every reply is damaged: check the cable, its contacts and the adapter"
     elif not numbers:
         hint = (
             "no servo answers at all: check the servos' power and the cable; "
@@ -108,8 +108,10 @@ def require_models(bus: ServoBus, expected: Mapping[int, tuple[str, int]], sourc
         )
     models = dict.fromkeys(damaged, "damaged replies")
     models |= {id: model_name(number) for id, number in numbers.items()}
-    wanted = {id: f"{joint}: {model_name(number)}" for id, (joint, number) in expected.items()}
-    raise ServoMismatchError(wanted, models, port=bus.port, hint=hint, source=source)
+    expected_models = {
+        id: f"{joint}: {model_name(number)}" for id, (joint, number) in expected.items()
+    }
+    raise ServoMismatchError(expected_models, models, port=bus.port, hint=hint, source=source)
 
 
 def _agree(numbers: Mapping[int, int], expected: Mapping[int, tuple[str, int]]) -> bool:

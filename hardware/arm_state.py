@@ -14,7 +14,7 @@ from robot_ik.errors import ArmStateError
 
 
 class ArmState(enum.Enum):
-    """What an arm is doing."""
+    """State of an arm."""
 
     DISCONNECTED = "disconnected"
     CONNECTED = "connected"

@@ -1,4 +1,4 @@
-"""Control tables as files: what a servo remembers, saved and restored.
+"""Control tables as files: registers of servos, saved and restored.
 
 Only EEPROM is restored, because RAM is lost at power-off anyway.  Registers that decide how a servo
 is reached are saved and never restored: ``servo_setup`` changes them.
@@ -47,7 +47,7 @@ SMALLEST_VALUE = -(2**31)
 """Smallest value of a saved register that is not restored: a signed register of four bytes."""
 
 LARGEST_VALUE = 2**32
-"""Largest value of a saved register that is not restored."""
+"""Upper bound of a saved register that is not restored: an unsigned register of four bytes."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class _BackupFile(Table):
             key = f"servos[{k}]"
             number = servo.model_number
             if model_by_number(number) is None:
-                raise KeyProblem(f"model number {number} is not known here", f"{key}.model_number")
+                raise KeyProblem(f"model number {number} is unknown", f"{key}.model_number")
             for name, value in servo.registers.items():
                 if name not in servo.table:
                     raise KeyProblem(f"a {servo.table.model} has no register {name!r}", key)
@@ -251,7 +251,10 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     ]
     if failed:
         names = ", ".join(f"{change.register} of {change.joint}" for change in failed)
-        raise HardwareError(f"written, and reads back otherwise: {names}")
+        raise HardwareError(
+            f"these registers were written and read back with other values: {names}",
+            hint="check supply and cable, and restore again",
+        )
     return changes
 
 

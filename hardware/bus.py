@@ -1,4 +1,4 @@
-"""What every servo bus can do: a serial port, a pty or plain Python objects.
+"""Interface of every servo bus: a serial port, a pty or plain Python objects.
 
 Values cross this interface decoded (signed if the register is signed) and in the servo's own units.
 Radians begin one layer up, in ``Joint``.  All methods are safe to call from any thread.
@@ -158,8 +158,8 @@ class ServoBus(Protocol):
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
         """Return the same register of several servos; a row for every id.
 
-        Servos that do not answer are asked again, within a time and unless they were silent in the
-        cycle before as well.  So one dead servo does not slow down the others.
+        Servos that do not answer are read again, within a time and unless they were silent in the
+        cycle before as well.  So a dead servo does not slow down the others.
         """
         ...
 

@@ -22,14 +22,14 @@ from robot_ik.hardware.families.dynamixel_x_table import REVERSE
 from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
 from robot_ik.hardware.servo import RANGE_TOLERANCE_TICKS, TWIST, Drive, Joint, Servo, Sign
 
-LEAST_SWEEP = math.radians(10.0)
-"""rad at the joint (at the pinion of a slide). A joint that turned by less was not swept."""
+MIN_SWEEP = math.radians(10.0)
+"""rad at the joint (at the pinion of a slide). A joint that turns by less counts as not swept."""
 
-LEAST_WIGGLE = math.radians(3.0)
-"""rad at the joint. A hand may turn it by less by accident."""
+MIN_WIGGLE = math.radians(3.0)
+"""rad at the joint. A person may turn a joint by less by accident."""
 
 ASKED_WIGGLE = math.radians(10.0)
-"""rad at the joint that the user is asked for."""
+"""rad at the joint by which the user is prompted to turn it."""
 
 STILL_TICKS = 12
 """Ticks (about 1 degree). A held joint moves by less while its zero is taken."""
@@ -93,7 +93,7 @@ def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
         joint, servo = drive
         low = sweep.low[servo.id]
         high = sweep.high[servo.id]
-        if sweep.travel(drive) < LEAST_SWEEP * joint.lever:
+        if sweep.travel(drive) < MIN_SWEEP * joint.lever:
             which = f" (servo id {servo.id})" if servo is not joint.servo else ""
             raise OperatorError(
                 f"joint {joint.name!r}{which} moved only by {joint.text(sweep.travel(drive))}",
@@ -138,20 +138,20 @@ def counting_directions(
         OperatorError: No joint was turned, or another one.
         HardwareError: The two servos of the joint did not turn together.
     """
-    ways = {
+    turns = {
         servo.id: (after[servo.id] - before[servo.id]) * moved.resolution / moved.lever
         for moved, servo in config.drives
     }
-    largest = max(config.drives, key=lambda drive: abs(ways[drive.id]))
-    farthest = largest.joint.text(abs(ways[largest.id]) * largest.joint.lever)
-    own = ways[joint.servo.id]
-    if abs(ways[largest.id]) < LEAST_WIGGLE:
+    largest = max(config.drives, key=lambda drive: abs(turns[drive.id]))
+    farthest = largest.joint.text(abs(turns[largest.id]) * largest.joint.lever)
+    turn = turns[joint.servo.id]
+    if abs(turns[largest.id]) < MIN_WIGGLE:
         raise OperatorError(
             f"joint {joint.name!r} did not turn (most: {largest.name} by {farthest})",
             hint=f"turn it by about {joint.text(ASKED_WIGGLE * joint.lever, 0)} and leave it there",
         )
-    if abs(own) < LEAST_WIGGLE or (
-        largest.name != joint.name and abs(ways[largest.id]) > 2.0 * abs(own)
+    if abs(turn) < MIN_WIGGLE or (
+        largest.name != joint.name and abs(turns[largest.id]) > 2.0 * abs(turn)
     ):
         raise OperatorError(
             f"{joint.name!r} was to be turned, and {largest.name!r} did (by {farthest})",
@@ -159,8 +159,8 @@ def counting_directions(
             "changes an id",
         )
     for other in joint.servos[1:]:
-        _require_together(joint, other, own * joint.lever, ways[other.id] * joint.lever)
-    return {servo.id: 1 if ways[servo.id] > 0 else -1 for servo in joint.servos}
+        _require_together(joint, other, turn * joint.lever, turns[other.id] * joint.lever)
+    return {servo.id: 1 if turns[servo.id] > 0 else -1 for servo in joint.servos}
 
 
 def check_shadows(
@@ -189,7 +189,7 @@ def check_shadows(
             )
 
 
-LEAST_OVERLAP = 0.5
+MIN_OVERLAP = 0.5
 """Share of a swept range that must lie within the model's range.
 
 A zero that is wrong by half a revolution leaves less.
@@ -219,7 +219,7 @@ class CalibrationMismatchError(HardwareError):
         super().__init__(f"{what}\n" + "\n".join(line.rstrip() for line in lines), hint=hint)
 
 
-def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
+def calibrated(config: ArmConfig, calibration: Calibration) -> ArmConfig:
     """Return the arm with measured zeros and directions, within the swept ranges.
 
     Raises:
@@ -227,19 +227,23 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
     """
     joints = []
     rows = []
-    second = {row.name: row for row in found.twins}
-    for joint, row in zip(config.joints, found.joints, strict=True):
+    second = {row.name: row for row in calibration.twins}
+    for joint, row in zip(config.joints, calibration.joints, strict=True):
         servos = [replace(joint.servo, direction=row.direction, zero_ticks=row.zero_ticks)]
         for servo in joint.servos[1:]:
-            shown = row if servo.primary_id is not None else second[joint.name]
-            servos.append(replace(servo, direction=shown.direction, zero_ticks=shown.zero_ticks))
-        made = replace(joint, servos=tuple(servos))
-        low, high = sorted(made.value(ticks) for ticks in (row.range_min, row.range_max))
+            measured = row if servo.primary_id is not None else second[joint.name]
+            servos.append(
+                replace(servo, direction=measured.direction, zero_ticks=measured.zero_ticks)
+            )
+        calibrated_joint = replace(joint, servos=tuple(servos))
+        low, high = sorted(
+            calibrated_joint.value(ticks) for ticks in (row.range_min, row.range_max)
+        )
         limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]
         common = max(joint.lower, limits[0]), min(joint.upper, limits[1])
         lower = max(low, common[0])
         upper = min(high, common[1])
-        if upper - lower < LEAST_OVERLAP * min(high - low, common[1] - common[0]):
+        if upper - lower < MIN_OVERLAP * min(high - low, common[1] - common[0]):
             rows.append(
                 (
                     joint.name,
@@ -248,7 +252,7 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
                     _range(joint, low, high),
                 )
             )
-        joints.append(replace(made, lower=lower, upper=upper))
+        joints.append(replace(calibrated_joint, lower=lower, upper=upper))
     if rows:
         raise CalibrationMismatchError(
             "the swept ranges do not match arm file and model",
@@ -272,7 +276,7 @@ def measured_calibration(
     directions: Mapping[int, Sign],
     limits: Mapping[str, tuple[float, float]],
 ) -> Calibration:
-    """Return the calibration made of what the user showed and what the servos report.
+    """Return the calibration of the sweep, the zeros, the directions and the servos' registers.
 
     Args:
         bus: Open bus.
@@ -315,29 +319,29 @@ def measured_calibration(
     return Calibration(config.name, config.robot, timestamp(), tuple(rows[:n]), tuple(rows[n:]))
 
 
-def check_calibration(bus: ServoBus, config: ArmConfig, found: Calibration) -> None:
+def check_calibration(bus: ServoBus, config: ArmConfig, calibration: Calibration) -> None:
     """Compare a calibration with arm file and servos. Writes nothing.
 
     Raises:
         CalibrationMismatchError: With a table of all differences.
         ConfigError: The calibration is of another arm.
     """
-    if (calibrated_names := _names(found.rows)) != _names(config.drives):
+    if (calibrated_names := _names(calibration.rows)) != _names(config.drives):
         raise ConfigError(
             f"the calibration is of {', '.join(calibrated_names)}",
-            file=found.file or found.arm,
+            file=calibration.file or calibration.arm,
             key="joints",
             allowed=", ".join(_names(config.drives)),
         )
     names = ("drive_mode", "homing_offset", "present_position")
-    servo = {name: read_all(bus, config, name, absent=0) for name in names}
+    registers = {name: read_all(bus, config, name, absent=0) for name in names}
     rows: list[tuple[str, str, str, str]] = []
-    for drive, row in zip(config.drives, found.rows, strict=True):
-        said = {name: values[drive.id] for name, values in servo.items()}
-        rows += _differences(drive, row, said)
+    for drive, row in zip(config.drives, calibration.rows, strict=True):
+        present = {name: values[drive.id] for name, values in registers.items()}
+        rows += _differences(drive, row, present)
     if rows:
         raise CalibrationMismatchError(
-            f"the arm does not agree with its calibration {found.file or ''}".rstrip(),
+            f"the arm does not agree with its calibration {calibration.file or ''}".rstrip(),
             rows,
             "calibrate again; or bring servos and arm file back to what they were "
             "(a present position that is whole revolutions off: turn the joint by hand)",
@@ -368,12 +372,13 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
         CalibrationMismatchError: With a table of the differences.
         ConfigError: The calibration cannot be read.
     """
-    if (found := own_calibration(config)) is None:
+    calibration = own_calibration(config)
+    if calibration is None:
         return
     joints = {joint.name: joint for joint in config.joints}
     known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
     rows = []
-    for row in (row for row in found.joints if row.name in joints.keys() & known):
+    for row in (row for row in calibration.joints if row.name in joints.keys() & known):
         joint = joints[row.name]
         now = limits[row.name]
         then = joint.per_unit * row.urdf_lower, joint.per_unit * row.urdf_upper
@@ -382,7 +387,9 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
             rows.append((joint.name, what, _range(joint, *then), _range(joint, *now)))
     if rows:
         raise CalibrationMismatchError(
-            f"the model is not the one of the calibration {found.file}", rows, "calibrate again"
+            f"the model is not the one of the calibration {calibration.file}",
+            rows,
+            "calibrate again",
         )
 
 
@@ -393,21 +400,22 @@ def own_calibration(config: ArmConfig) -> Calibration | None:
     """
     if config.file is None or not calibration_beside(config.file).exists():
         return None
-    found = Calibration.load(calibration_beside(config.file))
+    calibration = Calibration.load(calibration_beside(config.file))
     names = _names(config.drives)
-    if _names(found.rows) == names or sorted(_names(found.rows)) != sorted(
+    calibrated_names = _names(calibration.rows)
+    if calibrated_names == names or sorted(calibrated_names) != sorted(
         _names(ArmConfig.load(config.file).drives)
     ):
-        return found
+        return calibration
     joints, twins = (
         tuple(
             sorted(
                 (row for row in rows if row.name in names), key=lambda row: names.index(row.name)
             )
         )
-        for rows in (found.joints, found.twins)
+        for rows in (calibration.joints, calibration.twins)
     )
-    return replace(found, joints=joints, twins=twins)
+    return replace(calibration, joints=joints, twins=twins)
 
 
 def _names(rows: Sequence[JointCalibration | Drive]) -> list[str]:
@@ -416,9 +424,15 @@ def _names(rows: Sequence[JointCalibration | Drive]) -> list[str]:
 
 
 def _differences(
-    drive: Drive, row: JointCalibration, said: Mapping[str, int]
+    drive: Drive, row: JointCalibration, present: Mapping[str, int]
 ) -> list[tuple[str, str, str, str]]:
-    """Return (joint, what, expected, found) of the differences at one joint."""
+    """Return (joint, what, expected, found) of the differences at one joint.
+
+    Args:
+        drive: Joint and servo of the arm file.
+        row: Their calibration.
+        present: Register name -> value in the servo.
+    """
     joint, servo = drive
     pairs = [(key, getattr(row, key), getattr(servo, key)) for key in _IN_ARM_FILE]
     # Other programs rewrite the offset of a shadow at each start, from the position of the first
@@ -426,22 +440,22 @@ def _differences(
     # goes on.
     shadow = drive.is_shadow
     if not shadow:
-        pairs.append(("homing_offset", row.homing_offset, said["homing_offset"]))
+        pairs.append(("homing_offset", row.homing_offset, present["homing_offset"]))
     rows = [(joint.name, key, str(was), str(now)) for key, was, now in pairs if was != now]
     # Only the reverse bit changes the meaning of a position. The driver sets the other bits.
-    if (row.drive_mode ^ said["drive_mode"]) & REVERSE:
-        rows.append((joint.name, "drive_mode", str(row.drive_mode), str(said["drive_mode"])))
+    if (row.drive_mode ^ present["drive_mode"]) & REVERSE:
+        rows.append((joint.name, "drive_mode", str(row.drive_mode), str(present["drive_mode"])))
     if shadow:
         return rows
-    present = said["present_position"]
+    position = present["present_position"]
     if servo.is_single_turn:
-        present %= TICKS_PER_REVOLUTION
+        position %= TICKS_PER_REVOLUTION
     if (
         not row.range_min - RANGE_TOLERANCE_TICKS
-        <= present
+        <= position
         <= row.range_max + RANGE_TOLERANCE_TICKS
     ):
         rows.append(
-            (joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present))
+            (joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(position))
         )
     return rows

@@ -109,8 +109,8 @@ class Calibration:
         Raises:
             ConfigError: The file cannot be read, or a key is unknown, missing or out of range.
         """
-        found = read_table(_CalibrationFile, path, "the calibration")
-        return cls(found.arm, found.robot, found.created, found.joints, found.twins, path)
+        content = read_table(_CalibrationFile, path, "the calibration")
+        return cls(content.arm, content.robot, content.created, content.joints, content.twins, path)
 
 
 def calibration_beside(arm_file: Path) -> Path:
@@ -199,24 +199,25 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
     new = zeros_moved(old, offsets)
     text = file.read_bytes().decode("utf-8")  # keeps the line ends
     edited = with_zeros(text, {servo.id: servo.zero_ticks for servo in new.servos})
-    calibration = calibration_beside(file)
-    kept = [_backup(file, text)]
-    if calibration.exists():
-        found = Calibration.load(calibration)
-        kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
+    calibration_file = calibration_beside(file)
+    backups = [_backup(file, text)]
+    if calibration_file.exists():
+        calibration = Calibration.load(calibration_file)
+        old_text = calibration_file.read_bytes().decode("utf-8")
+        backups.append(_backup(calibration_file, old_text))
         # Arm file and calibration must agree.
         zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.primary_id is None}
         joints, twins = (
             tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
-            for rows in (found.joints, found.twins)
+            for rows in (calibration.joints, calibration.twins)
         )
-        replace(found, joints=joints, twins=twins).save(calibration)
+        replace(calibration, joints=joints, twins=twins).save(calibration_file)
     write_atomically(file, edited)
-    return tuple(kept)
+    return tuple(backups)
 
 
 def _backup(file: Path, text: str) -> Path:
-    """Write ``text`` to the first free name FILE.N.bak and return that path."""
+    """Write ``text`` to the first free path FILE.N.bak and return that path."""
     number = 1
     while (kept := file.with_name(f"{file.name}.{number}.bak")).exists():
         number += 1

@@ -14,7 +14,7 @@ PROBLEM = "problem"
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One line of the report: what was checked, how it is, what was found, what to do about it."""
+    """One line of the report: the subject, its status, the result of the check, and advice."""
 
     what: str
     status: str
@@ -45,19 +45,19 @@ def named_users_of(path: str) -> list[str]:
 def users_of(device: str) -> dict[int, str]:
     """Return the programs with a device file open, by process number, as far as this user may see.
 
-    Whoever serves a pseudo terminal may keep both of its ends open, and is no user of it by that.
+    A program that serves a pseudo terminal may keep both of its ends open and does not count.
     """
     target = os.path.realpath(device)
-    found = {}
+    users = {}
     for process in sorted(Path("/proc").glob("[0-9]*"), key=lambda folder: int(folder.name)):
         try:
             files = list((process / "fd").iterdir())
             opened = sum(os.path.realpath(file) == target for file in files)
             if opened > sum(_serves(file, target) for file in files):
-                found[int(process.name)] = (process / "comm").read_text(encoding="utf-8").strip()
+                users[int(process.name)] = (process / "comm").read_text(encoding="utf-8").strip()
         except OSError:
-            continue  # the process ended, or belongs to somebody else
-    return found
+            continue  # the process ended, or belongs to another user
+    return users
 
 
 def _serves(file: Path, terminal: str) -> bool:

@@ -15,18 +15,20 @@ from robot_ik.ports import Clock
 PAUSE = 0.25
 """s on the arm's own clock between two commands after which the arm starts from rest.
 
-This holds for a program that sends slowly, too.
+It also applies to a program that sends slowly.
 """
 
 LONGEST_TICK = 2.0
-"""Control periods that one command may move the arm by, however long ago the last one was.
+"""Longest time by which one command moves the arm, in control periods.
 
-After more of them the shafts stand, and the arm starts from rest.  If the program sends more
-slowly, its own period counts.
+After a longer pause the shafts stand, so the arm starts from rest.  For a program that sends more
+slowly, the pause is compared with this multiple of the program's own period.
 """
 
 SHORTEST_TICK = 0.01
-"""Control periods below which a command moves nothing: over shorter times velocities are rounding.
+"""Control periods below which a command moves nothing.
+
+Over shorter times the velocities are mostly rounding.
 """
 
 JITTER = 0.1
@@ -85,19 +87,19 @@ class CommandClock:
             self._rhythm = self._period
             return Tick(self._period)
 
-        asked = time - last
+        requested = time - last
         passed = now - self._used_until
-        usual = max(self._rhythm, self._period)
+        usual_period = max(self._rhythm, self._period)
         self._rhythm = passed
-        from_rest = passed > min(LONGEST_TICK * usual + JITTER * self._period, PAUSE)
+        from_rest = passed > min(LONGEST_TICK * usual_period + JITTER * self._period, PAUSE)
         if from_rest:
-            asked = self._period
-        elif not 0.0 < asked <= PAUSE:
+            requested = self._period
+        elif not 0.0 < requested <= PAUSE:
             # The same time again, another zero of time, or a clock that was set.
             enough = passed >= REPEATED_TIME_SHARE * self._period
-            asked = self._period if enough else 0.0
+            requested = self._period if enough else 0.0
 
-        dt = min(asked, passed, LONGEST_TICK * self._period)
+        dt = min(requested, passed, LONGEST_TICK * self._period)
         if dt < SHORTEST_TICK * self._period:
             return Tick(0.0, from_rest)  # the time that has passed is left to the next command
         self._used_until = max(self._used_until + dt, now - JITTER * self._period)

@@ -52,7 +52,7 @@ class ArmConfig:
         joints: Joints of every group.
         file: Arm file; None if a program made the arm.
         stale_ms: ms without a command after which the arm is held and watched; 0: never.  The Bus
-            Watchdog must be longer, see ``watchdogs.least_watchdog_ms``.
+            Watchdog must be longer, see ``watchdogs.min_watchdog_ms``.
         on_stale: What follows without a command for longer: ``hold``, ``park`` or ``torque_off``.
         uncalibrated: The zeros are placeholders, so real servos get no torque.
         on_orphan: What happens if the program is killed: ``hold`` (nothing, the servos keep their
@@ -165,7 +165,7 @@ class ArmConfig:
             )
         given = (lower, upper, velocity, acceleration)
         columns = [np.broadcast_to(np.asarray(column, dtype=float), n) for column in given]
-        made = tuple(
+        generic_joints = tuple(
             Joint(
                 name,
                 Direct(),
@@ -178,7 +178,7 @@ class ArmConfig:
             for k, name in enumerate(joints)
         )
         title = f"{robot_name} with {n} virtual servos"
-        return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", made)
+        return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", generic_joints)
 
     def save(self, path: Path | str) -> None:
         """Write the arm file completely or not at all."""

@@ -21,7 +21,12 @@ from robot_ik.hardware.following import Following
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter, finite
 from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.servo import Drive
-from robot_ik.hardware.servo_faults import has_torque, jump_fault, shutdown_fault, silence_fault
+from robot_ik.hardware.servo_faults import (
+    confirm_torque,
+    jump_fault,
+    shutdown_fault,
+    silence_fault,
+)
 from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
@@ -31,7 +36,7 @@ log = logging.getLogger(__name__)
 SAG = 0.05
 """rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.
 
-Beyond, something pushes the shaft, and it yields once.
+At a larger distance a force pushes the shaft, and the goal becomes its present position, once.
 """
 
 ARRIVED_TICKS = 3
@@ -46,7 +51,7 @@ WATCHDOG_TRUST = 0.5
 
 @dataclass
 class MotionReport:
-    """What happened to the commands since torque came on.
+    """Counts of the commands since torque came on.
 
     Attributes:
         sent: Commands sent.
@@ -71,8 +76,8 @@ class MotionReport:
 class Cycle:
     """The inner loop of an arm whose servos have torque.
 
-    It raises the faults that it finds, and the arm decides what follows.  Commands are of all
-    joints, or by name: joints that are not named keep their last command.
+    It raises the faults that it finds, and the arm handles them.  A command has all joints, or some
+    by name.  Joints that are not named keep their last command.
 
     Args:
         config: Arm file.
@@ -84,7 +89,7 @@ class Cycle:
         limits: State of the limiter.
         goals: Servo id -> ticks sent last.
         held: The goals are those of an arm that holds.  Only the next command changes them.
-        reports: What happened to the commands.
+        reports: Counts of the commands.
         feedback: What is read from every servo.
         period: Control period, s.
     """
@@ -110,14 +115,14 @@ class Cycle:
         self._goal_register = shared_register(config, "goal_position")
         self._following = Following(config, longest_tick=LONGEST_TICK * self.period, pause=PAUSE)
         self._command_clock = CommandClock(self._clock, self.period)
-        # A shadow servo obeys what is written to the first servo of its joint.
+        # A shadow servo obeys writes to the first servo of its joint.
         self._written_ids = [drive.id for drive in config.drives if not drive.is_shadow]
         self._trusted_pause = math.inf
         if config.watchdog_ms:
             self._trusted_pause = WATCHDOG_TRUST * 0.001 * config.watchdog_ms
         # Time of the last packet, s.
         self._last_traffic = -math.inf
-        # Servos that did not answer whether their bus watchdog has tripped.
+        # Servos whose bus watchdog register could not be read.
         self._unheard_ids: set[int] = set()
 
     def positions(self) -> dict[str, float]:
@@ -237,17 +242,18 @@ class Cycle:
         Args:
             drive: Servo.
             status: Its reply in this cycle.
-            has_no_torque: Its feedback says that it has no torque.
+            has_no_torque: Its feedback shows no torque.
         """
         if status.alert:
             raise shutdown_fault(self._bus, drive)
-        if has_no_torque and has_torque(self._bus, drive):
+        if has_no_torque and confirm_torque(self._bus, drive):
             log.warning(
-                "servo %d has torque, which its feedback denies: read plainly now", drive.id
+                "the feedback of servo %d is wrong about its torque: it is read plainly now",
+                drive.id,
             )
             self.feedback.read_plainly(drive.id)
         if drive.id in self.samples.jumped:
-            has_torque(self._bus, drive)
+            confirm_torque(self._bus, drive)
             raise jump_fault(drive, self.samples.jumped[drive.id], self.samples.ticks[drive.id])
 
     def go(
@@ -294,14 +300,14 @@ class Cycle:
             self._drive(command, now)
 
     def _needed_time(self, target: Array) -> float:
-        """Return the s that the caps need from the measured pose to ``target`` (n,), rad or m."""
+        """Return the time in s that the caps need from the measured pose to ``target`` (n,)."""
         velocity = self._config.velocity
         travel = np.abs(target - self.samples.q) / velocity
         ramps = 2.0 * velocity / self._config.acceleration
         return float((travel + ramps).max())
 
     def hold(self) -> None:
-        """Hold every joint at its last goal, or where it was pushed to; see ``begin_hold``.
+        """Hold every joint at the goals of ``begin_hold``.
 
         Nothing changes if the arm holds already.
         """
@@ -332,10 +338,10 @@ class Cycle:
         """Return servo id -> ticks at which the arm is held, and take them as the goals.
 
         These are the last goals, or the position of a shaft that is far from its goal.  Nothing is
-        sent.  It is decided once, when holding begins.  If it were decided again and again for a
+        sent.  The goals are chosen once, when holding begins.  If they were chosen repeatedly for a
         loaded joint, each goal would be a little lower than the last, and the arm would creep down.
-        A servo that has jumped since is held at its present position: it would go to its goal by a
-        revolution.
+        A servo whose position has jumped is held at its present position.  Its last goal is a
+        revolution away.
         """
         goals = dict(self.goals)
         for joint, servo in self._config.drives:
@@ -351,10 +357,10 @@ class Cycle:
         return goals
 
     def stay_alive(self) -> None:
-        """After a long pause, look whether a bus watchdog has tripped, and hold the arm if so.
+        """After a long pause, check the bus watchdogs, and hold the arm if one has tripped.
 
-        A servo whose watchdog has tripped refuses goals, and a sync write has no reply that says
-        so.  A servo whose reply is lost here is asked again as soon as it is heard.
+        A servo whose watchdog has tripped refuses goals, and a sync write has no reply that would
+        show it.  A servo whose reply is lost here is read again as soon as it answers.
 
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError,

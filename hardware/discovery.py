@@ -39,7 +39,7 @@ LIKELY = (
 """Rates in the order in which servos are likely to be found: set up, as bought, the others."""
 
 SAME_RATES = 3
-"""Rates at which all servos answer alike only if the port has no baud rate."""
+"""Number of rates. If the same ids answer at so many rates, the port has no baud rate."""
 
 READ_BYTES = 25
 """Bytes of a read and its reply in Protocol 2, without the data.  Protocol 1 has fewer."""
@@ -60,7 +60,7 @@ DELAY_UNIT = 2
 """us of one count of Return Delay Time."""
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done, and the share that is done."""
+"""Called with the present step and the share of the scan that is done."""
 
 
 def no_progress(_what: str, _share: float) -> None:
@@ -137,23 +137,23 @@ def scan(
         Servos by rate, then by id.
 
     Raises:
-        BusNotOpenError: The port cannot be opened, or does not know a rate.
+        BusNotOpenError: The port cannot be opened, or does not support a rate.
         BusDisconnectedError: The port went away.
     """
-    found: list[FoundServo] = []
+    servos: list[FoundServo] = []
     for k, baud in enumerate(bauds):
-        for candidate in _candidates(baud, found, family):
+        for candidate in _candidates(baud, servos, family):
             progress(f"{baud} baud", k / len(bauds))
-            found += _scan_rate(port, baud, candidate, progress)
+            servos += _scan_rate(port, baud, candidate, progress)
     progress("done", 1.0)
-    return found
+    return servos
 
 
 def _candidates(
-    baud: int, found: Sequence[FoundServo], family: ServoFamily | None
+    baud: int, servos: Sequence[FoundServo], family: ServoFamily | None
 ) -> list[ServoFamily]:
-    """Return the families to look for at a rate: those that know it, or the one that answered."""
-    answered = {servo.family.name for servo in found if servo.number is not None}
+    """Return the families to look for at a rate: those that have it, or the one that answered."""
+    answered = {servo.family.name for servo in servos if servo.number is not None}
     if family is not None:
         return [family] if baud in family.baud_rates else []
     return [
@@ -182,17 +182,17 @@ def _scan_ids(
     bus: SerialBus, family: ServoFamily, ids: Sequence[int], progress: Progress
 ) -> list[FoundServo]:
     """Ask every id alone: servos that the broadcast missed, and ids with damaged replies only."""
-    found: dict[int, FoundServo] = {}
+    servos: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{bus.baud} baud, id {id}", k / len(ids))
         replies, damaged = bus.collect_pings(id, RESPONSE_TIME)
         if damaged and id not in replies:
             replies, damaged = bus.collect_pings(id, RESPONSE_TIME)  # noise can hit one reply
         for other, reply in replies.items():
-            found[other] = _with_state(bus, FoundServo(other, bus.baud, family, *reply))
+            servos[other] = _with_state(bus, FoundServo(other, bus.baud, family, *reply))
         if damaged and id not in replies:
-            found[id] = FoundServo(id, bus.baud, family, shared=True)
-    return list(found.values())
+            servos[id] = FoundServo(id, bus.baud, family, shared=True)
+    return list(servos.values())
 
 
 def _with_state(bus: SerialBus, servo: FoundServo) -> FoundServo:
@@ -253,28 +253,28 @@ def no_reply_hint(bauds: Iterable[int]) -> str:
     return f"{text} rates not tried: {', '.join(others)}" if others else text
 
 
-def scan_notes(found: Sequence[FoundServo]) -> list[str]:
-    """Return what is wrong with all servos of a scan together."""
-    if len(found) > 1 and all(servo.shared for servo in found):
+def scan_notes(servos: Sequence[FoundServo]) -> list[str]:
+    """Return the problems that concern several servos of a scan."""
+    if len(servos) > 1 and all(servo.shared for servo in servos):
         return ["every reply is damaged: check the cable, its contacts and the adapter"]
     notes = [
         f"id {servo.id} at {servo.baud}: damaged replies. Two servos with this id? Connect one "
         "alone and give it another: robot-ik servo setup --id N"
-        for servo in found
+        for servo in servos
         if servo.shared
     ]
     rates: dict[int, list[str]] = {}
-    for servo in found:
+    for servo in servos:
         rates.setdefault(servo.baud, []).append(str(servo.id))
     if len(rates) >= SAME_RATES and len(set(map(tuple, rates.values()))) == 1:
         notes.append(
-            "they answer at every rate: the port has none of its own, as a pseudo terminal "
-            "(robot-ik sim-bus --match-baud serves servos that hear one rate only)"
+            "they answer at every rate: the port has none of its own, like every pseudo terminal "
+            "(with robot-ik sim-bus --match-baud each servo answers at its own rate only)"
         )
     elif len(rates) > 1:
         listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
         notes.append(
-            f"they talk at different rates ({listed}). "
+            f"the servos have different rates ({listed}). "
             "Connect one alone: robot-ik servo setup --id N --baud RATE"
         )
     return notes

@@ -185,13 +185,13 @@ class ServoFamily(Protocol):
         ...
 
     def write_address(
-        self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
+        self, bus: ServoBus, table: ControlTable, at: int, id: int, baud: int
     ) -> None:
         """Write id and baud rate of the only servo on a bus.  It talks at the new rate afterwards.
 
         Args:
             bus: Open bus at the present rate.
-            found: Control table of the servo.
+            table: Control table of the servo.
             at: Present id.
             id: New id.
             baud: New rate, bit/s.

@@ -1,4 +1,4 @@
-"""What a control cycle reads from every servo: torque and position, in five bytes.
+"""Feedback of a control cycle: torque and position of every servo, in five bytes.
 
 Torque and position are 68 bytes apart. Indirect addresses put them side by side. For one byte more
 than the position, a servo that has lost its torque, by a restart or by another program, shows in
@@ -41,7 +41,7 @@ Starting and stopping take a motor near its stall current for some tens of ms, a
 noise. A servo's own overload shutdown takes longer.
 """
 
-LEAST_SAMPLES = 3
+MIN_SAMPLES = 3
 """Samples in a row beyond a threshold, for slow rates and many servos in turn."""
 
 _FORGOTTEN = 2.0
@@ -109,7 +109,7 @@ class Feedback:
         )
 
     def _read_indirectly(self, bus: ServoBus, id: int) -> None:
-        """Read this servo by its indirect addresses if it takes them, otherwise plainly."""
+        """Read this servo by its indirect addresses if it has them, otherwise plainly."""
         with_health = id in self._thresholds
         try:
             block = self._family.short_block(bus, id, self._tables[id], with_health=with_health)
@@ -134,12 +134,12 @@ class Feedback:
         """Return servo id -> register of the next cycle, with the full block of one servo."""
         if not self._thresholds:
             return self.registers
-        turn = next(self._turns)
-        self._asked = {**self.registers, turn: self._blocks[turn].register}
+        id = next(self._turns)
+        self._asked = {**self.registers, id: self._blocks[id].register}
         return self._asked
 
     def measurement(self, status: BusStatus, now: float) -> Measurement:
-        """Return what a reply means. ``now`` is the time of the reply in s, for thresholds."""
+        """Return the measurement of a reply. ``now`` is the time of the reply, s."""
         value = status.data
         id = status.id
         if value is None:
@@ -198,13 +198,14 @@ class Thresholds:
                 continue
             since, count = self._beyond.get(status, (now, 0))
             self._beyond[status] = since, count + 1
-            spent = now - since
-            if spent >= SUSTAINED and count + 1 >= LEAST_SAMPLES:
+            duration = now - since
+            if duration >= SUSTAINED and count + 1 >= MIN_SAMPLES:
                 return MotorFaultError(
                     self._drive.name,
                     (status,),
-                    hint=f"servo id {self._drive.id} was at {value:.4g} {unit} for {spent:.1f} s; "
-                    f"stop_at of the arm file is {limit:g}. All joints hold. Remove its load or "
-                    "let it cool. Then run robot-ik servo reset-fault, or call Arm.reset_fault()",
+                    hint=f"servo id {self._drive.id} was at {value:.4g} {unit} for "
+                    f"{duration:.1f} s; stop_at of the arm file is {limit:g}. All joints hold. "
+                    "Remove its load or let it cool. Then run robot-ik servo reset-fault, or call "
+                    "Arm.reset_fault()",
                 )
         return None

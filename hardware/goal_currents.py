@@ -19,7 +19,7 @@ def set_all_currents(bus: ServoBus, config: ArmConfig, currents: Mapping[str, fl
     Args:
         bus: Open bus.
         config: Arm file.
-        currents: Joint name -> mA that the program asked for.  Other joints get the arm file's
+        currents: Joint name -> mA that the program has set.  Other joints get the arm file's
             ``current_ma``.
     """
     if not config.family.capabilities.current_goal:

@@ -73,12 +73,12 @@ class Fingers:
                     f"{name!r} at {reprlib.repr(to)}", f"a number, {joint.unit}"
                 )
             if not lower <= to <= upper:
-                asked, low, high = distinct_texts(
+                goal, low, high = distinct_texts(
                     *(value / joint.per_unit for value in (to, lower, upper))
                 )
                 unit = joint.unit
                 raise UnsafeCommandError(
-                    f"{name!r} at {asked} {unit}", f"{low} {unit} to {high} {unit}"
+                    f"{name!r} at {goal} {unit}", f"{low} {unit} to {high} {unit}"
                 )
             self.goals[name] = float(to)
         self._names = config.names
@@ -112,10 +112,10 @@ class Fingers:
         grips = []
         at = cycle.positions()
         for joint in self._joints:
-            asked = self.goals[joint.name]
+            goal = self.goals[joint.name]
             q = at[joint.name]
-            held = joint.ticks_between(q, asked) > HELD_TICKS
-            grips.append(Grip(joint.name, asked, q, held, _current(bus, joint)))
+            held = joint.ticks_between(q, goal) > HELD_TICKS
+            grips.append(Grip(joint.name, goal, q, held, _current(bus, joint)))
         return tuple(grips)
 
 

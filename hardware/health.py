@@ -9,7 +9,13 @@ from robot_ik.errors import HardwareError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.checks import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
+from robot_ik.hardware.discovery import (
+    BITS_PER_BYTE,
+    LIKELY,
+    FoundServo,
+    no_reply_hint,
+    scan,
+)
 from robot_ik.hardware.family import family_of
 from robot_ik.hardware.ports import quicker, serial_row
 from robot_ik.hardware.servo import Drive
@@ -128,62 +134,67 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
     All rates are tried only if a servo does not answer at the arm file's rate.
     """
     try:
-        found = scan(port, [config.baud], family=config.family)
-        seen = {servo.id for servo in found}
-        if not seen.issuperset(config.servo_ids):
-            found += scan(
+        servos = scan(port, [config.baud], family=config.family)
+        answered_ids = {servo.id for servo in servos}
+        if not answered_ids.issuperset(config.servo_ids):
+            servos += scan(
                 port, [rate for rate in LIKELY if rate != config.baud], family=config.family
             )
     except HardwareError as error:
         return [CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
     rows = [serial_row(port, "servos")]
-    if not found:
+    if not servos:
         return [
             *rows,
             CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY)),
         ]
-    rows += _speed_rows(port, config, found)
+    rows += _speed_rows(port, config, servos)
     for drive in config.drives:
-        rows.append(_joint_row(drive, [f for f in found if f.id == drive.id], config))
+        rows.append(_joint_row(drive, [f for f in servos if f.id == drive.id], config))
     known = set(config.servo_ids)
-    for f in (f for f in found if f.id not in known):
+    for f in (f for f in servos if f.id not in known):
         problem = f"{f.model} at {f.baud}: not in the arm file"
         rows.append(CheckRow(f"servo {f.id}", NOTE, problem, "unplug it, or add its joint"))
     return rows
 
 
-def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
+def _speed_rows(port: str, config: ArmConfig, servos: Sequence[FoundServo]) -> list[CheckRow]:
     """Return the check of how late replies come, and of the cycle rate that this allows."""
-    lates = [f.late for f in found if f.baud == config.baud and not f.shared and f.late is not None]
+    lates = [
+        f.late for f in servos if f.baud == config.baud and not f.shared and f.late is not None
+    ]
     if not lates:
         return []
     late = min(lates)
-    byte = 10.0 / config.baud
-    n = len(config.servo_ids)
-    rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
+    byte_time = BITS_PER_BYTE / config.baud
+    cycle_bytes = _CYCLE_BYTES + _CYCLE_BYTES_EACH * len(config.servo_ids)
+    rate = 1.0 / (late + cycle_bytes * byte_time)
     text = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
         return [CheckRow("servo speed", OK, text)]
     return [
         CheckRow(
-            "servo speed", NOTE, f"{text}; the arm file wants {config.rate_hz:g}", quicker(port)
+            "servo speed",
+            NOTE,
+            f"{text}; rate_hz of the arm file is {config.rate_hz:g}",
+            quicker(port),
         )
     ]
 
 
-def _joint_row(drive: Drive, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
+def _joint_row(drive: Drive, servos: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
     servo = drive.servo
     what = f"servo {servo.id} {drive.name}"
-    if not found:
+    if not servos:
         do = (
             "check its cable and power; from the factory it has id 1: "
             f"robot-ik servo setup --joint {drive.name}"
         )
         return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
-    if len(found) > 1 or found[0].shared:
+    if len(servos) > 1 or servos[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
         return CheckRow(what, PROBLEM, "replies collide: two servos with this id", do)
-    f = found[0]
+    f = servos[0]
     supply = "" if f.voltage is None else f", {f.voltage:.1f} V"
     warm = "" if f.temperature is None else f", {f.temperature} C"
     about = f"{f.family.title} {f.model}, firmware {f.firmware}{supply}{warm}"

@@ -1,8 +1,8 @@
 """Requests to which a late reply may still come.
 
 A status packet names its servo but not the request that it answers.  While a reply to an earlier
-request may still come, that servo is not asked for the same number of bytes again.  A control cycle
-asks for a few bytes more, so a late reply is recognised by its length.
+request may still come, no read of that servo has the same number of bytes.  A control cycle reads a
+few bytes more, so a late reply is recognised by its length.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LENGTHS = 8
 """Number of reply lengths that a control cycle chooses from.
 
 At 100 Hz and one lost packet in ten, a servo has two unanswered requests within ``LATEST_REPLY``.
-It has eight once in a thousand cycles.  That cycle does not ask this servo.
+It has eight once in a thousand cycles.  That cycle does not read this servo.
 """
 
 SHORTENED = (0, 1)
@@ -67,7 +67,7 @@ class UnansweredRequests(dict[tuple[int, int], float]):
 
         Args:
             registers: Servo id -> register.
-            uniform: Every servo must be asked for the same bytes.
+            uniform: All servos must be read at one address and length.
         """
         if not uniform:
             return {

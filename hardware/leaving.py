@@ -60,7 +60,7 @@ class ExitReport:
             they may have no torque, or another goal.
         parked: The arm reached the park pose before.
         limp: Joints of ``unverified`` that were to hold and report that they have no torque.
-        unparked: Why the arm was not parked although it was to be; else empty.
+        unparked: Why parking failed; empty if it succeeded or was not the policy.
     """
 
     done: str
@@ -72,7 +72,7 @@ class ExitReport:
 
     @property
     def ok(self) -> bool:
-        """Every servo confirmed it."""
+        """Whether every servo confirmed it."""
         return not self.unverified
 
     @property
@@ -91,7 +91,7 @@ class ExitReport:
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """The result as one sentence, for messages."""
         result = {
             "torque_off": "torque is off",
             "hold": "it holds with torque ON",
@@ -121,12 +121,12 @@ def leave(
 ) -> ExitReport:
     """Leave an arm: torque off or hold, written to the arm's own servos only, and read back.
 
-    Every servo is written before it is asked anything.  No error of the bus is raised: failures are
+    Every servo is written before it is read.  No error of the bus is raised: failures are
     in the report and in the log.  Servos that confirm have no Bus Watchdog armed afterwards, so
     that they take the goals of the next program.
 
     Args:
-        bus: If it is not open, the report says that no servo confirmed.
+        bus: Bus.  If it is not open, the report has every servo as unconfirmed.
         config: Arm file.
         policy: One of ``ON_EXIT``; ``park`` is torque off here.
         goals: Servo id -> goal position, ticks, for ``hold``.  Without them torque goes off.
@@ -135,18 +135,18 @@ def leave(
         broadcast: First switch torque off at all servos on the wire, by a packet without a reply.
     """
     names = servos or {drive.id: drive.name for drive in config.drives}
-    exit = _Exit(bus, config, names)
+    steps = _Exit(bus, config, names)
     done = "hold" if policy == "hold" and set(names) <= set(goals) else "torque_off"
     if done == "hold":
-        exit.hold(goals)
+        steps.hold(goals)
     else:
         if broadcast:
-            with exit.step("torque off for all servos on the wire"):
+            with steps.step("torque off for all servos on the wire"):
                 bus.write(BROADCAST_ID, shared_register(config, "torque_enable"), 0)
-        exit.torque_off()
-    unverified = tuple(dict.fromkeys(exit.remaining.values()))
+        steps.torque_off()
+    unverified = tuple(dict.fromkeys(steps.remaining.values()))
     verified = tuple(name for name in dict.fromkeys(names.values()) if name not in unverified)
-    limp_names = (name for id, name in exit.remaining.items() if id in exit.limp)
+    limp_names = (name for id, name in steps.remaining.items() if id in steps.limp)
     return ExitReport(done, verified, unverified, parked, tuple(dict.fromkeys(limp_names)))
 
 

@@ -72,7 +72,7 @@ class LimiterState:
 
 @dataclass(frozen=True)
 class LimiterReport:
-    """What one tick changed, by joint name. False if it changed nothing.
+    """Changes of one tick, by joint name. False if the tick changed nothing.
 
     Attributes:
         clipped: Joints whose command was outside the limits.
@@ -242,7 +242,7 @@ def finite(value: object) -> float | None:
 
 
 def _numbers(q: object) -> Array | None:
-    """Return real numbers as floats; None for masked values and where numpy would guess."""
+    """Return real numbers as floats; None for masked values and for types that are no numbers."""
     if np.ma.is_masked(q):
         return None
     try:

@@ -46,16 +46,18 @@ def model_limits(config: ArmConfig) -> Mapping[str, tuple[float, float]]:
     Joints without a finite limit in the model, and all joints if the model cannot be read, have
     the limits of the arm file.
     """
-    own = {joint.name: (joint.lower, joint.upper) for joint in config.joints}
+    file_limits = {joint.name: (joint.lower, joint.upper) for joint in config.joints}
     try:
         limits = _limits(_named_robot(config))
     except RobotIkError as error:
         log.warning("without the model (%s): limits are the arm file's", error.args[0])
-        return own
-    finite = {
-        name: ends for name, ends in limits.items() if name in own and all(map(math.isfinite, ends))
+        return file_limits
+    finite_limits = {
+        name: ends
+        for name, ends in limits.items()
+        if name in file_limits and all(map(math.isfinite, ends))
     }
-    return own | finite
+    return file_limits | finite_limits
 
 
 def _named_robot(config: ArmConfig) -> Robot:

@@ -167,7 +167,7 @@ class StatusParser:
         while True:
             start = buffer.find(HEADER, start)
             if start < 0:
-                start = max(len(buffer) - len(HEADER) + 1, 0)  # a part of a header may be there
+                start = max(len(buffer) - len(HEADER) + 1, 0)  # keep a part of a header
                 break
             if len(buffer) < start + LENGTH_END:
                 break
@@ -213,7 +213,7 @@ def _fast_layout(expected: tuple[tuple[int, int], ...]) -> _FastLayout:
     return _FastLayout(HEADER + bytes((BROADCAST_ID,)) + length + _STATUS, tuple(spans), size)
 
 
-def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> list[bytes] | None:
+def complete_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> list[bytes] | None:
     """Return the data of each servo if ``data`` are one fast status without any error.
 
     This is the usual case and must be quick.  In every other case the result is None, and
@@ -268,7 +268,7 @@ class FastParser:
 
         Args:
             data: New bytes.
-            last: Of other parsers.  An incomplete reply of a fast status is never used.
+            last: Not used: an incomplete reply of a fast status is never used.
         """
         packets: list[StatusPacket] = []
         if self.damaged:

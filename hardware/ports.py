@@ -33,7 +33,7 @@ def serial_ports() -> list[Any]:
 
 
 def port_row(port: Any) -> dict[str, Any]:
-    """Return what is known of a port without opening it.
+    """Return the properties of a port without opening it.
 
     Args:
         port: As pyserial lists it.
@@ -109,11 +109,10 @@ def serial_row(path: str, about: str, vendor: int | None = None) -> CheckRow:
     if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
         return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
     if advice := _LATENCY_ADVICE.get(system):
-        late = vendor == _FTDI
-        text = "; its latency timer cannot be read; the default is 16 ms"
-        return CheckRow(
-            what, NOTE if late else OK, about + (text if late else ""), advice if late else ""
-        )
+        if vendor != _FTDI:
+            return CheckRow(what, OK, about)
+        problem = f"{about}; its latency timer cannot be read; the default is 16 ms"
+        return CheckRow(what, NOTE, problem, advice)
     users = named_users_of(path)
     if users:
         return CheckRow(

@@ -170,7 +170,7 @@ class Protocol2:
     def take_at_once(
         self, data: bytes, read: GroupRead, sizes: tuple[tuple[int, int], ...]
     ) -> list[bytes] | None:
-        return packets.whole_fast_status(data, sizes) if read.fast else None
+        return packets.complete_fast_status(data, sizes) if read.fast else None
 
 
 PROTOCOL_2 = Protocol2()

@@ -1,6 +1,6 @@
 """After a fault: servos restarted, the port opened again, everything verified.
 
-Torque stays as it is.  Errors of the bus are raised by joint name.
+Torque stays unchanged.  Errors of the bus are raised by joint name.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
 
 WATCHDOG = "bus_watchdog"
-"""Name, beside the hardware errors, of a bus watchdog that has tripped."""
+"""Register of the bus watchdog.  If it has tripped, this name is among the hardware errors."""
 
 POLL_PERIOD = 0.05
 """s between two attempts."""
@@ -76,7 +76,7 @@ class ServoReset:
 
 
 class _ServoState(NamedTuple):
-    """What a servo answers.
+    """Position and errors of a servo.
 
     Attributes:
         ticks: Present position; 0 if it does not answer.
@@ -113,7 +113,7 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
             log.info("resetting servo %d (%s)", drive.id, drive.name)
             config.family.reset(bus, drive)
         elif row.before:
-            bus.write(drive.id, drive.servo.table["bus_watchdog"], 0)
+            bus.write(drive.id, drive.servo.table[WATCHDOG], 0)
     reset = []
     for drive, ticks, row in rows:
         if row.before:
@@ -173,7 +173,7 @@ def _retry(
 
 
 def find_again(
-    bus: ServoBus, config: ArmConfig, timeout: float, *, real: bool, currents: Mapping[str, float]
+    bus: ServoBus, config: ArmConfig, timeout: float, *, currents: Mapping[str, float]
 ) -> Feedback:
     """Open the port as soon as it is back, and verify the servos behind it.
 
@@ -181,7 +181,6 @@ def find_again(
         bus: Bus of the arm.
         config: Arm file.
         timeout: s to wait for the port.
-        real: As of ``verify``.
         currents: As of ``verify``.
 
     Raises:
@@ -192,15 +191,15 @@ def find_again(
 
     def open_and_verify() -> Feedback:
         bus.open()
-        return verify(bus, config, real=real, currents=currents)
+        return verify(bus, config, currents=currents)
 
     return _retry(bus.clock, timeout, (BusNotOpenError, BusDisconnectedError), open_and_verify)
 
 
 def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Mapping[int, int]) -> None:
-    """Check that no servo counts its revolutions anew.
+    """Check that every servo has kept its count of revolutions.
 
-    Its angle would be wrong by whole revolutions.
+    If a servo has lost it, its angle is wrong by whole revolutions.
 
     Args:
         bus: Open bus.

@@ -1,4 +1,4 @@
-"""Measured positions of an arm, and what they say about its servos."""
+"""Measured positions of an arm, and the silent, jumping and twisted servos that they show."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from robot_ik.hardware.servo import TWIST, Drive
 from robot_ik.ports import Array
 
 SILENCE = 0.13
-"""s without a sample after which a servo is asked by itself, three times.
+"""s without a sample after which a servo is read alone, three times.
 
-It shows in the next cycle (0.14 s after the last reply, at 100 Hz).  Without a reply the servo is
-given up 0.11 s later at 1 Mbit/s.
+At 100 Hz the next cycle notices it, 0.14 s after the last reply.  Without a reply the servo is
+given up 0.11 s later at 1 Mbit/s.  ``tests/hardware/test_times.py`` measures both times.
 """
 
 SILENT_CYCLES = 3
 """Cycles in a row that a silent servo must have missed as well.
 
-A program that paused is no fault of a servo.
+They distinguish a silent servo from a program that paused.
 """
 
 HALF_REVOLUTION = TICKS_PER_REVOLUTION / 2
@@ -110,7 +110,7 @@ class Samples:
             self._times[row] = now
 
     def age(self, drive: Drive, now: float) -> float:
-        """Return the s since the last sample of a servo; infinite before the first."""
+        """Return the time in s since the last sample of a servo; infinite before the first."""
         return float(now - self._times[self._drives.index(drive)])
 
     def silent(self, now: float) -> list[Drive]:

@@ -141,13 +141,13 @@ class SleepingPortHandler(PortHandler):
                 without sleeping, because a sleeping thread notices a reply late.
         """
         if self._posix:
-            return self._take(4096) if self._comes(deadline, expected) else b""
-        while not (data := self._take(self.ser.in_waiting or 1)):
+            return self._read(4096) if self._has_data(deadline, expected) else b""
+        while not (data := self._read(self.ser.in_waiting or 1)):
             if time.monotonic() > deadline:
                 break
         return data
 
-    def _take(self, length: int) -> bytes:
+    def _read(self, length: int) -> bytes:
         """Return at most ``length`` received bytes."""
         if not self._posix:
             data = bytes(self.ser.read(length))
@@ -156,8 +156,8 @@ class SleepingPortHandler(PortHandler):
         self._counters.bytes_received += len(data)
         return data
 
-    def _comes(self, deadline: float, expected: float | None) -> bool:
-        """Return whether there is something to read before the deadline."""
+    def _has_data(self, deadline: float, expected: float | None) -> bool:
+        """Return whether bytes can be read before the deadline."""
         files = [self._file]
         now = time.monotonic()
         if expected is not None:
@@ -188,7 +188,7 @@ class SleepingPortHandler(PortHandler):
         wait = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
         if self._posix and not select.select([self._file], [], [], max(wait, 0.0))[0]:
             return b""
-        return self._take(length)
+        return self._read(length)
 
     def writePort(self, packet: Sequence[int] | bytes) -> int:
         """Write all bytes and return their number, or raise an error."""
@@ -196,9 +196,9 @@ class SleepingPortHandler(PortHandler):
             self.ser.write(bytes(packet))
         else:
             # pyserial reports a timeout for bytes that it has written if this process was stalled.
-            left = bytes(packet)
-            end = time.monotonic() + WRITE_TIMEOUT + len(left) * self.seconds_per_byte
-            while left := left[self._write(left) :]:
+            remaining = bytes(packet)
+            end = time.monotonic() + WRITE_TIMEOUT + len(remaining) * self.seconds_per_byte
+            while remaining := remaining[self._write(remaining) :]:
                 wait = end - time.monotonic()
                 if wait <= 0.0 or not select.select([], [self._file], [], wait)[1]:
                     raise serial.SerialTimeoutException(
@@ -225,7 +225,7 @@ class SleepingPortHandler(PortHandler):
 
 
 def describe_failure(port: str, error: Exception) -> BusNotOpenError:
-    """Return an error that says why ``port`` cannot be opened and lists the ports there are."""
+    """Return an error with the reason why ``port`` cannot be opened and the ports of the system."""
     text = str(error)
     number = getattr(error, "errno", None)
     if sys.platform == "win32":
@@ -328,9 +328,9 @@ class RoundTripEstimator:
             self._longest = took
             self._usual = took
         self._longest = max(took, _DECAY * self._longest)
-        miss = took - self._usual
-        self._usual += _GAIN * miss
-        self._spread += _SPREAD_GAIN * (min(abs(miss), 1.0) - self._spread)
+        deviation = took - self._usual
+        self._usual += _GAIN * deviation
+        self._spread += _SPREAD_GAIN * (min(abs(deviation), 1.0) - self._spread)
 
     def timeout(self, at_most: float) -> float:
         """Return the time to wait for a reply, s."""

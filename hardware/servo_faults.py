@@ -35,8 +35,7 @@ def shutdown_fault(bus: ServoBus, drive: Drive) -> MotorFaultError:
 def jump_fault(drive: Drive, before: int, after: int) -> MotorFaultError:
     """Return the fault of a servo whose position changed by more than it can have moved.
 
-    The servo goes on to its goal by its new count, and takes the joint there.  So it must be held
-    at once.
+    The servo moves to its goal by its new count, so it must be held at once.
 
     Args:
         drive: Servo.
@@ -71,8 +70,8 @@ def silence_fault(drive: Drive, age: float, *, corrupt: bool) -> MotorFaultError
     )
 
 
-def has_torque(bus: ServoBus, drive: Drive) -> bool:
-    """Read whether a servo has torque; False if it does not answer.
+def confirm_torque(bus: ServoBus, drive: Drive) -> bool:
+    """Read the torque of a servo.  Return True if it has torque, False if it does not answer.
 
     Raises:
         MotorFaultError: The servo has none.

@@ -38,13 +38,13 @@ def set_up(
         ConfigError: The servo is another model, or cannot have this id or rate.
         ArmStateError: Its torque is on.
         HardwareError: More than one servo answers, two share an id, the model is not known, or the
-            servo does not answer under the new address as it should.  Errors of the bus.
+            servo reads back other values at the new address.  Errors of the bus.
     """
     require_id(id, "--id")
-    found = scan(port, bauds, progress=progress)
-    if not found:
+    servos = scan(port, bauds, progress=progress)
+    if not servos:
         return None
-    servo, table = _only_servo(found)
+    servo, table = _only_servo(servos)
     if model and servo.model != model:
         raise ConfigError(
             f"this servo is a {servo.model}",
@@ -54,7 +54,7 @@ def set_up(
         )
     if baud not in table.baud_rates:
         raise ConfigError(
-            f"{servo.model} cannot talk at {baud} bits/s",
+            f"{servo.model} has no baud rate of {baud} bits/s",
             file="command line",
             key="--baud",
             allowed=", ".join(map(str, table.baud_rates)),
@@ -66,8 +66,8 @@ def set_up(
             raise ArmStateError(
                 f"torque of the servo (id {servo.id}) is on, so its EEPROM is locked; nothing was "
                 "written",
-                hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
-                f"{servo.id} --baud {servo.baud}",
+                hint="support the parts on its horn and switch torque off: robot-ik servo torque "
+                f"off --ids {servo.id} --baud {servo.baud}",
             )
         family.write_address(bus, table, servo.id, id, baud)
 
@@ -81,29 +81,29 @@ def set_up(
     return servo
 
 
-def _only_servo(found: Sequence[FoundServo]) -> tuple[FoundServo, ControlTable]:
+def _only_servo(servos: Sequence[FoundServo]) -> tuple[FoundServo, ControlTable]:
     """Return the servo that may be set up, and its control table.
 
     Args:
-        found: Servos that answer, at least one.
+        servos: Servos that answer, at least one.
 
     Raises:
         HardwareError: Two servos share an id, more than one answers, or the model is not known.
     """
-    shared = [servo for servo in found if servo.shared]
+    shared = [servo for servo in servos if servo.shared]
     if shared:
         raise HardwareError(
             f"id {shared[0].id} gives damaged replies: two servos with one id, or a bad cable",
             hint="connect one servo alone and try again",
         )
-    if len(found) > 1:
-        names = ", ".join(f"id {servo.id} {servo.model} at {servo.baud}" for servo in found)
+    if len(servos) > 1:
+        names = ", ".join(f"id {servo.id} {servo.model} at {servo.baud}" for servo in servos)
         raise HardwareError(
-            f"{len(found)} servos answer ({names}); exactly one may be connected, nothing was "
+            f"{len(servos)} servos answer ({names}); exactly one may be connected, nothing was "
             "written",
             hint="unplug the others: an id that is taken would make both of them unreachable",
         )
-    table = found[0].table
+    table = servos[0].table
     if table is None:
-        raise HardwareError(f"{found[0].model} is not a known servo model; nothing was written")
-    return found[0], table
+        raise HardwareError(f"{servos[0].model} is not a known servo model; nothing was written")
+    return servos[0], table

@@ -34,7 +34,7 @@ class SimBus(SerialBus):
         real: bool = False,
     ) -> None:
         super().__init__("sim", 1_000_000, protocol, retries=retries, clock=virtual_bus.clock)
-        self.real = real  # a test may treat these servos as real
+        self.real = real  # tests treat these servos as real
         self.virtual_bus = virtual_bus
 
     def _make_handler(self) -> InProcessPort:

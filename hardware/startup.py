@@ -21,16 +21,16 @@ def verify(
     bus: ServoBus,
     config: ArmConfig,
     *,
-    real: bool,
     currents: Mapping[str, float] | None = None,
 ) -> Feedback:
     """Check and set up the servos of an arm.
 
+    Real servos are also compared with the calibration beside the arm file.
+
     Args:
         bus: Open bus.
         config: Arm file.
-        real: The servos are real, so they are compared with the calibration beside the arm file.
-        currents: Joint name -> mA that the program asked for.
+        currents: Joint name -> mA that the program has set.
 
     Returns:
         What a control cycle reads from the servos.
@@ -49,7 +49,7 @@ def verify(
     _check_voltage(bus, config)
     for drive in config.drives:
         family.clear_watchdog(bus, config, drive)
-    calibration = own_calibration(config) if real else None
+    calibration = own_calibration(config) if bus.real else None
     if calibration is not None:
         check_calibration(bus, config, calibration)
     set_up_servos(bus, config, currents or {})
@@ -100,7 +100,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig, currents: Mapping[str, float
     Args:
         bus: Open bus.
         config: Arm file.
-        currents: Joint name -> mA that the program asked for.
+        currents: Joint name -> mA that the program has set.
     """
     config.family.set_up(bus, config)
     set_all_currents(bus, config, currents)

@@ -44,7 +44,7 @@ Another program may be about to read younger ones.
 def _folder_of_user() -> Path:
     """Return the folder for all programs of a user. It depends on no environment variable.
 
-    An arm that cron, a service or ``su`` has started must be found from a terminal. Windows has no
+    ``robot-ik stop`` in a terminal must find an arm of cron, a service or ``su``. Windows has no
     such folder, but all programs of a user share a temporary folder.
     """
     if os.name == "posix":
@@ -64,16 +64,16 @@ def runtime_folder() -> Path:
     """
     try:
         FOLDER.mkdir(mode=0o700, exist_ok=True)
-        found = FOLDER.lstat()
+        status = FOLDER.lstat()
     except OSError as error:
         raise HardwareError(f"no runtime folder {FOLDER}: {error.strerror}") from error
-    foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
-    if foreign or not stat.S_ISDIR(found.st_mode):
+    foreign = hasattr(os, "getuid") and status.st_uid != os.getuid()
+    if foreign or not stat.S_ISDIR(status.st_mode):
         raise HardwareError(
             f"{FOLDER} is not a folder of this user",
             hint="remove it, or ask its owner to remove it",
         )
-    if stat.S_IMODE(found.st_mode) != 0o700:
+    if stat.S_IMODE(status.st_mode) != 0o700:
         FOLDER.chmod(0o700)
     return FOLDER
 
@@ -94,8 +94,8 @@ class StopFile:
     def open(self, port: str) -> None:
         """Make the arm on ``port`` visible to ``robot-ik stop``.
 
-        Without a folder the arm stays invisible, and the log says so. An arm that is visible
-        already stays visible, with the requests that wait for it.
+        If the folder cannot be made, a warning is logged and the arm stays invisible. A visible arm
+        stays visible, with the requests that wait for it.
         """
         if self._stem is not None:
             return
@@ -191,7 +191,7 @@ class RunningArm:
             timeout: s to wait for the reply.
 
         Returns:
-            Whether every servo confirmed the stop, and a text that says what happened.
+            Whether every servo confirmed the stop, and a description of the result.
         """
         reply = self.stem.with_suffix(".done")
         request = self.stem.with_suffix(".stop")
@@ -261,7 +261,7 @@ def _remove(stem: Path, *endings: str) -> None:
 
 
 def _read_running(stem: Path) -> RunningArm | None:
-    """Return the arm of an ID; None if no program has it or its files are not valid."""
+    """Return the arm of an ID; None if no program drives it or its files are not valid."""
     if not _has_program(stem):
         return None
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
@@ -271,7 +271,7 @@ def _read_running(stem: Path) -> RunningArm | None:
 
 
 def _has_program(stem: Path) -> bool | None:
-    """Return whether a program has the arm of an ID; None if there is no ``ID.lock``.
+    """Return whether a program drives the arm of an ID; None if there is no ``ID.lock``.
 
     A folder or a link with that name does not count.
     """

@@ -85,7 +85,7 @@ class StopRequests:
         return self.policy or "hold"
 
     def acknowledge(self, *, ok: bool, text: str) -> None:
-        """Report to the program that asked how the arm was left.
+        """Report how the arm was left to the program that requested the stop.
 
         Args:
             ok: Every servo confirmed it.

@@ -1,4 +1,4 @@
-"""Torque on without a jerk, and what must be true before."""
+"""Torque on without a jerk, and the checks before it."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> Non
     if failed:
         raise HardwareError(
             f"{_names(failed)} did not take the present position as goal; nothing was switched on",
-            hint="is the shaft outside the servo's own position limits? turn it back inside by "
-            "hand",
+            hint="if the shaft is outside the servo's own position limits, turn it back inside "
+            "them by hand",
         )
     arm_watchdog(bus, config)
     failed = sync_set(bus, config, "torque_enable", dict.fromkeys(config.servo_ids, 1))
@@ -114,7 +114,7 @@ def _check_set_up(bus: ServoBus, config: ArmConfig, consequence: str) -> None:
 
 
 def _check_revolutions(config: ArmConfig, present: Mapping[int, int]) -> None:
-    """Check that no servo lost its revolutions: its angle would be wrong by revolutions."""
+    """Check that every servo has kept its count of revolutions."""
     for joint, servo in config.drives:
         ticks = present[servo.id]
         revolutions = joint.lost_revolutions(ticks, servo)
@@ -125,8 +125,8 @@ def _check_revolutions(config: ArmConfig, present: Mapping[int, int]) -> None:
                 f"joint {joint.name!r} reads {joint.text(joint.value(ticks, servo))}, outside "
                 f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its "
                 "revolutions; nothing was switched on",
-                hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
-                f"zero_ticks = {zero} in the arm file is right",
+                hint="if the joint is wound up, turn it back by hand; if not, set "
+                f"zero_ticks = {zero} in the arm file, which is right until the next power-off",
             )
 
 

@@ -1,10 +1,10 @@
-"""What acts when the program that drives an arm ends, pauses or dies.
+"""Watchdogs for a program that drives an arm and ends, pauses or is killed.
 
     failure                          what acts                      when, and what happens
     -------------------------------  -----------------------------  -------------------------------
-    a person or the system ends      ``signals.ExitGuard``:         at once: the arm is left as
-    the program                      signals become exceptions      ``on_exit`` says, then the
-                                                                    handlers from before run
+    a person or the system ends      ``signals.ExitGuard``:         at once: the arm is left by
+    the program                      signals become exceptions      ``on_exit``, then the handlers
+                                                                    from before run
     the program stops commanding     ``Heartbeat``: a thread        ``stale_ms`` after the last
                                                                     command the arm holds; after
                                                                     2 s ``on_stale`` decides
@@ -12,7 +12,7 @@
                                      of a family that has one       packet the servo stops and
                                                                     holds with torque on
 
-The heartbeat must act well before the Bus Watchdogs do.  ``least_watchdog_ms`` says by how much.
+The heartbeat must act before the Bus Watchdogs trip.  ``min_watchdog_ms`` is the condition.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ HOLD_CYCLES = 2.0
 
 
 def stale_time(stale_ms: int, period: float) -> float:
-    """Return the s without a command after which an arm is held.
+    """Return the time in s without a command after which an arm is held.
 
     Args:
         stale_ms: As in the arm file.
@@ -47,7 +47,7 @@ def stale_time(stale_ms: int, period: float) -> float:
     return max(0.001 * stale_ms, STALE_CYCLES * period)
 
 
-def least_watchdog_ms(stale_ms: int, period: float) -> int:
+def min_watchdog_ms(stale_ms: int, period: float) -> int:
     """Return the shortest Bus Watchdog that trips only if the heartbeat cannot run.
 
     The first beat after ``stale_time`` finds the arm stale, and holding it takes ``HOLD_CYCLES``.
@@ -63,8 +63,8 @@ def least_watchdog_ms(stale_ms: int, period: float) -> int:
 class Heartbeat:
     """Calls a function every ``BEAT`` seconds until stopped, from a thread of its own.
 
-    A program that is busy with something else would not notice a servo that overheats, and the Bus
-    Watchdogs would trip although nothing is wrong.
+    Without it, a busy program would not notice a servo that overheats, and the Bus Watchdogs would
+    trip without a failure.
 
     Args:
         beat: The function.  It must not raise.

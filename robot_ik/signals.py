@@ -1,12 +1,12 @@
 """Signals that end a program: raised as exceptions, and deferred by critical steps.
 
-``deferred_signals``    a step runs to its end, and the signals that came meanwhile are raised then
-``ExitGuard``           signals become exceptions while there is something to leave: an enabled arm
-``raised_signals``      the same for a program without a guard
+``deferred_signals``    defers the signals that come during a step to the end of the step
+``ExitGuard``           turns signals into exceptions while an arm is enabled
+``raised_signals``      turns signals into exceptions in a program without a guard
 
-A signal handler may run in the middle of a packet, so it must not talk to a bus.  It raises an
+A signal handler may run in the middle of a packet, so it must not use a bus.  It raises an
 exception, ``KeyboardInterrupt`` for SIGINT and ``SystemExit(128 + number)`` for the others.  The
-transaction unwinds, and the owner of the arm leaves it on a clean line.
+bus then ends its transaction, and the arm is left on a clean line.
 
 Python runs signal handlers in the main thread only.  In other threads nothing here has an effect.
 """
@@ -30,7 +30,10 @@ from typing import Any, NamedTuple, NoReturn, ParamSpec, Self, TypeVar
 log = logging.getLogger(__name__)
 
 PATIENCE = 5.0
-"""s after which a program that swallowed the exception of a signal gets another one."""
+"""s after the exception of a signal in which further signals raise none.
+
+Afterwards a signal raises again, for a program that swallowed the first exception.
+"""
 
 WAIT_PERIOD = 0.05
 """s between two looks for a signal in ``DeferredSignals.wait``."""
@@ -101,7 +104,7 @@ class DeferredSignals:
 
         @functools.wraps(function)
         def protected(*args: P.args, **kwargs: P.kwargs) -> R:
-            over = False  # the handler reads it in this frame
+            over = False  # the signal handler reads it in this frame
             try:
                 return function(*args, **kwargs)
             finally:
@@ -233,7 +236,7 @@ class _Handlers:
         # Signals that came in a protected function and are still to be raised.
         self._kept: list[int] = []
         # Signal -> handler from before, to be called when the last guard is removed.
-        self._owed: dict[int, Any] = {}
+        self._postponed: dict[int, Any] = {}
 
     def add(self, guard: ExitGuard) -> None:
         if guard not in self._guards:
@@ -292,12 +295,12 @@ class _Handlers:
         elif _is_protected(frame):
             self._keep(arrival)
         else:
-            self._owed.setdefault(number, previous)
+            self._postponed.setdefault(number, previous)
             if self._raised_at is None or time.monotonic() - self._raised_at > PATIENCE:
                 self._raise(number)
 
     def _keep(self, arrival: _Arrival) -> None:
-        self._owed.setdefault(arrival.number, arrival.previous)
+        self._postponed.setdefault(arrival.number, arrival.previous)
         if arrival.raises:
             self._kept.append(arrival.number)
 
@@ -314,10 +317,10 @@ class _Handlers:
         kept = self._kept
         self._kept = []
         if not self._guards:
-            owed = self._owed
-            self._owed = {}
+            postponed = self._postponed
+            self._postponed = {}
             with contextlib.ExitStack() as calls:
-                for number, previous in reversed(owed.items()):
+                for number, previous in reversed(postponed.items()):
                     if not _is_default(previous):
                         calls.callback(previous, number, None)
         # An earlier signal may be unwinding the program already.
@@ -325,7 +328,7 @@ class _Handlers:
             self._raise(kept[0])
 
     def _raise(self, number: int) -> NoReturn:
-        """Raise what Python raises on Ctrl-C, and the exit code of a shell for other signals."""
+        """Raise ``KeyboardInterrupt`` for SIGINT, else ``SystemExit`` with a shell's exit code."""
         self._raised_at = time.monotonic()
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
@@ -334,9 +337,9 @@ class _Handlers:
         if self._guards or self._blocks:
             return
         _restore()
-        owed = self._owed
-        self._owed = {}
-        for number, previous in owed.items():
+        postponed = self._postponed
+        self._postponed = {}
+        for number, previous in postponed.items():
             if not _is_default(previous):
                 signal.raise_signal(number)
 
@@ -367,12 +370,12 @@ def _in_main_thread() -> bool:
 
 
 def _is_default(previous: Any) -> bool:
-    """Return whether a handler is that of Python or of the system: the exception replaces it."""
+    """Return whether a handler is that of Python or of the system, which the exception replaces."""
     return previous in (None, signal.SIG_DFL, signal.default_int_handler)
 
 
 def _pass_on(number: int, frame: FrameType | None, previous: Any) -> None:
-    """Do what the program did with a signal before."""
+    """Handle a signal as the program did before this module installed its handler."""
     if callable(previous):
         previous(number, frame)
     else:
@@ -393,4 +396,4 @@ def _call_in_main_thread(action: Callable[[], object]) -> None:
 
 
 _PENDING: deque[Any] = deque(maxlen=16)
-"""Callbacks that C is about to call: they must stay alive."""
+"""Callbacks that C is about to call.  A reference keeps them alive."""

@@ -63,7 +63,7 @@ LARGEST_PROFILE = 32767
 """Largest value of both profile registers."""
 
 CYCLE_REGISTERS = ("torque_enable", "present_position")
-"""What every control cycle reads."""
+"""Registers that every control cycle reads."""
 
 
 class DynamixelX:
@@ -147,14 +147,14 @@ class DynamixelX:
         for drive in config.drives:
             self._check_reverse(drive, bool(drive_mode[drive.id] & REVERSE))
         self._check_homing(bus, config)
-        wanted = {
+        settings = {
             "return_delay_time": dict.fromkeys(config.servo_ids, 0),
             "drive_mode": {id: value & REVERSE for id, value in drive_mode.items()},
             "operating_mode": {servo.id: self.mode_values[servo.mode] for servo in config.servos},
             # Otherwise a servo that restarts may switch torque on with none of the settings below.
             "startup_configuration": dict.fromkeys(config.servo_ids, 0),
         }
-        for name, values in wanted.items():
+        for name, values in settings.items():
             set_eeprom(bus, config, name, values, torque)
         self._check_shadows(bus, config)
         self._check_position_limits(bus, config)
@@ -263,18 +263,16 @@ class DynamixelX:
         secondary_ids = read_all(bus, config, "secondary_id", absent=NO_SECONDARY_ID)
         for drive in config.drives:
             value = secondary_ids[drive.id]
-            wanted = drive.servo.primary_id
-            if value != wanted and (wanted is not None or value in config.servo_ids):
-                expected = (
-                    "which is no shadow's"
-                    if wanted is None
-                    else f"the arm file says a shadow of id {wanted}"
-                )
+            expected_id = drive.servo.primary_id
+            if value != expected_id and (expected_id is not None or value in config.servo_ids):
+                expected = "which is no shadow's"
+                if expected_id is not None:
+                    expected = f"the arm file says a shadow of id {expected_id}"
+                secondary_id = NO_SECONDARY_ID if expected_id is None else expected_id
                 raise HardwareError(
                     f"servo id {drive.id} (joint {drive.name!r}) has secondary id {value}, "
                     f"{expected}",
-                    hint=f"set its Secondary ID to {255 if wanted is None else wanted}, or correct "
-                    f"the arm file",
+                    hint=f"set its Secondary ID to {secondary_id}, or correct the arm file",
                 )
 
     def _set_current_limits(
@@ -339,7 +337,7 @@ class DynamixelX:
         if bus.read(id, pointers).data != value:
             bus.write(id, pointers, value)
             if bus.read(id, pointers).data != value:
-                raise HardwareError("the indirect addresses read back otherwise")
+                raise HardwareError("the indirect addresses read back with other values")
 
         begin = table["indirect_data_1"].address
         block = Register("torque, position and health", begin, len(addresses), signed=True)
@@ -356,16 +354,16 @@ class DynamixelX:
         )
 
     def write_address(
-        self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
+        self, bus: ServoBus, table: ControlTable, at: int, id: int, baud: int
     ) -> None:
         """Write the id before the rate: if the line breaks between, the old rate still holds."""
-        if bus.read(at, found["return_delay_time"]).data:
-            bus.write(at, found["return_delay_time"], 0)
+        if bus.read(at, table["return_delay_time"]).data:
+            bus.write(at, table["return_delay_time"], 0)
         if at != id:
-            bus.write(at, found["id"], id)
+            bus.write(at, table["id"], id)
             bus.ping(id)
-        if bus.read(id, found["baud_rate"]).data != found.baud_code(baud):
-            bus.write(id, found["baud_rate"], found.baud_code(baud))
+        if bus.read(id, table["baud_rate"]).data != table.baud_code(baud):
+            bus.write(id, table["baud_rate"], table.baud_code(baud))
 
     def eeprom_unlocked(
         self, _bus: ServoBus, _ids: Collection[int]
@@ -387,7 +385,7 @@ class DynamixelX:
 
 
 def _effort_register(table: ControlTable) -> str:
-    """Return the register of the motor's effort: some models measure no current."""
+    """Return the register of the motor's effort: current, or load if no current is measured."""
     return "present_current" if "present_current" in table else "present_load"
 
 

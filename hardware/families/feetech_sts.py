@@ -148,13 +148,13 @@ class FeetechSts:
     def set_up(self, bus: ServoBus, config: ArmConfig) -> None:
         torque = read_all(bus, config, "torque_enable")
         phase = read_all(bus, config, "phase")
-        wanted = {
+        settings = {
             "return_delay_time": dict.fromkeys(config.servo_ids, 0),
             "operating_mode": {servo.id: self.mode_values[servo.mode] for servo in config.servos},
             "phase": {id: value & ~MULTI_TURN_FEEDBACK for id, value in phase.items()},
         }
         with self.eeprom_unlocked(bus, config.servo_ids):
-            for name, values in wanted.items():
+            for name, values in settings.items():
                 set_eeprom(bus, config, name, values, torque)
             self._set_gains(bus, config)
             self._set_protection_currents(bus, config)
@@ -246,13 +246,13 @@ class FeetechSts:
         for id in config.servo_ids:
             actual = (position[id] + offset[id]) % TICKS_PER_REVOLUTION
             offsets[id] = min(max(actual - TICKS_PER_REVOLUTION // 2, -largest), largest)
-        wanted = {
+        settings = {
             "min_position_limit": dict.fromkeys(config.servo_ids, 0),
             "max_position_limit": dict.fromkeys(config.servo_ids, TICKS_PER_REVOLUTION - 1),
             "homing_offset": offsets,
         }
         with self.eeprom_unlocked(bus, config.servo_ids):
-            for name, values in wanted.items():
+            for name, values in settings.items():
                 set_eeprom(bus, config, name, values, torque)
 
     def limit_speed(self, bus: ServoBus, config: ArmConfig) -> None:
@@ -314,23 +314,23 @@ class FeetechSts:
         return (table.block("torque_enable", "present_current"),)
 
     def write_address(
-        self, bus: ServoBus, found: ControlTable, at: int, id: int, baud: int
+        self, bus: ServoBus, table: ControlTable, at: int, id: int, baud: int
     ) -> None:
         """Write the id before the rate: if the line breaks between, the rate is still the old one.
 
         Lock is a RAM register.  The caller reopens the bus at the new rate and must lock the EEPROM
         again with ``eeprom_unlocked``.
         """
-        bus.write(at, found["lock"], UNLOCKED)
-        if bus.read(at, found["return_delay_time"]).data:
-            bus.write(at, found["return_delay_time"], 0)
+        bus.write(at, table["lock"], UNLOCKED)
+        if bus.read(at, table["return_delay_time"]).data:
+            bus.write(at, table["return_delay_time"], 0)
         if at != id:
-            bus.write(at, found["id"], id)
+            bus.write(at, table["id"], id)
             bus.ping(id)
-            bus.write(id, found["lock"], UNLOCKED)
-        if bus.read(id, found["baud_rate"]).data != found.baud_code(baud):
+            bus.write(id, table["lock"], UNLOCKED)
+        if bus.read(id, table["baud_rate"]).data != table.baud_code(baud):
             with contextlib.suppress(BusTimeoutError):  # the reply may come at the new rate
-                bus.write(id, found["baud_rate"], found.baud_code(baud))
+                bus.write(id, table["baud_rate"], table.baud_code(baud))
 
     @contextmanager
     def eeprom_unlocked(self, bus: ServoBus, ids: Collection[int]) -> Iterator[None]:

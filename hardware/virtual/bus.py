@@ -76,7 +76,7 @@ class VirtualBus:
         *,
         seed: int = 0,
     ) -> VirtualBus:
-        """Return the servos of an arm file, set up as it says, without torque.
+        """Return the servos of an arm file with its settings, without torque.
 
         Args:
             config: Arm.
@@ -208,7 +208,8 @@ class VirtualBus:
 
         Args:
             data: Any part of any number of instruction packets.
-            baud: Rate of the host, bit/s. Servos with another rate hear nothing. None: all hear.
+            baud: Rate of the host, bit/s. Servos with another rate ignore the bytes. None: every
+                servo receives them.
 
         Returns:
             Bytes of the reply, and the time that the servos waited before it in s.

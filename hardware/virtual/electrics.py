@@ -18,8 +18,9 @@ ROOM_TEMPERATURE = 32.0
 HEAT_TIME = 180.0
 """s. Time constant of the temperature."""
 STALL_HEAT = 150.0
-"""C above the surroundings that a stalled motor reaches. The heat goes with the square of
-the current.
+"""C above the surroundings that a stalled motor reaches.
+
+The heat is proportional to the square of the current.
 """
 OVERLOAD_SHARE = 0.9
 """Share of the stall torque. More than this for longer than ``OVERLOAD_TIME`` is an overload."""
@@ -35,8 +36,8 @@ class Load:
 
     Attributes:
         gravity: Torque that holds the load where it weighs most, N m.
-        level_ticks: Encoder ticks there (a lever held level).
-        friction: Torque that turning costs, N m.
+        level_ticks: Encoder ticks at which the load weighs most: a lever is level there.
+        friction: Friction torque of a turning shaft, N m.
         push: Steady torque that the motor must hold in addition, N m.
     """
 
@@ -80,9 +81,10 @@ class Electrics:
         self.temperature = final + (self.temperature - final) * math.exp(-seconds / HEAT_TIME)
         overloaded = abs(share) >= OVERLOAD_SHARE * volts / self.motor.volts
         change = seconds / OVERLOAD_TIME
-        self.strain = (
-            min(1.0, self.strain + change) if overloaded else max(0.0, self.strain - change)
-        )
+        if overloaded:
+            self.strain = min(1.0, self.strain + change)
+        else:
+            self.strain = max(0.0, self.strain - change)
 
     def duty(self, torque: float, speed: float, volts: float) -> float:
         """Return the PWM share, -1..1, that gives ``torque`` (N m) at ``speed`` (rad/s)."""

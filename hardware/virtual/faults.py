@@ -70,11 +70,9 @@ class Kind:
     def span(self) -> str:
         """Allowed values as text; empty if the fault takes no value."""
         whole = "a whole number, " if self.whole else ""
-        return (
-            ""
-            if self.low is None or self.high is None
-            else f"{whole}{self.low:.10g}..{self.high:.10g}"
-        )
+        if self.low is None or self.high is None:
+            return ""
+        return f"{whole}{self.low:.10g}..{self.high:.10g}"
 
     def require(self, value: float | None) -> None:
         """Raise ``KeyProblem`` for a value that is missing, out of range or not expected."""
@@ -165,7 +163,10 @@ def joint_offset(joint: Joint, degrees: float) -> Fault:
 class Injected:
     """A fault on a bus: scheduled, active or over. Times and packets count from the injection.
 
-    The bus holds its lock. Its ``KeyError`` is raised if there is no such servo.
+    The caller holds the lock of the bus.
+
+    Raises:
+        KeyError: The bus has no such servo.
     """
 
     def __init__(self, fault: Fault, bus: VirtualBus) -> None:
@@ -232,7 +233,7 @@ class _Override:
         )
 
     def __call__(self, target: Any, value: float) -> Undo:
-        own, layers = self._laid.setdefault(target, (self._read(target), []))
+        original, layers = self._laid.setdefault(target, (self._read(target), []))
         layer = (object(), self._convert(value))
         layers.append(layer)
         self._write(target, layer[1])
@@ -241,7 +242,7 @@ class _Override:
             was_last = layers[-1] is layer
             layers.remove(layer)
             if was_last:
-                self._write(target, layers[-1][1] if layers else own)
+                self._write(target, layers[-1][1] if layers else original)
             if not layers:
                 del self._laid[target]
 
@@ -433,10 +434,10 @@ def load_faults(path: Path | str, config: ArmConfig) -> FaultFile:
 
 def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> FaultFile:
     """Return the faults of a text. ``file`` is its name in errors."""
-    found = check_table(FaultFile, parse_toml(text, file), file)
-    for k, fault in enumerate(found.faults):
+    fault_file = check_table(FaultFile, parse_toml(text, file), file)
+    for k, fault in enumerate(fault_file.faults):
         make_fault(config, file, f"faults[{k}]", **dataclasses.asdict(fault))
-    return found
+    return fault_file
 
 
 def make_fault(

@@ -17,9 +17,9 @@ from robot_ik.hardware.virtual.protocol import (
 )
 from robot_ik.hardware.virtual.servo import VirtualServo
 
-Request = tuple[int, int, int]
+ReadRequest = tuple[int, int, int]
 """(servo id, address, length) of one part of a sync or bulk read."""
-Order = tuple[int, int, bytes]
+WriteRequest = tuple[int, int, bytes]
 """(servo id, address, data) of one part of a sync or bulk write."""
 
 
@@ -28,21 +28,21 @@ def word(data: bytes, at: int) -> int:
     return int.from_bytes(data[at : at + 2], "little")
 
 
-def sync_requests(params: bytes) -> list[Request]:
+def sync_requests(params: bytes) -> list[ReadRequest]:
     """Return the reads of a sync read."""
     address = word(params, 0)
     length = word(params, 2)
     return [(id, address, length) for id in params[4:]]
 
 
-def bulk_requests(params: bytes) -> list[Request]:
+def bulk_requests(params: bytes) -> list[ReadRequest]:
     """Return the reads of a bulk read."""
     return [
         (params[k], word(params, k + 1), word(params, k + 3)) for k in range(0, len(params) - 4, 5)
     ]
 
 
-def sync_writes(params: bytes) -> list[Order]:
+def sync_writes(params: bytes) -> list[WriteRequest]:
     """Return the writes of a sync write; none if the lengths do not add up."""
     address = word(params, 0)
     length = word(params, 2)
@@ -54,31 +54,31 @@ def sync_writes(params: bytes) -> list[Order]:
     ]
 
 
-def bulk_writes(params: bytes) -> list[Order]:
+def bulk_writes(params: bytes) -> list[WriteRequest]:
     """Return the writes of a bulk write. An incomplete part is left out."""
-    found = []
+    writes = []
     at = 0
     while at + 5 <= len(params):
         length = word(params, at + 3)
         data = params[at + 5 : at + 5 + length]
         if len(data) == length:
-            found.append((params[at], word(params, at + 1), data))
+            writes.append((params[at], word(params, at + 1), data))
         at += 5 + length
-    return found
+    return writes
 
 
-READS: Mapping[int, Callable[[bytes], list[Request]]] = {
+READS: Mapping[int, Callable[[bytes], list[ReadRequest]]] = {
     Instruction.SYNC_READ: sync_requests,
     Instruction.FAST_SYNC_READ: sync_requests,
     Instruction.BULK_READ: bulk_requests,
     Instruction.FAST_BULK_READ: bulk_requests,
 }
-"""Instruction -> parser of its parameters."""
-WRITES: Mapping[int, Callable[[bytes], list[Order]]] = {
+"""Read instruction -> parser of its parameters."""
+WRITES: Mapping[int, Callable[[bytes], list[WriteRequest]]] = {
     Instruction.SYNC_WRITE: sync_writes,
     Instruction.BULK_WRITE: bulk_writes,
 }
-"""Instruction -> parser of its parameters."""
+"""Write instruction -> parser of its parameters."""
 
 
 def execute(
@@ -128,15 +128,15 @@ def execute(
 
 def responding(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo]]:
     """Return the servos that answer reads, by id."""
-    found: dict[int, list[VirtualServo]] = {}
+    servos: dict[int, list[VirtualServo]] = {}
     for servo in listeners:
         if servo.memory.values["status_return_level"] >= RETURN_READ:
-            found.setdefault(servo.id, []).append(servo)
-    return found
+            servos.setdefault(servo.id, []).append(servo)
+    return servos
 
 
 def fast_status_packets(
-    requests: list[Request], able: Mapping[int, list[VirtualServo]]
+    requests: list[ReadRequest], servos: Mapping[int, list[VirtualServo]]
 ) -> list[bytes]:
     """Return the packets in which servos answer a fast read together.
 
@@ -144,7 +144,7 @@ def fast_status_packets(
 
     Args:
         requests: The parts of the fast read.
-        able: Id -> servos that answer.
+        servos: Id -> servos that answer.
 
     Returns:
         No packet, one packet, or one packet for each servo with the same id: these collide.
@@ -154,15 +154,15 @@ def fast_status_packets(
         return []
     columns = []
     for id, address, length in requests:
-        if id not in able:
+        if id not in servos:
             break
         column = []
-        for servo in able[id]:
+        for servo in servos[id]:
             data, error = servo.read(address, length)
             column.append((servo.status_byte(error), id, data.ljust(length, b"\x00")))
         columns.append(column)
-    deepest = max(map(len, columns), default=0)
+    packet_count = max(map(len, columns), default=0)
     return [
         build_fast_status([c[min(k, len(c) - 1)] for c in columns], expected)
-        for k in range(deepest)
+        for k in range(packet_count)
     ]

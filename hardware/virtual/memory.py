@@ -67,7 +67,12 @@ class Memory:
         self.reset(eeprom=True)
 
     def reset(self, *, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
-        """Set RAM to its values after a power cycle, and EEPROM to factory values if asked."""
+        """Set RAM to its values after a power cycle.
+
+        Args:
+            eeprom: Also set EEPROM to its factory values.
+            keep: Names of registers that keep their values.
+        """
         for register in self.table:
             if (eeprom or not register.eeprom) and register.name not in keep:
                 self.set(register.name, register.initial or 0)
@@ -112,14 +117,14 @@ class Memory:
         """
         if address + length <= self.first_indirect:
             return [(address, address + length)]
-        found: list[tuple[int, int]] = []
+        spans: list[tuple[int, int]] = []
         for a in range(address, address + length):
             real = self._resolve(a)
-            if found and found[-1][1] == real:
-                found[-1] = (found[-1][0], real + 1)
+            if spans and spans[-1][1] == real:
+                spans[-1] = (spans[-1][0], real + 1)
             else:
-                found.append((real, real + 1))
-        return found
+                spans.append((real, real + 1))
+        return spans
 
     def parse_write(
         self, address: int, data: bytes

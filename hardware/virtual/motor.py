@@ -68,13 +68,13 @@ def velocity_control(
 
     Profile Acceleration 0 is the acceleration of the motor.
     """
-    wanted = sign * memory.values["goal_velocity"] * VELOCITY_TICKS
+    target = sign * memory.values["goal_velocity"] * VELOCITY_TICKS
     steepness = memory.values["profile_acceleration"]
     acceleration = steepness * ACCELERATION_TICKS
     if memory.drives(TIME_BASED):
-        acceleration = abs(wanted - velocity) / (steepness / 1000.0) if steepness else 0.0
+        acceleration = abs(target - velocity) / (steepness / 1000.0) if steepness else 0.0
     return constant_velocity(
-        now, position, velocity, wanted, min(acceleration or math.inf, PHYSICAL_ACCELERATION)
+        now, position, velocity, target, min(acceleration or math.inf, PHYSICAL_ACCELERATION)
     )
 
 

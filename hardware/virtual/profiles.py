@@ -80,12 +80,12 @@ def brake(t: float, position: float, velocity: float, acceleration: float) -> Mo
 
 
 def constant_velocity(
-    t: float, position: float, velocity: float, wanted: float, acceleration: float
+    t: float, position: float, velocity: float, target: float, acceleration: float
 ) -> MotorMotion:
-    """Return the motion that ramps to the ``wanted`` velocity and keeps it."""
-    seconds = abs(wanted - velocity) / acceleration
-    ramp = (t, position, velocity, math.copysign(acceleration, wanted - velocity))
-    return MotorMotion((ramp, (t + seconds, _at(ramp, t + seconds)[0], wanted, 0.0)), math.inf)
+    """Return the motion that ramps to the ``target`` velocity and keeps it."""
+    seconds = abs(target - velocity) / acceleration
+    ramp = (t, position, velocity, math.copysign(acceleration, target - velocity))
+    return MotorMotion((ramp, (t + seconds, _at(ramp, t + seconds)[0], target, 0.0)), math.inf)
 
 
 def move(
@@ -99,9 +99,8 @@ def move(
 ) -> MotorMotion:
     """Return the fastest motion to a stop at ``goal`` within ``top`` and ``acceleration``.
 
-    A start that is faster than ``top`` first slows down to ``top``. A start that can no longer stop
-    in
-    time overshoots and comes back.
+    A shaft that starts faster than ``top`` first slows down to ``top``. A shaft that can no longer
+    stop in time overshoots and comes back.
 
     Args:
         t: Start time, s.
@@ -113,21 +112,22 @@ def move(
         kind: Kind to report. None: triangular or trapezoidal, as the motion results.
     """
     distance = goal - position
-    spare = distance - 0.5 * velocity * abs(velocity) / acceleration
-    side = math.copysign(1.0, spare)
-    peak = min(top, math.sqrt(max(0.0, side * acceleration * distance + 0.5 * velocity**2)))
-    cruise = side * peak
-    first = abs(cruise - velocity) / acceleration
-    last = peak / acceleration
-    rest_of_way = distance - 0.5 * (velocity + cruise) * first - 0.5 * cruise * last
-    middle = max(0.0, side * rest_of_way / peak) if peak > 0.0 else 0.0
+    excess = distance - 0.5 * velocity * abs(velocity) / acceleration
+    sign = math.copysign(1.0, excess)
+    peak = min(top, math.sqrt(max(0.0, sign * acceleration * distance + 0.5 * velocity**2)))
+    cruise = sign * peak
+    ramp_time = abs(cruise - velocity) / acceleration
+    brake_time = peak / acceleration
+    cruise_way = distance - 0.5 * (velocity + cruise) * ramp_time - 0.5 * cruise * brake_time
+    cruise_time = max(0.0, sign * cruise_way / peak) if peak > 0.0 else 0.0
     ramp = (t, position, velocity, math.copysign(acceleration, cruise - velocity))
-    cruising = t + first
-    there = _at(ramp, cruising)[0]
-    braking = cruising + middle
-    end = braking + last
-    steady = (cruising, there, cruise, 0.0)
-    slowing = (braking, there + cruise * middle, cruise, -side * acceleration)
+    cruise_start = t + ramp_time
+    cruise_position = _at(ramp, cruise_start)[0]
+    brake_start = cruise_start + cruise_time
+    brake_position = cruise_position + cruise * cruise_time
+    end = brake_start + brake_time
+    steady = (cruise_start, cruise_position, cruise, 0.0)
+    slowing = (brake_start, brake_position, cruise, -sign * acceleration)
     if kind is None:
         kind = ProfileKind.TRAPEZOIDAL if peak >= top else ProfileKind.TRIANGULAR
     return MotorMotion((ramp, steady, slowing, (end, goal, 0.0, 0.0)), end, kind)

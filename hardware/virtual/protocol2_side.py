@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from robot_ik.hardware.families.dynamixel_x_table import RETURN_ALL, RETURN_READ
 from robot_ik.hardware.virtual import instructions
-from robot_ik.hardware.virtual.instructions import Request, fast_status_packets, responding
+from robot_ik.hardware.virtual.instructions import ReadRequest, fast_status_packets, responding
 from robot_ik.hardware.virtual.protocol import (
     BROADCAST,
     ErrorCode,
@@ -91,7 +91,7 @@ class Protocol2Side:
         return Answer([_on_wire(packets, rng) for packets in replies.values()], total_delay)
 
     def _read_many(
-        self, requests: list[Request], listeners: Sequence[VirtualServo], rng: random.Random
+        self, requests: list[ReadRequest], listeners: Sequence[VirtualServo], rng: random.Random
     ) -> Answer:
         """Return a status packet of each servo asked.  Missing servos send nothing."""
         replies = []
@@ -108,7 +108,7 @@ class Protocol2Side:
         return Answer(replies, delay)
 
     def _read_fast(
-        self, requests: list[Request], listeners: Sequence[VirtualServo], rng: random.Random
+        self, requests: list[ReadRequest], listeners: Sequence[VirtualServo], rng: random.Random
     ) -> Answer:
         """Return one packet to which each servo adds; it ends before the first missing servo."""
         able = responding([s for s in listeners if "fast_read" in s.table.abilities])

@@ -34,7 +34,7 @@ _WORLD_PERIOD = 0.01
 _BITS_PER_BYTE = 10
 """8N1: a start bit, eight data bits, a stop bit."""
 _TCGETS2 = 0x802C542A
-"""Linux request for struct termios2, which also knows rates without a B constant."""
+"""Linux request for struct termios2, which also has rates without a B constant."""
 _TERMIOS2 = struct.Struct("4I20x2I")
 """Layout of termios2: four flag words, line and control characters, two rates."""
 _RATES = {
@@ -55,8 +55,8 @@ class PtyPort(Closing):
     Args:
         bus: The servos.
         link: Symbolic link to the port, a name that stays the same from run to run.
-        match_baud: Servos hear only a client with their own baud rate. By default they hear any
-            rate.
+        match_baud: Servos answer a client with their own baud rate only. By default they answer at
+            any rate.
         wire_baud: Rate at which bytes take their time, bit/s. 0: bytes take no time.
 
     Attributes:

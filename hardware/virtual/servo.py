@@ -1,7 +1,7 @@
 """One Dynamixel X servo without a motor: its memory, its rules and what its registers do.
 
-What a register does follows the ROBOTIS e-manual (X series). Where the manual is silent, the choice
-is the less comfortable one for the host:
+The registers follow the ROBOTIS e-manual (X series). Where the manual says nothing, the servo
+behaves in the way that is harder for the host:
 
 * Goal Position keeps its value while torque is off, so torque on moves the shaft to a stale goal.
 * A reboot forgets revolutions.
@@ -88,10 +88,10 @@ class VirtualServo:
     Attributes:
         stuck: The shaft does not move and feels no load (a stripped gear). Registers show where it
             is.
-        silent: The servo hears nothing and answers nothing, as without a data line.
+        silent: The servo receives and sends nothing, as without a data line.
         off: The servo has no power.
         zero_offset_ticks: Hidden distance of the shaft from where its registers show it.
-        reboot_time: s after a reboot in which the servo hears nothing; some tenths on a real servo.
+        reboot_time: s after a reboot in which the servo receives nothing; tenths on a real servo.
         ready_at: Time at which the last reboot is over, s.
         electrics: Temperature and strain of the motor.
         booted: Time at which power came, s.
@@ -211,10 +211,10 @@ class VirtualServo:
     @jammed.setter
     def jammed(self, value: bool) -> None:
         self.update()
-        here = self.shaft.encoder
+        position = self.shaft.encoder
         if not value:
             self.shaft.stop()
-        self.shaft.stops = (here, here) if value else (-math.inf, math.inf)
+        self.shaft.stops = (position, position) if value else (-math.inf, math.inf)
         if not value:
             self._set_out()
 
@@ -290,7 +290,7 @@ class VirtualServo:
         return memory.read(address, length)
 
     def write(self, address: int, data: bytes, *, secondary: bool = False) -> ErrorCode:
-        """Set registers if all of them may be set, and do what they say.
+        """Set registers if all of them may be set, and carry out their effects.
 
         Args:
             address: First address.
@@ -326,7 +326,7 @@ class VirtualServo:
         """Do the kept write; an instruction error if there is none."""
         if self._registered is None:
             return ErrorCode.INSTRUCTION
-        (address, data) = self._registered
+        address, data = self._registered
         self._registered = None
         self.memory.set("registered_instruction", 0)
         return self.write(address, data)
@@ -341,7 +341,7 @@ class VirtualServo:
             return ErrorCode.INSTRUCTION
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
-        if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # the host sees it move
+        if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # Present Velocity is not 0
             return ErrorCode.RESULT_FAIL
         self.shaft.fold()
         self.memory.set("goal_position", self.shaft.position_register())

@@ -96,8 +96,8 @@ class Shaft:
         if velocity:
             torque += math.copysign(self.load.friction, velocity)
         # Against a stop, or against too much load, the error raises the torque.
-        wanted = self._planned()[0] if self._unreached is None else self._unreached
-        missing = wanted - position
+        target = self._planned()[0] if self._unreached is None else self._unreached
+        missing = target - position
         effort = missing * self._values["position_p_gain"] * _EFFORT_OF_GAIN / PWM_FULL
         torque += effort * self._memory.table.motor.stall_torque
         return max(-limit, min(limit, torque))
@@ -202,7 +202,7 @@ class Shaft:
     def fold(self) -> None:
         """Count within one revolution from now on.
 
-        The encoder does not know the number of revolutions. The manual names four occasions: the
+        The encoder does not measure the number of revolutions. The manual names four occasions: the
         mode becomes Position, torque goes on in that mode, power on, and Clear. The homing offset
         is added.
         """
@@ -248,11 +248,9 @@ class Shaft:
             return self.body.position, self.body.velocity
         position, velocity = self._planned()
         low, high = self.stops
-        return (
-            (position, velocity)
-            if low <= position <= high
-            else (min(max(position, low), high), 0.0)
-        )
+        if low <= position <= high:
+            return position, velocity
+        return min(max(position, low), high), 0.0
 
     def _to_reading(self, encoder: float) -> float:
         return self.sign * encoder + self._homing + self._revolutions

@@ -1,4 +1,4 @@
-"""What becomes of status packets on their way to the host."""
+"""The wire from the virtual servos to the host: collisions, late and spoilt status packets."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def collide(packets: Sequence[bytes], rng: random.Random) -> bytes:
     ]
     wire = [min(bits) for bits in itertools.zip_longest(*lines, fillvalue=1)]
     # A start bit and the eight bits after it. The stop bit is not checked.
-    found = bytearray()
+    received = bytearray()
     at = 0
     while at < len(wire):
         if wire[at]:
             at += 1
             continue
         data = (*wire[at + 1 : at + 9], *[1] * 8)[:8]
-        found.append(sum(bit << k for k, bit in enumerate(data)))
+        received.append(sum(bit << k for k, bit in enumerate(data)))
         at += 10
-    return bytes(found)
+    return bytes(received)
 
 
 LATEST = 0.15
@@ -69,8 +69,7 @@ class VirtualWire:
         rng: Random generator of all faults. Equal seeds and equal traffic give equal faults.
         foreign: Ids that no servo has.
         held: Packets that arrive before the replies to the next request, with the time in s at
-            which
-            they were sent.
+            which they were sent.
         behind: Packet that arrives after the next one.
     """
 

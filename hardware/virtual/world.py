@@ -105,8 +105,8 @@ class JointMotor:
         """Turn the joint as a hand does."""
         self._joint.put(self._angle(self.position + ticks))
 
-    def wanted(self, t: float) -> float | None:
-        """Return the acceleration that the controller wants at the joint, rad/s^2 (m/s^2).
+    def acceleration_demand(self, t: float) -> float | None:
+        """Return the acceleration that the controller demands at the joint, rad/s^2 (m/s^2).
 
         None if the servo has no torque or no position goal.
         """
@@ -118,9 +118,8 @@ class JointMotor:
         position, velocity = shaft.motion.at(t)
         error = self._angle(position) - self._joint.angle
         if servo.mode == OperatingMode.VELOCITY:
-            limit = (
-                0.1 * self._drive.joint.lever
-            )  # limits how far the goal may run ahead of a blocked joint
+            # The goal may be only so far ahead of a blocked joint.
+            limit = 0.1 * self._drive.joint.lever
             error = max(-limit, min(limit, error))
         rate = velocity / self._ticks_per - self._joint.rate
         return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
@@ -196,7 +195,7 @@ class World:
             options.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self._joints = [_Joint(self, joint, bus) for joint in config.joints]
         self._followers = _followers(self.model, {joint.dof for joint in self._joints})
-        self._wanted = np.zeros(self.model.nv)
+        self._accelerations = np.zeros(self.model.nv)
         self._force = np.zeros(self.model.nv)
         for leader, follower, share in self._followers:
             at, to = (
@@ -225,13 +224,13 @@ class World:
         model = self.model
         data = self.data
         mujoco.mj_step1(model, data)
-        self._wanted[:] = 0.0
+        self._accelerations[:] = 0.0
         for joint in self._joints:
-            self._wanted[joint.dof] = joint.wanted(self._time)
+            self._accelerations[joint.dof] = joint.acceleration_demand(self._time)
         for leader, follower, share in self._followers:
-            self._wanted[follower] = share * self._wanted[leader]
-        # Torque for the wanted accelerations. Gravity is not compensated.
-        mujoco.mj_mulM(model, data, self._force, self._wanted)
+            self._accelerations[follower] = share * self._accelerations[leader]
+        # Torque for the demanded accelerations. Gravity is not compensated.
+        mujoco.mj_mulM(model, data, self._force, self._accelerations)
         for leader, follower, share in self._followers:
             self._force[leader] += share * self._force[follower]
         for joint in self._joints:
@@ -247,7 +246,7 @@ def _followers(model: mujoco.MjModel, driven: set[int]) -> list[tuple[int, int, 
 
     With such a constraint one servo moves both fingers of a gripper.
     """
-    found = []
+    followers = []
     for k in range(model.neq):
         if (
             model.eq_type[k] != mujoco.mjtEq.mjEQ_JOINT
@@ -257,8 +256,8 @@ def _followers(model: mujoco.MjModel, driven: set[int]) -> list[tuple[int, int, 
             continue
         follower, leader = (int(model.jnt_dofadr[j[k]]) for j in (model.eq_obj1id, model.eq_obj2id))
         if leader in driven and follower not in driven:
-            found.append((leader, follower, float(model.eq_data[k][1])))
-    return found
+            followers.append((leader, follower, float(model.eq_data[k][1])))
+    return followers
 
 
 class _Joint:
@@ -320,9 +319,9 @@ class _Joint:
         for motor in self.motors:
             motor.read_encoder()
 
-    def wanted(self, t: float) -> float:
-        """Return the acceleration that the controllers want, the mean of two, rad/s^2 (m/s^2)."""
-        self._demands = [motor.wanted(t) for motor in self.motors]
+    def acceleration_demand(self, t: float) -> float:
+        """Return the acceleration that the controllers demand, the mean of two, rad/s^2 (m/s^2)."""
+        self._demands = [motor.acceleration_demand(t) for motor in self.motors]
         demands = [demand for demand in self._demands if demand is not None]
         return sum(demands) / len(demands) if demands else 0.0
 
@@ -380,7 +379,7 @@ SOLIMP = (0.95, 0.99, 0.0005, 0.5, 2.0)
 
 @dataclass(frozen=True)
 class WorldObject:
-    """A box that lies about.
+    """A box beside the robot that can be moved and gripped.
 
     Attributes:
         name: Name of its body.

@@ -19,7 +19,8 @@ from robot_ik.ports import Clock
 if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
 
-NO_ENTER = "standard input has ended, so nobody can press Enter"
+NO_ENTER = "standard input has ended, so Enter cannot be pressed"
+"""Reason why a step cannot end with Enter."""
 
 SAMPLE_PERIOD = 0.02
 """s between two samples: quick enough that a sweep by hand misses no end of a range."""
@@ -29,7 +30,7 @@ READ_BYTES = 1024
 
 
 class Prompts:
-    """Asks for one step after the other.
+    """Prompts for one step after the other.
 
     Args:
         clock: Paces the samples.
@@ -49,15 +50,15 @@ class Prompts:
         # True for every line of standard input, False for its end.
         self._lines: queue.Queue[bool] = queue.Queue()
         self._reader: threading.Thread | None = None
-        with contextlib.suppress(OSError):  # Windows asks only sockets whether they can be read
+        with contextlib.suppress(OSError):  # on Windows select() works with sockets only
             if seconds is None and _has_input() and not self._read_input():
                 raise wrong("--seconds", NO_ENTER, "--seconds S")
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
-        """Say what to do, sample until it is done, and sample once more then.
+        """Print an instruction, sample until the step is done, and sample once more then.
 
         Args:
-            text: What the person does.
+            text: Instruction to the person.
             sample: Takes a sample.
 
         Raises:
@@ -87,7 +88,9 @@ class Prompts:
         if self._seconds is not None or sys.__stdin__ is None or not sys.__stdin__.isatty():
             return False
         console.show_error(error)
-        console.say("once more (Ctrl-C gives up; nothing is written)", "yellow")
+        console.say(
+            "repeat the step once more (Ctrl-C ends the command; nothing is written)", "yellow"
+        )
         return True
 
     def _is_done(self, end: float) -> bool:
@@ -108,7 +111,7 @@ class Prompts:
         return True
 
     def _read_lines(self) -> None:
-        # Not by sys.stdin: a thread that waits inside it has its lock at the end of the program.
+        # Not with sys.stdin: a waiting thread would keep its lock at the end of the program.
         with contextlib.suppress(OSError, ValueError):
             while self._read_input():
                 pass

@@ -62,8 +62,8 @@ def run_ports(options: ServoPortsOptions) -> int:
 class ServoScanOptions(BusOptions):
     """Lists the servos at every baud rate: id, model, firmware, supply, errors.
 
-    Writes nothing. Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 if
-    none answers.
+    Writes nothing. All rates take some seconds. Also finds ids that two servos share. Exit code 1
+    if no servo answers.
     """
 
     baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
@@ -77,17 +77,17 @@ def run_scan(options: ServoScanOptions) -> int:
 
     bauds = checked_rates(options.baud) or LIKELY
     with served_or_serial_port(options.bus, options.arm) as port, console.progress() as bar:
-        found = scan(port, bauds, progress=console.shares_on(bar, "scan"))
+        servos = scan(port, bauds, progress=console.shares_on(bar, "scan"))
     if options.json:
-        rows = [{"model": servo.model, **asdict(servo)} for servo in found]
+        rows = [{"model": servo.model, **asdict(servo)} for servo in servos]
         console.print_json({"schema": 1, "port": port, "bauds": list(bauds), "servos": rows})
-    elif found:
-        print_found(found)
-    if not found:
+    elif servos:
+        print_found(servos)
+    if not servos:
         console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
-    for note in scan_notes(found):
+    for note in scan_notes(servos):
         console.say(note, "yellow")
-    return console.DONE if found else console.NOT_ACHIEVED
+    return console.DONE if servos else console.NOT_ACHIEVED
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
@@ -104,7 +104,7 @@ def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     return tuple(dict.fromkeys(rates))
 
 
-def print_found(found: Sequence[FoundServo]) -> None:
+def print_found(servos: Sequence[FoundServo]) -> None:
     """Print a table of servos on stdout."""
     columns = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
     rows = [
@@ -119,7 +119,7 @@ def print_found(found: Sequence[FoundServo]) -> None:
             _on_off(servo.torque, "?"),
             _errors(servo),
         )
-        for servo in found
+        for servo in servos
     ]
     console.show(console.table(*columns, rows=rows))
 
@@ -157,8 +157,8 @@ def run_setup(options: ServoSetupOptions) -> int:
     from robot_ik.hardware.discovery import LIKELY, no_reply_hint
     from robot_ik.hardware.servo_setup import set_up
 
-    given_once = (options.id is None) != (not options.joint)
-    require(given_once, "--id", "the servo is not named", "either --id N or --joint JOINT")
+    is_named_once = (options.id is None) != (not options.joint)
+    require(is_named_once, "--id", "the servo is not named", "either --id N or --joint JOINT")
     config = load_arm(options.arm)
     joint = config.joint(options.joint) if options.joint else None
     id = joint.servo.id if joint else options.id

@@ -31,7 +31,7 @@ class ServoCalibrateOptions(BusOptions):
 
     --arm gives names, ids, models, modes and limits. OUT.toml becomes the calibrated arm file, and
     OUT.calibration.toml beside it what was measured; from then on: --arm OUT.toml. The commands
-    that move the arm compare the two with the servos and refuse an arm that is another.
+    that move the arm compare both files with the servos and refuse an arm that differs.
     """
 
     out: Positional[Annotated[Path, arg(metavar="OUT.toml")]]
@@ -43,7 +43,7 @@ class ServoCalibrateOptions(BusOptions):
     ] = None
     """Duration of each step, s, without Enter."""
     from_lerobot: Annotated[Path | None, single("FILE.json")] = None
-    """Take LeRobot's calibration instead of a hand; there 0 degrees is the middle of a range."""
+    """Use a LeRobot calibration instead; its 0 degrees is the middle of a range."""
     to_lerobot: Annotated[Path | None, single("FILE.json")] = None
     """Also write LeRobot's calibration."""
     check: bool = False
@@ -52,7 +52,7 @@ class ServoCalibrateOptions(BusOptions):
 
 
 def run_calibrate(options: ServoCalibrateOptions) -> int:
-    """Measure, check, and write; 1 if a step was not done as asked."""
+    """Measure, check, and write; 1 if a step failed."""
     from robot_ik.hardware.calibration_file import calibration_beside
 
     if options.out.suffix != ".toml" or options.out.name.endswith(".calibration.toml"):
@@ -158,11 +158,11 @@ def run_teach(options: ServoTeachOptions) -> int:
             try:
                 prompts.step("recording: guide the arm by hand", taught.sample)
             finally:
-                _keep(options.file, taught.motion(), arm.config)
+                _save_motion(options.file, taught.motion(), arm.config)
     return console.DONE if taught.motion() is not None else console.NOT_ACHIEVED
 
 
-def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
+def _save_motion(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
     """Write a recording, and warn of joints that were beyond their limits."""
     from robot_ik.jobs.hand_guiding import outside
 
@@ -172,8 +172,8 @@ def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
     motion.save_csv(path)
     console.result(f"{path}: {len(motion)} samples, {motion.duration:.2f} s")
     for joint, excess in outside(motion, config):
-        far = joint.text(excess)
-        console.say(f"{joint.name} was {far} beyond its limits: play refuses that", "yellow")
+        text = f"{joint.name} was {joint.text(excess)} beyond its limits: play refuses that"
+        console.say(text, "yellow")
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ class ServoTorqueOptions(BusOptions):
     """Switches torque on (every joint holds its pose) or off (support the arm: it may fall).
 
     on checks the servos as any start of the arm does, and leaves them holding, with no watchdog
-    armed. off asks nothing first: it is for an arm in any state. Both are read back.
+    armed. off needs no confirmation and works in any state of the arm. Both are read back.
     """
 
     to: Positional[Annotated[Literal["on", "off"], arg(metavar="on|off")]]
@@ -214,7 +214,7 @@ class ServoResetFaultOptions(BusOptions):
     """Restarts servos that have shut down (overload, heat, voltage …) and checks them again.
 
     Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched
-    on. Exit code 1 if an error is still there, or a servo has forgotten whole revolutions.
+    on. Exit code 1 if an error remains, or a servo has lost whole revolutions.
     """
 
     joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
@@ -222,7 +222,7 @@ class ServoResetFaultOptions(BusOptions):
 
 
 def run_reset_fault(options: ServoResetFaultOptions) -> int:
-    """Restart servos; 1 if something is still wrong."""
+    """Restart servos; 1 if a servo still has an error or does not answer."""
     from robot_ik.hardware.recovery import reset_servos
 
     config = load_arm(options.arm).only(options.joints)
@@ -244,9 +244,9 @@ def _advice(row: ServoReset) -> str:
     if row.after is None:
         return "check power, cable, id and baud rate"
     if row.after:
-        return "the cause is still there: load, heat, supply?"
+        return "remove the cause: load, heat or supply"
     return (
-        f"its reading changed by {row.turned} ticks: it forgot whole revolutions; "
+        f"its reading changed by {row.turned} ticks: it lost whole revolutions; "
         "turn the joint by hand"
     )
 
@@ -256,16 +256,17 @@ class StopOptions:
     """Stops arms that other programs drive: they hold their pose, with torque on.
 
     Needs neither the port nor the program's terminal. Exit code 0 only if every servo confirmed
-    it; 1 if one did not, if no arm runs, or without an answer for 3 s. Then the request stays: the
-    arm stops when its program goes on. It is no substitute for a switch in the servos' supply.
+    it; 1 if a servo did not, if no arm runs, or without an answer for 3 s. After 3 s the request
+    stays: the arm stops when its program continues. It does not replace a switch in the servos'
+    supply.
     """
 
     bus: Annotated[str, single("PORT", "every arm of this user")] = ""
     """Only the arm on this port."""
     torque_off: bool = False
-    """Switch torque off instead: the arm may fall. Asks first."""
+    """Switch torque off instead, after a confirmation: the arm may fall."""
     yes: bool = False
-    """With --torque-off: do not ask."""
+    """With --torque-off: skip the confirmation."""
 
 
 def run_stop(options: StopOptions) -> int:

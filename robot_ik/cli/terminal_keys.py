@@ -49,10 +49,10 @@ def single_keys() -> Iterator[int | None]:
 @contextmanager
 def stop_on_space(arm: Arm) -> Iterator[None]:
     """Make the space bar stop and hold an arm, as ``robot-ik stop`` does; only at a terminal."""
-    over = threading.Event()
+    ended = threading.Event()
 
     def listen(file: int) -> None:
-        while not over.is_set():
+        while not ended.is_set():
             if select.select([file], [], [], POLL_PERIOD)[0]:
                 key = os.read(file, 1)
                 if key == b" ":
@@ -70,5 +70,5 @@ def stop_on_space(arm: Arm) -> Iterator[None]:
         try:
             yield
         finally:
-            over.set()
+            ended.set()
             listener.join()

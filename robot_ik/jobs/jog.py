@@ -1,4 +1,4 @@
-"""Joints, or the hand, of an arm jogged by a person; never beyond the limits."""
+"""Jogging: a person moves the joints or the hand of an arm in steps, within its limits."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ COARSER = "+"
 """Doubles the steps."""
 
 STOP = " "
-"""Stops the arm, which holds then."""
+"""Stops the arm, which then holds."""
 
 QUIT = "\x1b"
 """Ends the command."""
@@ -65,13 +65,13 @@ class Jog(Operator):
 
     Args:
         config: Arm file of the follower.
-        read: Gives what is pressed, or was pressed since the last call.
+        read: Returns the keys or buttons that are pressed, or were since the last call.
         stop: Makes the follower hold.
         hand: Move the hand instead of joints.
 
     Attributes:
         joints: Joints of the follower.
-        angles: Commanded values.
+        angles: Joint -> commanded value, rad (m of a slide).
         hand: The hand is moved instead of joints.
         stop: Makes the follower hold.
     """
@@ -136,7 +136,7 @@ class Jog(Operator):
 class KeyboardJog(Jog):
     """Jogs by the keys of a terminal.
 
-    A terminal reports that a key goes down and not how long it stays, so each press is one step.
+    A terminal does not report how long a key is down, so each press is one step.
     """
 
     _factor = 1.0

@@ -1,12 +1,13 @@
 """An arm that a person guides, as the leader of another arm.
 
 Joint to joint, a value of the leader goes to the follower's joint of the same name, each range onto
-the other's.  Hand to hand, the follower's hand repeats what the leader's has done since they were
-engaged.
+the other's.  Hand to hand, the follower's hand repeats the motion of the leader's hand since both
+were engaged.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -21,8 +22,12 @@ from robot_ik.jobs.operator import Angles, Operator
 LOST = 0.2
 """s without a good sample of the leader after which it counts as lost.
 
-A wire loses a packet now and then.
+Single lost packets are usual and must not end the teleoperation.
 """
+
+
+_Limits = Mapping[str, tuple[float, float]]
+"""Joint -> lower and upper limit, rad (m of a slide)."""
 
 
 class JointCoupling:
@@ -36,7 +41,7 @@ class JointCoupling:
         names: Joints that both have, those of grippers too.
 
     Raises:
-        ConfigError: They share no joint.
+        ConfigError: The two arms share no joint.
     """
 
     def __init__(self, leader: ArmConfig, follower: ArmConfig) -> None:
@@ -53,22 +58,25 @@ class JointCoupling:
         self._follower_limits = {name: follower.joint(name).limits for name in self.names}
 
     def follower(self, leader: Angles) -> dict[str, float]:
-        """Return values of the follower.  Beyond an end of a range it stays there."""
-        return {
-            name: float(
-                np.interp(leader[name], self._leader_limits[name], self._follower_limits[name])
-            )
-            for name in self.names
-        }
+        """Return the values of the follower, clipped to its ranges."""
+        return _mapped(leader, self._leader_limits, self._follower_limits)
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        """Return values of the leader.  Beyond an end of a range it stays there."""
-        return {
-            name: float(
-                np.interp(follower[name], self._follower_limits[name], self._leader_limits[name])
-            )
-            for name in self.names
-        }
+        """Return the values of the leader, clipped to its ranges."""
+        return _mapped(follower, self._follower_limits, self._leader_limits)
+
+
+def _mapped(values: Angles, source: _Limits, target: _Limits) -> dict[str, float]:
+    """Return values mapped linearly from one range to another, clipped at its ends.
+
+    Args:
+        values: Joint -> value, rad (m of a slide).
+        source: Joint -> lower and upper limit of ``values``.
+        target: Joint -> lower and upper limit of the result.
+    """
+    return {
+        name: float(np.interp(values[name], ends, target[name])) for name, ends in source.items()
+    }
 
 
 class LeaderArm(Operator):
@@ -79,11 +87,11 @@ class LeaderArm(Operator):
         follower: Arm file of the follower.
         by: ``joints`` or ``hand``.
         scale: Hand to hand: metres of the follower for one of the leader.
-        force: Share of its currents by which the leader is pushed to where the follower is; 0:
-            none.
+        force: Share of the arm file's currents with which the leader is pushed towards the values
+            of the follower; 0: no force feedback.
 
     Raises:
-        ConfigError: They share no joint, or these servos cannot be pushed gently.
+        ConfigError: The two arms share no joint, or the leader's servos have no current limit.
     """
 
     def __init__(
@@ -168,9 +176,7 @@ class LeaderArm(Operator):
         try:
             self._arm.read()
             if float(self._arm.ages.max()) > LOST:
-                raise HardwareError(
-                    "the leader does not answer", hint="look at its cable and supply"
-                )
+                raise HardwareError("the leader does not answer", hint="check its cable and supply")
         except HardwareError:
             if now - self._last_time > LOST:
                 raise

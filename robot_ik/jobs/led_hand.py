@@ -1,4 +1,4 @@
-"""The hand of an arm, led by inverse kinematics."""
+"""The hand of an arm in teleoperation, moved by inverse kinematics."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 
 BUDGET = Budget(iterations=30, restarts=0)
-"""Of one solve: an arm that follows must not jump, so there are no restarts."""
+"""Budget of one solve.  An arm that follows must not jump, so there are no restarts."""
 
 JOINTS_FOR_ANY_POSE = 6
-"""Joints that can carry any pose of a hand."""
+"""Number of degrees of freedom with which a hand can have any pose in its reach."""
 
 POSITION_TOLERANCE = 1e-3
 """m by which the hand may miss the end of a step."""
@@ -29,7 +29,7 @@ ANGLE_TOLERANCE = 1e-2
 class LedHand:
     """The hand of a follower, led from the last command on.
 
-    An arm that cannot carry every pose reaches the position with the best orientation there.
+    An arm with fewer degrees of freedom reaches the position with the best orientation there.
 
     Args:
         config: Arm file of the follower.
@@ -62,7 +62,7 @@ class LedHand:
         )
 
     def engage(self, angles: Angles) -> Pose:
-        """Lead the hand from joint values on, and return its pose there."""
+        """Begin to lead the hand at joint values, and return its pose there."""
         self._q = self._robot.home.copy()
         self._q[self._columns] = [angles[name] for name in self.names]
         self._q = self._robot.clip(self._q)

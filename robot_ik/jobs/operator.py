@@ -1,4 +1,4 @@
-"""What leads an arm in teleoperation."""
+"""Interface of every leader of an arm in teleoperation: keys, a gamepad, another arm."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class Operator(ABC):
     """Gives the values that the joints of the follower should have.
 
     Attributes:
-        over: A person wants to end.
+        over: The person has ended the teleoperation.
     """
 
     over = False
 
     @abstractmethod
     def engage(self, follower: Angles) -> None:
-        """Lead from here on.
+        """Begin to lead the follower at its present values.
 
         Args:
             follower: Present values of the follower.
@@ -28,7 +28,7 @@ class Operator(ABC):
 
     @abstractmethod
     def command(self, now: float) -> Angles:
-        """Return the command of a moment.
+        """Return the command for a time.
 
         Args:
             now: s on the follower's clock.
@@ -37,22 +37,22 @@ class Operator(ABC):
             HardwareError: The leader is lost.
         """
 
-    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - most lead by where they are
-        """Take what was sent as the last command: a collision held the follower back.
+    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - optional for leaders
+        """Continue from the command that was sent, because a collision held the follower back.
 
         Args:
-            command: Joint -> value, rad (m of a slide).
+            command: Joint -> value that was sent, rad (m of a slide).
         """
 
-    def feel(self, follower: Angles) -> None:  # noqa: B027 - most operators feel nothing
-        """Take the present values of the follower, for force feedback."""
+    def feel(self, follower: Angles) -> None:  # noqa: B027 - optional for leaders
+        """Receive the present values of the follower, for force feedback."""
 
-    def recover(self, timeout: float) -> None:  # noqa: B027 - keys are never lost
+    def recover(self, timeout: float) -> None:  # noqa: B027 - optional for leaders
         """Connect the leader again after it was lost.
 
         Args:
             timeout: s to wait.
 
         Raises:
-            HardwareError: It did not come back.
+            HardwareError: The leader did not come back.
         """

@@ -193,9 +193,9 @@ def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
         prompts = Prompts(RealClock(), period=0.001)
         os.close(writer)
         for _ in range(2):
-            with pytest.raises(HardwareError, match="nobody can press Enter"):
+            with pytest.raises(HardwareError, match="Enter cannot be pressed"):
                 prompts.step("turn it", lambda: None)
-        with pytest.raises(ConfigError, match="nobody can press Enter; allowed: --seconds S"):
+        with pytest.raises(ConfigError, match="Enter cannot be pressed; allowed: --seconds S"):
             Prompts(RealClock())
 
 
@@ -208,7 +208,7 @@ def test_without_anybody_to_press_enter_no_servo_is_asked(
         monkeypatch.setattr(sys, "__stdin__", nobody)
         run = robot_ik("servo", name, tmp_path / out, *desk.at)
     run.assert_one_screen_error()
-    assert "nobody can press Enter" in run.err and "--seconds S" in run.err
+    assert "Enter cannot be pressed" in run.err and "--seconds S" in run.err
     assert desk.bus.schedule.packets == 0 and not (tmp_path / out).exists()
 
 

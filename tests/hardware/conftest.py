@@ -305,22 +305,22 @@ class Lab:
     def follows_a_bad_wire(
         self, cycles: int = 120, fresh: float = 0.9, *, echo: bool = False, **chances: float
     ) -> Arm:
-        """No value that is said is wrong, and no joint lags, whatever the wire does."""
+        """Every measured value is true, and no joint lags, with every fault of the wire."""
         with self.arm() as arm:
             arm.enable()
             arm.bus.virtual_bus.inject(
                 *(Fault(kind, value=chance) for kind, chance in chances.items())
             )
             arm.bus.virtual_bus.inject(*([Fault("echo")] if echo else []))
-            whole = 0
+            complete = 0
             for q in self.smooth(self.start, self.start + 0.4, cycles / 100):
                 self.stream(arm, [q])
-                said = arm.read().q
+                measured = arm.read().q
                 true = arm.bus.virtual_bus.true_angles(self.config)
-                assert (np.abs(said - true) <= arm.resolution + 3.0 * arm.ages).all()
+                assert (np.abs(measured - true) <= arm.resolution + 3.0 * arm.ages).all()
                 assert np.abs(true - q).max() < 0.05
-                whole += arm.ages.max() == 0.0
-            assert whole >= fresh * cycles and arm.state is ArmState.ENABLED
+                complete += arm.ages.max() == 0.0
+            assert complete >= fresh * cycles and arm.state is ArmState.ENABLED
             arm.bus.virtual_bus.clear()
         assert arm.exit_report.ok
         return arm

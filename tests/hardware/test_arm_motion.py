@@ -32,7 +32,7 @@ def test_a_trajectory_within_the_caps_arrives_unchanged(any_arm, arm_config, str
     ).all()
     counters = any_arm.bus.counters
     assert counters.timeouts <= 0.01 * counters.asked  # a stalled process answers late
-    # where time is exact, a shaft is where it was told to be a cycle ago
+    # On virtual time a shaft stands at its goal of the cycle before.
     if any_arm.bus.port == "sim":
         assert counters.timeouts == 0
         assert lag < 0.01

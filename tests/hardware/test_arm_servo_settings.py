@@ -73,7 +73,7 @@ def test_gains_profile_and_current_limit_are_written_at_connect(tuned: ArmConfig
     with open_arm(tuned, "sim", virtual_bus=servos):
         assert settings(servos, 1) == WANTED
         for name in (*GAINS.registers, "current_limit"):
-            # the file says nothing of them
+            # The arm file does not set them.
             assert servos.servo(2).memory.values[name] == untouched[name]
 
 

@@ -34,13 +34,14 @@ def drive(config, start, cycles: int, rate: float = 1e-3) -> list[int]:
             clock.sleep_until(now)
             wanted = start + 0.3 * np.sin(0.5 * (now - begin)) * np.array([1, -1, 1, -1, 1, -1])
             arm.send(wanted, now)
-            said = arm.read().q
+            measured = arm.read().q
             true = bus.true_angles(config)
             fresh = arm.ages == 0.0
             followed += fresh.all()
-            # What is said is true, or as old as its age says: a shaft turns at most so fast.
+            # A measured value is true, or older by its age: the speed of a shaft is limited.
             assert (
-                np.abs(said - true) <= arm.resolution + MARGIN * 1.5 * config.velocity * arm.ages
+                np.abs(measured - true)
+                <= arm.resolution + MARGIN * 1.5 * config.velocity * arm.ages
             ).all()
             assert np.abs(true - wanted).max() < 0.03
             if k % max(cycles // 10, 1) == 0:

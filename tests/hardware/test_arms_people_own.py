@@ -240,10 +240,10 @@ def run_once(name: str, servos: VirtualBus) -> None:
             assert not grip.held and abs(grip.q - to) < 5 * finger.resolution
     assert arm.exit_report is not None and arm.exit_report.ok and arm.exit_report.parked
     assert arm.exit_report.done == "torque_off" and not any(servo.torque for servo in servos.servos)
-    there = [
+    parked = [
         joint.value(servos.servo(joint.servo.id).shaft.reading) for joint in config.chain.joints
     ]
-    assert np.abs(np.array(there) - begin).max() < 0.01
+    assert np.abs(np.array(parked) - begin).max() < 0.01
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -285,7 +285,7 @@ def test_a_cleared_reverse_bit_is_refused_with_advice(name: str) -> None:
 def test_a_shadow_whose_offset_fights_its_leader_gets_no_torque(name: str) -> None:
     servos = servos_of(name)
     leave(servos, PROGRAMS[name][0])
-    # and the horn was not turned: 13 deg beside servo 2
+    # The horn was not turned with it, so this servo is 13 deg from servo 2.
     servos.servo(3).memory.set("homing_offset", 150)
     with (
         open_arm(arm_file(name), "sim", virtual_bus=servos) as arm,
@@ -453,7 +453,7 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
             for j in config.joints
         ),
     )
-    # there it would count for nothing
+    # Position mode ignores an offset of this size.
     with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):
         load_lerobot(path, in_one_turn, limits)
 

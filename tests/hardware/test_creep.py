@@ -16,7 +16,7 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.world import World
-from robot_ik.hardware.watchdogs import BEAT, least_watchdog_ms
+from robot_ik.hardware.watchdogs import BEAT, min_watchdog_ms
 from robot_ik.ports import RealClock, VirtualClock
 
 # One lever, level at q = 0: about half of an XM430-W350's stall torque at the shoulder.
@@ -100,7 +100,7 @@ def test_a_held_arm_does_not_sink(way, real_time):
 def test_nor_with_the_shortest_watchdog_that_is_allowed(real_time):
     stale = 40
     stays_up(
-        "one pose, then silence", 2.5, stale_ms=stale, watchdog_ms=least_watchdog_ms(stale, 0.01)
+        "one pose, then silence", 2.5, stale_ms=stale, watchdog_ms=min_watchdog_ms(stale, 0.01)
     )
 
 
@@ -178,7 +178,7 @@ def test_a_watchdog_ahead_of_the_heartbeat_is_refused_with_the_least_value(arm_t
 
 def test_the_least_value_is_accepted_and_one_step_less_is_not(arm_toml):
     for stale, rate in ((0.2, 100.0), (0.05, 30.0), (0.5, 200.0), (0.001, 50.0)):
-        least = least_watchdog_ms(round(1000 * stale), 1.0 / rate)
+        least = min_watchdog_ms(round(1000 * stale), 1.0 / rate)
         assert max(stale, 3 / rate) + BEAT + 2 / rate < 0.001 * least
         base = ArmConfig.parse(arm_toml)
         dataclasses.replace(base, rate_hz=rate, stale_ms=round(1000 * stale), watchdog_ms=least)

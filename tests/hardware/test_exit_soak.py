@@ -1,7 +1,6 @@
 """Signals from another process at any moment, and a sender that stalls.
 
-What counts is what a plain SDK reads from the servos afterwards, and what a recorder saw on the
-wire.
+The judges are registers that the SDK reads afterwards, and goals that were recorded on the wire.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ def violations(served, arm_path, policy: str, runs: int, seed: int) -> list[str]
                     usual = said["seconds"]
                 torque = registers(served.path, TORQUE)
                 armed = registers(served.path, WATCHDOG)
-                # a machine at work for others: nothing was switched on
+                # On a busy machine the arm may not connect. Then no torque was switched on.
                 if said["done"] == "not connected":
                     missed += 1
                     continue

@@ -1,7 +1,4 @@
-"""What is different on Windows and macOS.
-
-Ports, errors and signals are handed in, nothing is opened.
-"""
+"""The driver on Windows and macOS, with simulated ports, errors and signals."""
 
 from __future__ import annotations
 
@@ -84,7 +81,7 @@ def test_a_mac_port_may_be_forbidden_and_its_latency_is_the_drivers(
 
 
 def windows_error(name: str, number: int, text: str) -> serial.SerialException:
-    """As pyserial says it on Windows: the reason is in the words only."""
+    """Return pyserial's error on Windows, whose reason is in its text only."""
     return serial.SerialException(
         f"could not open port 'COM3': {name}({number}, '{text}', None, 5)"
     )

@@ -87,7 +87,7 @@ def arm(config: ArmConfig, servos: VirtualBus) -> Iterator[Arm]:
 
 @pytest.fixture
 def make_arm(config: ArmConfig, tmp_path, monkeypatch) -> Iterator[Callable[..., Arm]]:
-    """Makes arms with a heartbeat, on real time, without a serial line that load would delay."""
+    """Makes arms with a heartbeat on real time, in process, so that system load delays no reply."""
     monkeypatch.setattr(stop_file, "FOLDER", tmp_path / "running")
     opened: list[Arm] = []
 
@@ -420,7 +420,7 @@ def test_a_joint_that_does_not_take_its_goal_is_not_confirmed_to_hold(config, se
 def park_with_signals(config: ArmConfig, signals: int) -> Arm:
     """Raise SIGINT a number of times while an arm is parked at a normal end."""
     servos = VirtualBus.from_config(config, VirtualClock(), start=START)
-    left = [signals]
+    remaining = [signals]
     with (
         pytest.raises(KeyboardInterrupt),
         open_arm(config, "sim", virtual_bus=servos, on_exit="park") as arm,
@@ -430,13 +430,13 @@ def park_with_signals(config: ArmConfig, signals: int) -> Arm:
         exchange = arm.bus.exchange
 
         def interrupted(register, values, reads, within=None):
-            if arm.state is ArmState.MOVING and left[0]:
-                left[0] -= 1
+            if arm.state is ArmState.MOVING and remaining[0]:
+                remaining[0] -= 1
                 signal.raise_signal(signal.SIGINT)
             return exchange(register, values, reads, within)
 
         arm.bus.exchange = interrupted
-    assert left == [0]
+    assert remaining == [0]
     return arm
 
 
@@ -609,9 +609,9 @@ def test_no_clock_of_a_program_moves_the_arm_faster_than_its_caps(config, steps,
         arm.enable()
         goals = SentGoals(arm)
         time = 0.0
-        for of_caller, of_arm in steps:
-            time += of_caller
-            arm.clock.sleep_until(arm.clock.now() + of_arm)
+        for caller_step, arm_step in steps:
+            time += caller_step
+            arm.clock.sleep_until(arm.clock.now() + arm_step)
             arm.send(np.full(6, sign * FAR), time)
     pairs = itertools.combinations(zip(goals.times, goals.rows, strict=True), 2)
     for (first_time, first), (last_time, last) in pairs:
@@ -720,11 +720,11 @@ def test_close_of_another_thread_ends_a_motion(make_arm, policy):
     thread.start()
     wait_for(lambda: joint_values(arm)[0] > START[0] + 0.05)
     arm.close()
+    goals = registers(arm, "goal_position")
     thread.join()
     assert [type(error) for error in raised] == [ArmStateError]
     assert arm.exit_report.ok
     assert torque(arm) == [policy == "hold"] * 6
-    goals = registers(arm, "goal_position")
     assert np.abs(joint_values(arm) - START).max() < 1.4
     assert registers(arm, "goal_position") == goals
 
@@ -737,8 +737,10 @@ SHUTDOWNS = [
     ("feetech_sts", "input_voltage"),
     ("feetech_sts", "encoder"),
 ]
-"""(family, error that switches the motor off). An overload of an STS servo ends with the next goal,
-so `[joints.stop_at]` takes its place."""
+"""(family, error that switches the motor off).
+
+An overload of an STS servo ends with the next goal, so `[joints.stop_at]` takes its place.
+"""
 
 
 @pytest.mark.parametrize(("family", "error"), SHUTDOWNS)

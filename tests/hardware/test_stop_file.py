@@ -1,7 +1,4 @@
-"""A second process makes a running arm stop, without its port.
-
-And so does a key, or another thread.
-"""
+"""A running arm is stopped by a second process without its port, by a key, or by a thread."""
 
 from __future__ import annotations
 
@@ -146,7 +143,7 @@ def test_without_a_running_arm_the_exit_code_is_1(served, child):
     process.kill()
     process.wait()
     assert running_arms() == [] and stop().returncode == 1
-    # what the dead program left is gone
+    # The files of the dead program were removed.
     assert [path.name for path in runtime_folder().iterdir()] == []
 
 
@@ -429,7 +426,7 @@ def test_space_stops_a_servo_command_that_moves(served, arm_path, arm_config, st
         os.close(slave)
     assert process.returncode == 1, said
     assert "stopped on request" in said and "it holds with torque ON" in said
-    # no other program had asked
+    # No other program had requested a stop.
     assert "answering" not in said and not list(runtime_folder().iterdir())
     assert torque(served) == [True] * 6
     assert served.bus.true_angles(arm_config)[0] < np.radians(50.0)

@@ -208,7 +208,7 @@ def test_a_tripped_watchdog_is_cleared_and_a_silent_joint_is_not_confirmed(
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit="hold") as arm:
         arm.enable()
         stream(arm, [start] * 3)
-        # refuses goals; cleared, and the goal is taken
+        # A tripped watchdog refuses goals until it is cleared.
         servos.servo(2).memory.set("bus_watchdog", -1)
         servos.servo(3).silent = True
     assert arm.exit_report.unverified == ("joint3",) and arm.exit_report.limp == ()

@@ -117,7 +117,7 @@ def test_a_gripper_in_current_based_position_presses_with_its_current_and_no_mor
     assert bench.read("present_position") == 2500
     assert bench.read("present_current") == pytest.approx(300, abs=2)
     bench.wait(60.0)
-    # a fifth of the stall current: for ever, if need be
+    # A fifth of the stall current never overloads the servo.
     assert bench.read("hardware_error_status") == 0
     bench.set(goal_position=2000)
     bench.wait(2.0)
@@ -217,9 +217,9 @@ def test_a_slave_of_a_dual_joint_follows_no_goal(make_bench: Make) -> None:
 
 
 def test_without_torque_one_turn_mode_counts_on_and_torque_folds_it(make_bench: Make) -> None:
-    """The manual: continuous while torque is off.
+    """By the manual the count is continuous while torque is off.
 
-    In one revolution when torque goes on in position mode.
+    In position mode it is in one revolution as soon as torque goes on.
     """
     bench = make_bench(position_ticks=4000)
     bench.servo.rotate_by_hand(200.0)

@@ -69,7 +69,7 @@ def test_the_speed_is_that_of_the_motor_at_its_supply_and_of_the_velocity_limit(
         return bench.read("present_velocity")
 
     assert cruising(velocity_limit=200) == pytest.approx(200, abs=1)
-    # Interbotix'
+    # Velocity Limit and profile of Interbotix
     assert cruising(velocity_limit=131, profile_velocity=180) == pytest.approx(131, abs=1)
     assert cruising(velocity_limit=1023) == pytest.approx(180, abs=1)  # the profile's
     assert cruising(profile_velocity=0) == pytest.approx(46 / 0.229, abs=1)  # what the motor does

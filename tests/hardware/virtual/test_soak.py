@@ -22,8 +22,7 @@ TABLE = X_TABLES["XM430-W350"]
 def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     config = ArmConfig.generic("soak", [f"joint{k}" for k in range(6)], [-3] * 6, [3] * 6)
     clock = VirtualClock()
-    # A late reply holds a true value of an earlier cycle, so it is not used here
-    # here.
+    # A late reply holds a true value of an earlier cycle, so this test has no late replies.
     bus = VirtualBus.from_config(config, clock, seed=3)
     bus.inject(*(Fault(name, value=0.001) for name in SPOILS if name != "late"))
     sim = SimBus(bus)

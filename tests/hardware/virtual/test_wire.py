@@ -127,7 +127,7 @@ def test_no_packet_brings_the_bus_down(
     for id, instruction, params in packets:
         clock.sleep_until(clock.now() + 0.01)
         reply = bus.handle(build(id, instruction, params))
-        # those may break off, as they should
+        # A fast read breaks off at a servo that does not answer.
         if instruction not in (I.FAST_SYNC_READ, I.FAST_BULK_READ):
             answers = parse(reply)
             ids = [s.id for s in bus.servos]
