@@ -164,7 +164,7 @@ def make_motion(
         arm = _open_arm(path, bus or "sim", robot, stack)
         return DrawnMotion(lambda _time, _marker: arm.read().q)
     raise ConfigError(
-        f"{text!r} is no motion",
+        f"unknown motion {text!r}",
         file="command line",
         key="--motion",
         allowed="home, wave, follow, a trajectory (FILE.csv), a script (FILE.toml or "

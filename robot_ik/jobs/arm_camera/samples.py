@@ -79,7 +79,7 @@ class SampleSet:
         if len(self) < MIN_VIEWS:
             raise MarkerNotFoundError(
                 f"the board was seen at {len(self)} of {stations} stations; "
-                f"{MIN_VIEWS} are the least",
+                f"at least {MIN_VIEWS} are needed",
                 hint=f"check board, dictionary and light, and {hint}",
             )
 
