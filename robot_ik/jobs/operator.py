@@ -37,7 +37,7 @@ class Operator(ABC):
             HardwareError: The leader is lost.
         """
 
-    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - optional: most operators command positions
+    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - optional
         """Continue from the command that was sent, because a collision limited the last one.
 
         Args:

@@ -275,7 +275,8 @@ def _timed_between_stops(
     duration = profile.duration
     if not duration * rate <= MAX_SAMPLES:
         raise TrajectoryError(
-            f"the motion takes {duration:.3g} s, too many samples at {rate:g} Hz",
+            f"the motion takes {duration:.3g} s, which are {duration * rate:.3g} samples at "
+            f"{rate:g} Hz (at most {MAX_SAMPLES:.0e})",
             hint="give a higher speed, higher velocity_limits or a lower rate",
         )
     for _ in range(MAX_SLOWDOWNS):

@@ -265,7 +265,7 @@ class PreparedAvoiding:
         return None
 
     def _limited_step(self, problem: Problem) -> LimitedStep:
-        """Return the limited steps of the problem, made on first use."""
+        """Return the limited steps of the problem, prepared on first use."""
         if self._step is None:
             margin = self.collisions.margin / KEPT_SHARE + _EXTRA_MARGIN
             self._step = LimitedStep(

@@ -114,7 +114,7 @@ def marker_from_base(pose_board_marker: Pose, figure: DrawnRobot) -> Array:
 
 
 def robot_of(text: str) -> str:
-    """Return the robot that a motion is made for. Empty: any robot.
+    """Return the robot of a motion. Empty: any robot.
 
     Args:
         text: See ``make_motion``.

@@ -198,7 +198,7 @@ class VerifySamples(SampleSet):
     def _of_values(cls, data: Any) -> Self:
         job = data.get("job") if isinstance(data, dict) else None
         if isinstance(job, str) and job != "verify":
-            raise ValueError(f"they are of {shown(job)}, which does not know the camera's pose")
+            raise ValueError(f"they are of {shown(job)}, and have no pose of the camera")
         file = _VerifyFile.model_validate(data)
         offsets = None if file.true_offsets is None else np.array(file.true_offsets, dtype=float)
         poses = {"camera": file.camera.known(), "board": file.board.known(), "by_arm": file.by_arm}
@@ -216,18 +216,18 @@ class VerifySamples(SampleSet):
         for row in self.servos:
             joint = by_name.get(row["name"])
             if joint is None or plain(joint) != row:
-                what = "has been changed since the arm was measured"
+                problem = "has been changed since the arm was measured"
                 if joint is None:
-                    what = "is not there"
+                    problem = "is missing"
                 raise ConfigError(
-                    f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
+                    f"joint {row['name']!r} {problem}, so these samples are not of this arm",
                     file=file,
                     key="joints",
                     hint="measure again",
                 )
         if unknown := [name for name in self.joints if name not in by_name]:
             raise ConfigError(
-                f"there is no joint {unknown[0]!r}, of which the samples are",
+                f"joint {unknown[0]!r} of the samples is missing",
                 file=file,
                 key="joints",
                 allowed=", ".join(by_name),
