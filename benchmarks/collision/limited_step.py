@@ -126,14 +126,14 @@ def run_mink(scene: rik.Scene, python: str, gain: float) -> tuple[float, float]:
             "margin": MARGIN,
             "detection": MARGIN + DETECTION,
         }
-        done = subprocess.run(
+        process = subprocess.run(
             [python, str(_WORKER)],
             input=json.dumps(task),
             capture_output=True,
             text=True,
             check=True,
         )
-    answer = json.loads(done.stdout.splitlines()[-1])
+    answer = json.loads(process.stdout.splitlines()[-1])
     rows = np.array(answer["qpos"])[:, robot._addresses]
     return answer["seconds"], smallest_clearance(scene, rows)
 
@@ -152,12 +152,12 @@ def main() -> None:
     print(f"{len(scene.pairs)} pairs, margin {1e3 * MARGIN:g} mm")
     print("| method | step, µs | smallest clearance, mm | ratio of the times |")
     print("|---|---:|---:|---:|")
-    ours, kept = run_ours(scene)
-    print(f"| ours | {1e6 * ours:.1f} | {1e3 * kept:.2f} | |", flush=True)
+    ours, clearance = run_ours(scene)
+    print(f"| ours | {1e6 * ours:.1f} | {1e3 * clearance:.2f} | |", flush=True)
     for name, gain in GAINS.items() if options.mink else ():
-        theirs, kept = run_mink(scene, options.mink, gain)
+        theirs, clearance = run_mink(scene, options.mink, gain)
         ratio = theirs / ours
-        print(f"| {name} | {1e6 * theirs:.1f} | {1e3 * kept:.2f} | {ratio:.1f} |", flush=True)
+        print(f"| {name} | {1e6 * theirs:.1f} | {1e3 * clearance:.2f} | {ratio:.1f} |", flush=True)
 
 
 if __name__ == "__main__":

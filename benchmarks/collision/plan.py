@@ -146,10 +146,10 @@ def run_ompl(problems: Problems, python: str) -> Outcome:
             "goals": problems.goals.tolist(),
         }
         text = json.dumps(task)
-        done = subprocess.run(
+        process = subprocess.run(
             [python, str(_WORKER)], input=text, capture_output=True, text=True, check=True
         )
-    answers = json.loads(done.stdout.splitlines()[-1])
+    answers = json.loads(process.stdout.splitlines()[-1])
     paths = [None if row["path"] is None else np.array(row["path"]) for row in answers]
     return judged(problems, paths, [row["seconds"] for row in answers])
 

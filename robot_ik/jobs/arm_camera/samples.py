@@ -133,8 +133,8 @@ class SampleSet:
         try:
             return cls._of_values(parse_json(text, path))
         except (ValueError, RobotIkError) as error:
-            found = config_error(error, path) if isinstance(error, ValidationError) else error
-            reason = str(found.args[0]).removeprefix(f"{path}: ")
+            problem = config_error(error, path) if isinstance(error, ValidationError) else error
+            reason = str(problem.args[0]).removeprefix(f"{path}: ")
             raise CameraError(f"{path} holds no samples of {of} ({reason})", hint=hint) from error
 
     @classmethod
@@ -151,17 +151,19 @@ class SampleSet:
             RobotIkError: Another value is invalid.
         """
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
-        found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date, **others)
-        for k, one in enumerate(file.samples):
-            if len(one.q) != len(file.joints):
+        samples = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date, **others)
+        for k, sample in enumerate(file.samples):
+            if len(sample.q) != len(file.joints):
                 raise ValueError(
-                    f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints"
+                    f"samples[{k}].q: {len(sample.q)} angles of {len(file.joints)} joints"
                 )
-            points = np.array(one.points)
-            pixels = np.array(one.pixels)
-            view = Observation(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
-            found.add(np.array(one.q), view)
-        return found
+            points = np.array(sample.points)
+            pixels = np.array(sample.pixels)
+            view = Observation(
+                points, pixels, Pose(sample.position, sample.wxyz), sample.sigma, sample.bias
+            )
+            samples.add(np.array(sample.q), view)
+        return samples
 
 
 @dataclass(eq=False)
