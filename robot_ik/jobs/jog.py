@@ -1,4 +1,4 @@
-"""Jog the joints or the hand of an arm inside its limits."""
+"""Joints, or the hand, of an arm jogged by a person; never beyond the limits."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ COARSER = "+"
 """Doubles the steps."""
 
 STOP = " "
-"""Stops the arm. It holds its position."""
+"""Stops the arm, which holds then."""
 
 QUIT = "\x1b"
 """Ends the command."""
@@ -65,7 +65,7 @@ class Jog(Operator):
 
     Args:
         config: Arm file of the follower.
-        read: Returns the pressed keys, or the state of a gamepad, since the last call.
+        read: Gives what is pressed, or was pressed since the last call.
         stop: Makes the follower hold.
         hand: Move the hand instead of joints.
 

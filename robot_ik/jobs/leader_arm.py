@@ -1,8 +1,8 @@
 """An arm that a person guides, as the leader of another arm.
 
-Joint to joint, the range of each joint of the leader is mapped to the range of the follower's joint
-of the same name.  Hand to hand, the follower's hand repeats the motion of the leader's hand since
-they were engaged.
+Joint to joint, a value of the leader goes to the follower's joint of the same name, each range onto
+the other's.  Hand to hand, the follower's hand repeats what the leader's has done since they were
+engaged.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from robot_ik.jobs.operator import Angles, Operator
 LOST = 0.2
 """s without a good sample of the leader after which it counts as lost.
 
-Single packets may be lost on the wire.
+A wire loses a packet now and then.
 """
 
 
 class JointCoupling:
-    """Maps values of a leader to values of a follower, by the names and ranges of the joints.
+    """Maps values of a leader to those of a follower: by name, each range onto the other's.
 
     Args:
         leader: Arm file.
         follower: Arm file.
 
     Attributes:
-        names: Joints that both arms have, with grippers.
+        names: Joints that both have, those of grippers too.
 
     Raises:
-        ConfigError: The arms have no joint in common.
+        ConfigError: They share no joint.
     """
 
     def __init__(self, leader: ArmConfig, follower: ArmConfig) -> None:
@@ -53,7 +53,7 @@ class JointCoupling:
         self._follower_limits = {name: follower.joint(name).limits for name in self.names}
 
     def follower(self, leader: Angles) -> dict[str, float]:
-        """Return values of the follower.  Values beyond a range are clipped."""
+        """Return values of the follower.  Beyond an end of a range it stays there."""
         return {
             name: float(
                 np.interp(leader[name], self._leader_limits[name], self._follower_limits[name])
@@ -62,7 +62,7 @@ class JointCoupling:
         }
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        """Return values of the leader.  Values beyond a range are clipped."""
+        """Return values of the leader.  Beyond an end of a range it stays there."""
         return {
             name: float(
                 np.interp(follower[name], self._follower_limits[name], self._leader_limits[name])
@@ -79,11 +79,11 @@ class LeaderArm(Operator):
         follower: Arm file of the follower.
         by: ``joints`` or ``hand``.
         scale: Hand to hand: metres of the follower for one of the leader.
-        force: Share of the current limits with which the leader is pushed to the values of the
-            follower. 0: no force.
+        force: Share of its currents by which the leader is pushed to where the follower is; 0:
+            none.
 
     Raises:
-        ConfigError: The arms have no joint in common, or a servo has no limited current.
+        ConfigError: They share no joint, or these servos cannot be pushed gently.
     """
 
     def __init__(
@@ -168,7 +168,9 @@ class LeaderArm(Operator):
         try:
             self._arm.read()
             if float(self._arm.ages.max()) > LOST:
-                raise HardwareError("the leader does not answer", hint="check its cable and supply")
+                raise HardwareError(
+                    "the leader does not answer", hint="look at its cable and supply"
+                )
         except HardwareError:
             if now - self._last_time > LOST:
                 raise

@@ -1,4 +1,4 @@
-"""``Operator``: the source of commands in teleoperation."""
+"""What leads an arm in teleoperation."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ class Operator(ABC):
     """Gives the values that the joints of the follower should have.
 
     Attributes:
-        over: Whether the person has ended the teleoperation.
+        over: A person wants to end.
     """
 
     over = False
 
     @abstractmethod
     def engage(self, follower: Angles) -> None:
-        """Start to lead the follower at its present values.
+        """Lead from here on.
 
         Args:
             follower: Present values of the follower.
@@ -37,22 +37,22 @@ class Operator(ABC):
             HardwareError: The leader is lost.
         """
 
-    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - optional
-        """Continue from the command that was sent, because a collision limited the last one.
+    def go_on_from(self, command: Angles) -> None:  # noqa: B027 - most lead by where they are
+        """Take what was sent as the last command: a collision held the follower back.
 
         Args:
             command: Joint -> value, rad (m of a slide).
         """
 
-    def feel(self, follower: Angles) -> None:  # noqa: B027 - optional
+    def feel(self, follower: Angles) -> None:  # noqa: B027 - most operators feel nothing
         """Take the present values of the follower, for force feedback."""
 
-    def recover(self, timeout: float) -> None:  # noqa: B027 - optional: keys are never lost
+    def recover(self, timeout: float) -> None:  # noqa: B027 - keys are never lost
         """Connect the leader again after it was lost.
 
         Args:
             timeout: s to wait.
 
         Raises:
-            HardwareError: The leader was not connected again in time.
+            HardwareError: It did not come back.
         """
