@@ -4,7 +4,7 @@
 
 Both sides run compiled from end to end: MuJoCo's functions are called from compiled code, without
 Python in between. The postures are small joint steps between random postures. Ten obstacles stand
-around the robot in the second row of each robot. Each number is the least of several rounds.
+around the robot in the second row of each robot. Each number is the smallest of several rounds.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _distance = _function(
 
 @numba.njit
 def mujoco_checks(model, data, qpos, rows):
-    """Kinematics and collisions of each row."""
+    """Run kinematics and collision detection for each row."""
     for row in range(rows.shape[0]):
         qpos[:] = rows[row]
         _kinematics(model, data)
@@ -67,29 +67,29 @@ def mujoco_checks(model, data, qpos, rows):
 
 @numba.njit
 def mujoco_distances(model, data, qpos, rows, first, second, reach, segment, out):
-    """Least distance of all pairs of each row."""
+    """Write the smallest distance of all pairs of each row to ``out``."""
     for row in range(rows.shape[0]):
         qpos[:] = rows[row]
         _kinematics(model, data)
-        least = reach
+        smallest = reach
         for pair in range(first.shape[0]):
-            found = _distance(model, data, first[pair], second[pair], reach, segment.ctypes)
-            least = min(least, found)
-        out[row] = least
+            distance = _distance(model, data, first[pair], second[pair], reach, segment.ctypes)
+            smallest = min(smallest, distance)
+        out[row] = smallest
 
 
 def obstacles(rng: np.random.Generator) -> list[rik.Box | rik.Capsule]:
-    """Five boxes and five capsules around a robot."""
-    made: list[rik.Box | rik.Capsule] = []
+    """Return five boxes and five capsules around a robot."""
+    shapes: list[rik.Box | rik.Capsule] = []
     for k in range(10):
         direction = rng.normal(size=3)
         position = 0.7 * direction / np.linalg.norm(direction) + (0.0, 0.0, 0.4)
         pose = rik.Pose(position, rng.normal(size=4))
         if k % 2:
-            made.append(rik.Capsule(f"capsule {k}", radius=0.04, length=0.3, pose=pose))
+            shapes.append(rik.Capsule(f"capsule {k}", radius=0.04, length=0.3, pose=pose))
         else:
-            made.append(rik.Box(f"box {k}", size=(0.3, 0.2, 0.1), pose=pose))
-    return made
+            shapes.append(rik.Box(f"box {k}", size=(0.3, 0.2, 0.1), pose=pose))
+    return shapes
 
 
 def postures(robot: rik.Robot, rng: np.random.Generator) -> np.ndarray:
@@ -102,8 +102,8 @@ def postures(robot: rik.Robot, rng: np.random.Generator) -> np.ndarray:
     return np.array(rows)
 
 
-def least_times(functions: list[Callable[[], object]]) -> list[float]:
-    """Least time of each function, s; their rounds take turns."""
+def smallest_times(functions: list[Callable[[], object]]) -> list[float]:
+    """Return the smallest time of each function, s. Their rounds take turns."""
     best = [np.inf] * len(functions)
     for function in functions:
         function()
@@ -128,7 +128,7 @@ def measure(scene: Scene, rows: np.ndarray) -> tuple[float, float, float, float]
     nearest = np.zeros(len(rows), dtype=np.int64)
     segment = np.zeros(6)
     addresses = model._address, data._address
-    times = least_times(
+    times = smallest_times(
         [
             lambda: mujoco_checks(*addresses, data.qpos, qpos),
             lambda: collision.verdicts(memory.address, rows, 0.0, verdicts),

@@ -3,7 +3,7 @@
     nice -n 5 python -m benchmarks.collision.edges [EDGES]
 
 Random short lines in joint space, between plates of 0.5 mm and slots of 2 to 20 mm, are certified
-until so many are proven free. Each of them is sampled at steps of 0.001 rad or m, and
+until the given number is proven free. Each proven line is sampled at steps of 0.001 rad or m, and
 ``mj_collision`` judges every sample. A contact ends the program with an error. Refuted lines
 are judged too: MuJoCo must find a part nearer than the margin at the place that is named.
 """
@@ -27,14 +27,14 @@ STEP = 1e-3
 """rad or m. Distance of the samples that judge a certificate."""
 
 MARGIN = 1e-4
-"""m. Smaller than what separates two samples, so that a wrong proof is seen as a contact."""
+"""m. Smaller than the motion between two samples, so that a wrong proof shows as a contact."""
 
 LENGTHS = (0.02, 0.1, 0.4)
 """rad. Typical change of a joint along an edge."""
 
 EDGES_PER_HALL = 200
 PLATES = 10
-MOST_TRIES = 60
+MAX_TRIES = 60
 """Places that are tried for plates."""
 
 THICKNESS = 5e-4
@@ -53,7 +53,7 @@ def hall(robot: rik.Robot, rng: np.random.Generator) -> list[rik.Box]:
     samples = samples[rik.Scene(robot).free(samples)]
     plates: list[rik.Box] = []
     for k in itertools.count():
-        if len(plates) >= PLATES or k >= MOST_TRIES:
+        if len(plates) >= PLATES or k >= MAX_TRIES:
             return plates
         data = robot.data_at(robot.sample(rng))
         position = data.geom_xpos[rng.integers(robot.model.ngeom)] + NEAR * rng.normal(size=3)

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import robot_ik as rik
-from benchmarks.collision.checks import least_times, mujoco_checks
+from benchmarks.collision.checks import mujoco_checks, smallest_times
 from robot_ik.kernels import collision
 
 LINKS = 7
@@ -79,7 +79,7 @@ def main() -> None:
     memory = scene.memory(scene.pair_tables(scene.pairs))
     verdicts = np.zeros(len(rows), dtype=np.int64)
     data = mujoco.MjData(scene.model)
-    times = least_times(
+    times = smallest_times(
         [
             lambda: mujoco_checks(scene.model._address, data._address, data.qpos, rows),
             lambda: collision.verdicts(memory.address, rows, 0.0, verdicts),

@@ -55,7 +55,7 @@ def positions(begin: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Push:
-    """A source of the targets that notes when it is read.
+    """A source of the targets that records the times of its reads.
 
     Attributes:
         targets: (n, 3) positions, m.
@@ -82,7 +82,7 @@ def scene_of(robot: rik.Robot) -> rik.Scene:
 
 
 def run_ours(scene: rik.Scene) -> tuple[float, float]:
-    """Return the median of a step, s, and the least clearance, m."""
+    """Return the median of a step, s, and the smallest clearance, m."""
     robot = scene.robot
     start = np.array(START)
     begin = robot.forward(start)
@@ -100,11 +100,13 @@ def run_ours(scene: rik.Scene) -> tuple[float, float]:
             clock=rik.VirtualClock(),
             collisions=avoid,
         )
-    return float(np.median(np.diff(source.times))), least_clearance(scene, recorder.trajectory().q)
+    return float(np.median(np.diff(source.times))), smallest_clearance(
+        scene, recorder.trajectory().q
+    )
 
 
 def run_mink(scene: rik.Scene, python: str, gain: float) -> tuple[float, float]:
-    """Return the median of a step of mink, s, and the least clearance, m."""
+    """Return the median of a step of mink, s, and the smallest clearance, m."""
     robot = scene.robot
     start = np.array(START)
     begin = robot.forward(start)
@@ -124,20 +126,20 @@ def run_mink(scene: rik.Scene, python: str, gain: float) -> tuple[float, float]:
             "margin": MARGIN,
             "detection": MARGIN + DETECTION,
         }
-        done = subprocess.run(
+        process = subprocess.run(
             [python, str(_WORKER)],
             input=json.dumps(task),
             capture_output=True,
             text=True,
             check=True,
         )
-    answer = json.loads(done.stdout.splitlines()[-1])
+    answer = json.loads(process.stdout.splitlines()[-1])
     rows = np.array(answer["qpos"])[:, robot._addresses]
-    return answer["seconds"], least_clearance(scene, rows)
+    return answer["seconds"], smallest_clearance(scene, rows)
 
 
-def least_clearance(scene: rik.Scene, rows: np.ndarray) -> float:
-    """Return the least clearance of postures (n, nq), m, by MuJoCo."""
+def smallest_clearance(scene: rik.Scene, rows: np.ndarray) -> float:
+    """Return the smallest clearance of postures (n, nq), m, by MuJoCo."""
     return min(scene.clearance(q).distance for q in rows)
 
 
@@ -148,14 +150,14 @@ def main() -> None:
     options = parser.parse_args()
     scene = scene_of(rik.load_robot("panda"))
     print(f"{len(scene.pairs)} pairs, margin {1e3 * MARGIN:g} mm")
-    print("| method | step, µs | least clearance, mm | ratio of the times |")
+    print("| method | step, µs | smallest clearance, mm | ratio of the times |")
     print("|---|---:|---:|---:|")
-    ours, kept = run_ours(scene)
-    print(f"| ours | {1e6 * ours:.1f} | {1e3 * kept:.2f} | |", flush=True)
+    ours, clearance = run_ours(scene)
+    print(f"| ours | {1e6 * ours:.1f} | {1e3 * clearance:.2f} | |", flush=True)
     for name, gain in GAINS.items() if options.mink else ():
-        theirs, kept = run_mink(scene, options.mink, gain)
+        theirs, clearance = run_mink(scene, options.mink, gain)
         ratio = theirs / ours
-        print(f"| {name} | {1e6 * theirs:.1f} | {1e3 * kept:.2f} | {ratio:.1f} |", flush=True)
+        print(f"| {name} | {1e6 * theirs:.1f} | {1e3 * clearance:.2f} | {ratio:.1f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ SHARES = {"panda": 0.001}
 
 
 def measure(robot: rik.Robot, count: int | None) -> str:
-    """Cells of one row: the map, and what a random share of it costs and finds.
+    """Return a row of the table: size of the map, and cost and result of a random share.
 
     Args:
         robot: The robot.

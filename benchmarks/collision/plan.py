@@ -88,13 +88,13 @@ def blocked_only(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one method did.
+    """Results of one method.
 
     Attributes:
         solved: Share of the problems.
         free: Share of the returned paths that MuJoCo finds free at dense samples.
-        median: Of the processor seconds of the solved problems.
-        mean: The same.
+        median: Median processor time of the solved problems, s.
+        mean: Mean processor time of the solved problems, s.
         length: Median length of the paths, rad.
     """
 
@@ -111,7 +111,7 @@ def run_ours(problems: Problems) -> tuple[Outcome, float, float]:
     box = (robot.tree.sample_lower, robot.tree.sample_upper)
     paths = []
     seconds = []
-    whole = []
+    call_seconds = []
     certified = 0
     for start, goal in zip(problems.starts, problems.goals, strict=True):
         began = time.process_time()
@@ -120,10 +120,10 @@ def run_ours(problems: Problems) -> tuple[Outcome, float, float]:
         paths.append(result.corners)
         began = time.process_time()
         planned = rik.plan(robot, start, goal, collisions=problems.avoid)
-        whole.append(time.process_time() - began)
+        call_seconds.append(time.process_time() - began)
         certified += planned.trajectory is not None and planned.trajectory.certified
     outcome = judged(problems, paths, seconds)
-    return outcome, certified / len(paths), float(np.median(whole))
+    return outcome, certified / len(paths), float(np.median(call_seconds))
 
 
 def run_ompl(problems: Problems, python: str) -> Outcome:
@@ -146,10 +146,10 @@ def run_ompl(problems: Problems, python: str) -> Outcome:
             "goals": problems.goals.tolist(),
         }
         text = json.dumps(task)
-        done = subprocess.run(
+        process = subprocess.run(
             [python, str(_WORKER)], input=text, capture_output=True, text=True, check=True
         )
-    answers = json.loads(done.stdout.splitlines()[-1])
+    answers = json.loads(process.stdout.splitlines()[-1])
     paths = [None if row["path"] is None else np.array(row["path"]) for row in answers]
     return judged(problems, paths, [row["seconds"] for row in answers])
 
@@ -192,9 +192,11 @@ def main() -> None:
     print("| problems | method | solved | free | ms median / mean | length, rad | whole call, ms |")
     print("|---|---|---:|---:|---:|---:|---:|")
     for problems in problem_sets(options.problems):
-        ours, certified, whole = run_ours(problems)
+        ours, certified, call_seconds = run_ours(problems)
         print(
-            row(problems.name, "ours", ours, f"{1e3 * whole:.1f}, {certified:.0%} certified"),
+            row(
+                problems.name, "ours", ours, f"{1e3 * call_seconds:.1f}, {certified:.0%} certified"
+            ),
             flush=True,
         )
         if options.ompl:

@@ -54,15 +54,15 @@ def _moved(
 def boxes(robot: rik.Robot, seed: int) -> list[rik.Box]:
     """Return boxes around a robot, none of which touches it at home."""
     rng = np.random.default_rng(seed)
-    made: list[rik.Box] = []
-    while len(made) < BOXES:
+    placed: list[rik.Box] = []
+    while len(placed) < BOXES:
         direction = rng.normal(size=3)
         position = rng.uniform(0.4, 0.8) * direction / np.linalg.norm(direction) + (0.0, 0.0, 0.4)
         size = tuple(rng.uniform(0.05, 0.3, 3).tolist())
-        box = rik.Box(f"box {len(made)}", size=size, pose=rik.Pose(position, rng.normal(size=4)))
+        box = rik.Box(f"box {len(placed)}", size=size, pose=rik.Pose(position, rng.normal(size=4)))
         if rik.Scene(robot, [box]).free(robot.home):
-            made.append(box)
-    return made
+            placed.append(box)
+    return placed
 
 
 def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Free solutions and certificates: how many are found, and what they cost.
+"""Success and cost of free solutions and of certificates.
 
     taskset -c 0 python benchmarks/collision/solve.py [ROBOT ...]
 
@@ -37,11 +37,11 @@ def free_postures(avoid: rik.CollisionAvoidance, count: int, seed: int) -> np.nd
     """Random postures (count, nq) that keep a little more than the margin."""
     rng = np.random.default_rng(seed)
     robot = avoid.scene.robot
-    found: list[np.ndarray] = []
-    while len(found) < count:
+    postures: list[np.ndarray] = []
+    while len(postures) < count:
         rows = np.array([robot.sample(rng) for _ in range(count)])
-        found += list(rows[avoid.scene.free(rows, 1.5 * avoid.margin)])
-    return np.array(found[:count])
+        postures += list(rows[avoid.scene.free(rows, 1.5 * avoid.margin)])
+    return np.array(postures[:count])
 
 
 def solve_all_goals(avoid: rik.CollisionAvoidance) -> str:

@@ -1,4 +1,4 @@
-"""What the scene of an arm file costs when a command starts.
+"""Cost of the scene of an arm file at the start of a command.
 
     taskset -c 0 python benchmarks/collision/startup.py [ROBOT]
 
@@ -59,9 +59,9 @@ def main() -> None:
         for repeat in range(REPEATS + 1):
             for key, file in files.items():
                 command = [sys.executable, "-c", _PREPARE, robot, str(file)]
-                done = subprocess.run(command, capture_output=True, text=True, check=True)
-                imported, prepared = map(float, done.stdout.split())
-                if repeat:  # the first one may compile
+                process = subprocess.run(command, capture_output=True, text=True, check=True)
+                imported, prepared = map(float, process.stdout.split())
+                if repeat:  # the first process may compile
                     times[key].append((1e3 * imported, 1e3 * prepared))
     print(f"{robot}, medians of {REPEATS} processes, ms of processor time")
     print("| `[collisions]` | import | prepare |")

@@ -116,9 +116,9 @@ def run(options: PlanOptions) -> int:
 
 def _goal(options: PlanOptions) -> Goal | None:
     """Return the goal in task space; None for joint angles."""
-    both = "both --goal and --goal-q are given" if options.goal else "no goal is given"
-    one = "one of --goal X Y Z [W X Y Z] and --goal-q Q …"
-    require(bool(options.goal) != bool(options.goal_q), "--goal", both, one)
+    problem = "both --goal and --goal-q are given" if options.goal else "no goal is given"
+    allowed = "one of --goal X Y Z [W X Y Z] and --goal-q Q …"
+    require(bool(options.goal) != bool(options.goal_q), "--goal", problem, allowed)
     if options.goal:
         return make_goal(options.goal, options.frame)
     require(options.frame is None, "--frame", "joint angles have no frame", "with --goal")
@@ -126,7 +126,11 @@ def _goal(options: PlanOptions) -> Goal | None:
 
 
 def _joint_angles(robot: Robot, numbers: Sequence[float], option: str) -> tuple[float, ...]:
-    """Return as many numbers as the robot has joints."""
+    """Return the numbers of an option as joint angles.
+
+    Raises:
+        ConfigError: A number is not finite, or there is not one for each joint.
+    """
     problem = f"{len(numbers)} numbers"
     require(len(numbers) == robot.nq, option, problem, f"{robot.nq}: {' '.join(robot.joints)}")
     require(all(map(math.isfinite, numbers)), option, "a number is not finite", "finite numbers")

@@ -28,7 +28,7 @@ SCHEMA = 1
 """Version of the JSON object."""
 
 CONNECTION_TIMEOUT = 10.0
-"""s. A scheduler that does not answer for as long is not there."""
+"""s. After this time without an answer the scheduler counts as unreachable."""
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,11 @@ def make_condition(robot: Robot, scene: Path | None, margin: float) -> Collision
     from robot_ik.collision.obstacle_file import load_obstacles
     from robot_ik.collision.scene import Scene
 
-    whole = Scene(robot, [] if scene is None else load_obstacles(scene))
-    touching = [item.pair for item in whole.touching]
+    surroundings = Scene(robot, [] if scene is None else load_obstacles(scene))
+    touching = [item.pair for item in surroundings.touching]
     for first, second in touching:
         console.say(f"{first} and {second} touch in every posture and are not compared", "dim")
-    return CollisionAvoidance(whole, margin=margin, ignore=touching)
+    return CollisionAvoidance(surroundings, margin=margin, ignore=touching)
 
 
 @contextlib.contextmanager
@@ -156,7 +156,7 @@ def write_files(reach_map: ReachabilityMap, folder: Path) -> list[Path]:
 
 
 def map_facts(reach_map: ReachabilityMap) -> dict[str, Any]:
-    """Return what is printed of a map."""
+    """Return the JSON object of a map, without time and files."""
     from robot_ik.reachability.reachability_map import Reach
 
     counts = {reach.name.lower(): int((reach_map.status == reach).sum()) for reach in Reach}

@@ -70,14 +70,13 @@ class CollisionAvoidance:
         return f"CollisionAvoidance({self.scene!r}, margin={self.margin:g})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        given = self.scene, self.margin, self.pairs, self.ignore
-        return _rebuilt, (*given, self._left_out)
+        return _rebuilt, (self.scene, self.margin, self.pairs, self.ignore, self._left_out)
 
     @cached_property
     def always_near(self) -> tuple[Touching, ...]:
         """Parts that are nearer than the margin in all of many random postures, deepest first.
 
-        They leave no posture free. ``ignore`` leaves them out.
+        With them no posture is free. ``ignore`` leaves them out.
         """
         return always_near(self.scene, self.tables.geoms, self.margin)
 

@@ -43,7 +43,7 @@ FARTHEST = 1e10
 """m. MuJoCo measures distances up to this."""
 
 SMALLEST_REACH = 1e-9
-"""m. MuJoCo measures no depth of a contact if it shall measure distances up to 0 only."""
+"""m. MuJoCo measures the depth of a contact only if it measures distances above 0 too."""
 
 TOUCHING_SAMPLES = 64
 """Random postures. Parts that touch in all of them touch by construction."""
@@ -287,7 +287,7 @@ class Scene:
         )
 
     def pair_distances(self, q: ArrayLike, pairs: Ints, reach: float) -> Array:
-        """Return the distance (p,) of each of some pairs at ``q``, by MuJoCo.
+        """Return the distances (p,) of pairs at ``q``, by MuJoCo.
 
         Args:
             q: Joint angles (nq,).
@@ -391,12 +391,12 @@ def always_near(scene: Scene, pairs: Ints, margin: float) -> tuple[Touching, ...
     depths: dict[tuple[str, ...], float] = {}
     bodies: dict[tuple[str, ...], list[int]] = {}
     segment = np.zeros(6)
+    reach = margin + SMALLEST_REACH
     for k, q in enumerate(postures):
         data = scene.data_at(q)
         deepest: dict[tuple[str, ...], float] = {}
         for i in candidates:
             a, b = pairs[i].tolist()
-            reach = margin + SMALLEST_REACH
             distance = mujoco.mj_geomDistance(model, data, a, b, reach, segment)
             if distance < margin and (k == 0 or names[i] in depths):
                 deepest[names[i]] = max(deepest.get(names[i], -margin), -distance)

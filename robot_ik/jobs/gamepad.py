@@ -36,9 +36,9 @@ FULL_DEFLECTION = 32767.0
 """SDL's number for a stick at its end."""
 
 POLL_PERIOD = 0.2
-"""s between two looks for a gamepad."""
+"""s between two searches for a gamepad."""
 
-LOOK_HINT = "look at its cable or its battery"
+LOOK_HINT = "check its cable and its battery"
 
 BUTTONS = {
     "a": "A",
@@ -218,12 +218,14 @@ class PadDevice(Closing):
             timeout: s to wait.
 
         Raises:
-            HardwareError: None was connected in time.
+            HardwareError: No gamepad was connected in time.
         """
         end = time.monotonic() + timeout
         while not self._find():
             if time.monotonic() > end:
-                raise HardwareError("the gamepad did not come back", hint=LOOK_HINT)
+                raise HardwareError(
+                    f"no gamepad was connected again within {timeout:g} s", hint=LOOK_HINT
+                )
             time.sleep(POLL_PERIOD)
 
     def close(self) -> None:

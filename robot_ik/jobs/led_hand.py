@@ -20,10 +20,10 @@ JOINTS_FOR_ANY_POSE = 6
 """Number of degrees of freedom with which a hand can have any pose in its reach."""
 
 POSITION_TOLERANCE = 1e-3
-"""m by which the hand may miss the end of a step."""
+"""m. Largest position error of the hand after a step."""
 
 ANGLE_TOLERANCE = 1e-2
-"""rad by which the hand may miss the end of a step."""
+"""rad. Largest angle error of the hand after a step."""
 
 
 class LedHand:
@@ -74,16 +74,16 @@ class LedHand:
 
         Args:
             pose: Target in the world.
-            exactly: Keep the last command if the hand cannot get there.  Steps that add up must
-                neither drift, nor rotate the hand at the end of its reach.
+            exactly: Keep the last command if the hand cannot reach the pose.  Steps that add up
+                must neither drift, nor rotate the hand at the end of its reach.
         """
         q = self._problem.solve(self._q, target=pose).q
         if np.isfinite(q).all():
             reached = self._robot.forward(q)
             distance, angle = reached.distance(pose)
-            angle_is_right = angle < ANGLE_TOLERANCE or not self._reaches_any_pose
-            arrives = distance < POSITION_TOLERANCE and angle_is_right
-            if arrives or not exactly:
+            meets_angle = angle < ANGLE_TOLERANCE or not self._reaches_any_pose
+            is_reached = distance < POSITION_TOLERANCE and meets_angle
+            if is_reached or not exactly:
                 self._q = q
                 self.pose = reached
                 if exactly:

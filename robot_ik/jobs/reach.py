@@ -177,7 +177,7 @@ class ReachReport:
             return ""
         joint = self.execution.joints[worst]  # type: ignore[union-attr]
         return (
-            f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its own account: "
+            f"{joint} is {math.degrees(abs(float(off[worst]))):.2f}° from its command by its registers: "
             "is it held, overloaded or too slow?"
         )
 

@@ -269,7 +269,7 @@ class RobotSetup:
 
 @dataclass(frozen=True)
 class _GuardedSink:
-    """Sends what the guard allows; recorder and setup get what was really sent."""
+    """Sends the commands that the guard allows, and gives them to setup and recorder."""
 
     setup: RobotSetup
     guard: ArmGuard
@@ -307,8 +307,15 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     if without_bus:
         chain = config.only(robot.joints)
         limited = robot.with_limits(chain.lower, chain.upper)
-        condition = guard_of(chain, request.robot), arm_collisions(chain, limited)
-        return RobotSetup(limited, frame, _joint_limits(robot, limited, chain), None, clock, *condition)
+        return RobotSetup(
+            limited,
+            frame,
+            _joint_limits(robot, limited, chain),
+            None,
+            clock,
+            guard=guard_of(chain, request.robot),
+            collisions=arm_collisions(chain, limited),
+        )
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     opened = open_robot(robot, config, request.bus)
@@ -319,8 +326,15 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
             *(Fault("stuck", config.joint(name).servo.id) for name in rehearsal.stuck),
         )
     limits = _joint_limits(robot, opened.robot, opened.chain)
-    condition = guard_of(opened.config, request.robot), opened.collisions
-    return RobotSetup(opened.robot, frame, limits, opened, opened.clock, *condition)
+    return RobotSetup(
+        opened.robot,
+        frame,
+        limits,
+        opened,
+        opened.clock,
+        guard=guard_of(opened.config, request.robot),
+        collisions=opened.collisions,
+    )
 
 
 def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:

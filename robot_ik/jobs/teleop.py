@@ -1,7 +1,7 @@
 """Teleoperation: an operator leads, and an arm follows within its limits.
 
-Engaging never jumps.  A leader that is lost commands nothing.  Then the ``on_stale`` of the
-follower's arm file decides.
+Engaging never causes a jump. Without a leader no command is sent, and ``on_stale`` of the
+follower's arm file determines what the follower does.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from robot_ik.workcell.guided_motion import approach_profile
 log = logging.getLogger(__name__)
 
 DELAYS = 4096
-"""Number of samples of which the median delay is taken."""
+"""Largest number of samples for the median delay."""
 
 
 class Blend:
@@ -71,7 +71,7 @@ class Blend:
 
 @dataclass
 class TeleopReport:
-    """What happened.
+    """Result of ``teleoperate``.
 
     Attributes:
         ticks: Number of commands.
@@ -79,8 +79,8 @@ class TeleopReport:
         lost: How often the leader was lost.
         seconds: Duration.
         delay: Median of the s from reading the leader to the follower's packet.
-        blocked: Number of commands that were held back, because parts would have touched.
-        end: Why it ended, as text.  The default stays if an arm failed or Ctrl-C ended it.
+        blocked: Number of commands that were limited, because parts would have touched.
+        end: Reason of the end, as text.  The default stays after a failed arm or Ctrl-C.
     """
 
     ticks: int = 0
@@ -89,7 +89,7 @@ class TeleopReport:
     seconds: float = 0.0
     delay: float = 0.0
     blocked: int = 0
-    end: str = "it was broken off"
+    end: str = "ended early"
 
 
 def teleoperate(
@@ -102,7 +102,7 @@ def teleoperate(
     done: Callable[[TeleopReport], None] = lambda _report: None,
     guard: ArmGuard | None = None,
 ) -> TeleopReport:
-    """Lead a follower until it is over.  The caller leaves the arms.
+    """Lead a follower until ``over`` or for a given time.  The caller closes the arms.
 
     Args:
         operator: Gives the commands.
@@ -114,7 +114,7 @@ def teleoperate(
         guard: Stops the follower before parts touch.  None: collisions are not checked.
 
     Raises:
-        HardwareError: The follower failed, or the leader did not come back.
+        HardwareError: The follower failed, or the leader was not connected again in time.
     """
     clock = follower.clock
     rate = follower.config.rate_hz
@@ -156,7 +156,7 @@ def teleoperate(
             if len(delays) < DELAYS:
                 delays.append(time.perf_counter() - read)
             operator.feel(follower.positions())
-        report.end = "it was ended" if over() else "the time was over"
+        report.end = "ended by the operator" if over() else "end of the given time"
     finally:
         report.seconds = clock.now() - begin
         report.delay = float(np.median(delays)) if delays else 0.0
@@ -167,7 +167,7 @@ def teleoperate(
 def _send_guarded(
     follower: Arm, command: Angles, guard: ArmGuard, operator: Operator, report: TeleopReport
 ) -> None:
-    """Send what the guard allows of a command; log what is in the way when that changes."""
+    """Send the allowed part of a command; log when a collision begins or ends to limit it."""
     before = guard.contact
     sent = guard.send(follower, command)
     if guard.contact:
@@ -176,7 +176,7 @@ def _send_guarded(
     if guard.contact and not before:
         log.warning("the arm holds: %s", guard.contact)
     elif before and not guard.contact:
-        log.warning("the way is free again")
+        log.warning("the commands are free of collisions again")
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:
@@ -186,7 +186,7 @@ def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:
     heartbeat runs, so the arm is held here at the same moment.
 
     Raises:
-        HardwareError: The leader did not come back, or the follower gave up meanwhile.
+        HardwareError: The leader was not connected again in time, or the follower has a fault.
     """
     if isinstance(follower.clock, VirtualClock):
         config = follower.config

@@ -127,7 +127,7 @@ def judge_read_back(
 
 def judge_by_camera(
     robot: Robot,
-    seen: Observation,
+    observation: Observation,
     pose_world_camera: Pose,
     pose_body_tool: Pose,
     goal: Goal,
@@ -141,17 +141,17 @@ def judge_by_camera(
 
     Args:
         robot: The robot.
-        seen: Observation of the markers on the tool.
+        observation: Observation of the markers on the tool.
         pose_world_camera: Pose of the camera.
         pose_body_tool: Pose of the tool in the frame of the markers.
         goal: The goal.
         bound: Result of ``quantisation``.
         goal_sigma: See ``judge_read_back``.
     """
-    pose = pose_world_camera.compose(seen.pose).compose(pose_body_tool)
+    pose = pose_world_camera.compose(observation.pose).compose(pose_body_tool)
     position, angle = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
-    lever = seen.pose.rotation @ pose_body_tool.position
-    sigma = Bound(*worst_sigmas(seen.covariance, lever)).combined(goal_sigma)
+    lever = observation.pose.rotation @ pose_body_tool.position
+    sigma = Bound(*worst_sigmas(observation.covariance, lever)).combined(goal_sigma)
     allowed = Bound(
         min(LARGEST_ERROR, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
@@ -180,20 +180,20 @@ def decide(
         servos: Whether there are servos. Their registers may disagree with the arm.
         blind: Why no camera was used. Empty if one was used.
         seen_goal: Whether the goal is a marker, so that a camera is available.
-        stopped_short: Which servo is how far from its command. Empty if none is.
+        stopped_short: Servo that is far from its command, and its distance. Empty without one.
         followed: Whether the goal moved.
 
     Returns:
         Whether the goal is reached, and the reason in one sentence.
     """
-    source = "by the servos' own account" if servos else "by the model's joint angles"
+    source = "by the servos' registers" if servos else "by the model's joint angles"
     explained = ("the servos' ticks" if servos else "the solver's tolerance") + " and the camera"
     if not read_back.passed:
         if stopped_short:
             return False, stopped_short
-        reason = "the solution was not kept to"
+        reason = "the arm is not at the solution"
         if followed:
-            reason = "the marker moved on, or the arm is too slow"
+            reason = "the marker moved further, or the arm is too slow"
         distance = f"the tool is {1e3 * read_back.position:.2f} mm from the goal {source}"
         return False, f"{distance}: {reason}"
     if by_camera is not None:
@@ -202,9 +202,9 @@ def decide(
         hint = "check the camera's calibration and place"
         if servos:
             hint = "check zeros, horns and limits"
-        return False, f"farther off than {explained} can explain: {hint}"
+        return False, f"the error is larger than {explained} explain: {hint}"
     if blind:
         return True, f"{source}: {blind}"
     if servos and seen_goal:
-        return False, "no marker of the gripper is in view, so where the tool is remains unproven"
+        return False, "no marker of the gripper is in view, so the pose of the tool is unproven"
     return True, f"{source}: no marker of the gripper is in view"

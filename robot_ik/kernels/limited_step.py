@@ -33,7 +33,7 @@ from robot_ik.kernels.tree import TREE
 MOVED, AT_GOAL, BLOCKED, NOT_FINITE = range(4)
 
 # A step that leads below this share of the margin is shortened, unless it leads out.
-_KEPT_SHARE = 0.9
+KEPT_SHARE = 0.9
 # Weight of the way out of a pair, 1/m², if it is no constraint. The goals weigh about 1.
 _PUSH = 1e3
 # m. A pair that touches may come nearer by this in a step, through rounding.
@@ -183,14 +183,14 @@ def limited_step(address):
             step.pressed += 1
     copy(step.program.solution, search.step)
     copy(search.q, step.before)
-    allowed = min(_KEPT_SHARE * step.margin, distance_before - _ROUNDING)
+    allowed = min(KEPT_SHARE * step.margin, distance_before - _ROUNDING)
     for halving in range(_MAX_HALVINGS):
         apply_step(run.tree, run.goals, search)
         list_near(run.collision, search.q, step.detection)
         within = measure(run.tree, run.goals, search)
         # Of two flat parts the nearest points jump from edge to edge. A step must
         # bring the goal nearer or lead out of the margin, else the joints follow the jumps.
-        useful = search.cost < cost or distance_before < _KEPT_SHARE * step.margin
+        useful = search.cost < cost or distance_before < KEPT_SHARE * step.margin
         if useful and check.nearest_distance >= allowed:
             copy(search.q, search.best)
             if within and check.nearest_distance >= step.margin:

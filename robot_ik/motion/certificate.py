@@ -85,6 +85,14 @@ def certify(
     return Certificate(False, float("nan"), proof["checks"])
 
 
+def is_certified(q: ArrayLike, collisions: CollisionAvoidance) -> bool:
+    """Return whether straight lines between postures (n, nq) are proven to keep the margin."""
+    try:
+        return certify(q, collisions).certified
+    except MotionBlockedError:
+        return False
+
+
 def proof_memory(collisions: CollisionAvoidance) -> Block:
     """Return memory for one proof at a time (``certificate.PROOF``)."""
     robot = collisions.scene.robot

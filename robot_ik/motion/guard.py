@@ -2,10 +2,10 @@
 
     guard = MotionGuard(avoid)
     trajectory = guard.checked(joint_move(robot, q, goal))    # or MotionBlockedError
-    guard.blocked_at(q, q + step)                             # None, or where parts come too near
+    guard.blocked_at(q, q + step)                             # None, or the blocked posture
 
-An arm often stands in contact: it rests on the table, or its model is not exact. So the parts that
-are nearer than the margin at the start of a motion may stay so near. They must not come nearer.
+An arm often stands in contact: it rests on the table, or its model is not exact. So parts that are
+nearer than the margin at the start of a motion may keep their distance. They must not come nearer.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ STEP_ROUNDING = 1e-9
 NEAR = 1e-3
 """m. Parts that are nearer than the margin and this are led apart without a proof of the margin."""
 
-HELD_SHARE = 0.9
+PROVEN_SHARE = 0.9
 """Share of the margin that is proven while parts are led apart."""
 
 LONGEST_SAMPLE = 0.01
@@ -116,18 +116,18 @@ class MotionGuard:
         nearest = condition.scene.clearance(trajectory.q[row], near[pair : pair + 1])
         raise MotionBlockedError(
             float(trajectory.times[row] - trajectory.times[0]),
-            nearest.pair or ("", ""),  # there is a pair: its distance was measured
+            nearest.pair or ("", ""),  # never None here: its distance was measured
             float(distances[:, pair].min()),
             margin,
             trajectory.q[row],
         )
 
     def blocked_at(self, q: Array, end: Array) -> Array | None:
-        """Return where a straight step is blocked; None if the step is allowed.
+        """Return the posture at which a straight step is blocked; None if it is allowed.
 
         Args:
             q: The last command (nq,).
-            end: Where the step ends (nq,).
+            end: Posture at the end of the step (nq,).
 
         Returns:
             The posture (nq,) at which parts would be nearer than allowed.
@@ -142,10 +142,10 @@ class MotionGuard:
         geoms, distances = self._near(q)
         if not len(geoms):
             return blocked
-        held = HELD_SHARE * margin
-        if 0.0 < held < distances.min():
-            # A motion away from the margin cannot be proven to keep it, but less can be proven.
-            if not self._is_proven(q, change, held):
+        smaller_margin = PROVEN_SHARE * margin
+        if 0.0 < smaller_margin < distances.min():
+            # A motion away from the margin cannot be proven to keep it, but to keep a part of it.
+            if not self._is_proven(q, change, smaller_margin):
                 return self._proof.arrays["q"].copy()
         else:
             geoms = self.collisions.tables.geoms
@@ -153,7 +153,7 @@ class MotionGuard:
         return self._nearer_at(q, change, geoms, np.minimum(distances, margin))
 
     def forget(self) -> None:
-        """Measure all distances anew: obstacles may have moved."""
+        """Discard the kept distances, because obstacles may have moved."""
         self._near_q.fill(np.nan)
 
     def _is_proven(self, q: Array, change: Array, margin: float) -> bool:
@@ -182,7 +182,7 @@ class MotionGuard:
         return self._near_pairs
 
     def _nearer_at(self, q: Array, change: Array, geoms: Ints, allowed: Array) -> Array | None:
-        """Return where a pair (p, 2) comes nearer than allowed (p,); None if none does."""
+        """Return the posture at which a pair (p, 2) is nearer than allowed (p,), or None."""
         scene = self.collisions.scene
         reach = float(allowed.max())
         count = max(2, math.ceil(float(np.abs(change).max()) / LONGEST_SAMPLE))

@@ -2,12 +2,12 @@
 
     stream = GuardedStream(guard, velocity_limits, acceleration_limits, rate=100.0)
     stream.begin(q)                       # where the arm is, at rest
-    command = stream.next(wanted)         # each tick; stream.contact says what is in the way
-    stream.was_sent(arm.send(command))    # what the limiter of the arm made of it
+    command = stream.next(wanted)         # each tick; stream.contact is the pair that blocks it
+    stream.was_sent(arm.send(command))    # the command after the limiter of the arm
 
 An arm in motion needs a distance to stop. So a step is allowed only if the arm may brake straight
-from its end. If that is not free, the arm moves the joints that may move, and brakes the others on
-the way that the last step left free.
+from its end. If that is not free, the arm moves the joints that may move, and brakes the other
+joints. Braking is free, because it was checked with the last step.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class GuardedStream:
     """Follows joint angles within speed and acceleration limits, and stops before parts touch.
 
     Attributes:
-        contact: What holds the last command back. None if nothing does.
+        contact: The pair that limits the last command. None if the command is not limited.
     """
 
     def __init__(
@@ -48,20 +48,20 @@ class GuardedStream:
         """Prepare a stream.
 
         Args:
-            guard: Which steps are allowed.
+            guard: Checks the steps.
             velocity_limits: (nv,) rad/s or m/s; 0 for joints that follow others.
             acceleration_limits: (nv,) rad/s² or m/s².
             rate: Commands a second, Hz.
         """
         self._guard = guard
         self._robot = guard.collisions.scene.robot
-        self._longest = CAP_SHARE * np.asarray(velocity_limits, dtype=float) / rate
+        self._largest_step = CAP_SHARE * np.asarray(velocity_limits, dtype=float) / rate
         # Largest change of a step from one tick to the next.
-        self._change = CAP_SHARE * np.asarray(acceleration_limits, dtype=float) / rate**2
-        self._q = np.zeros_like(self._longest)
-        self._step = np.zeros_like(self._longest)
-        self._wanted = np.zeros_like(self._longest)
-        self._lead = np.zeros_like(self._longest)
+        self._largest_change = CAP_SHARE * np.asarray(acceleration_limits, dtype=float) / rate**2
+        self._q = np.zeros_like(self._largest_step)
+        self._step = np.zeros_like(self._largest_step)
+        self._wanted = np.zeros_like(self._largest_step)
+        self._lead = np.zeros_like(self._largest_step)
         self.contact: Clearance | None = None
 
     def begin(self, q: ArrayLike) -> None:
@@ -86,13 +86,13 @@ class GuardedStream:
         return self._q
 
     def _slide(self, step: Array) -> Array:
-        """Return an allowed part of a step that is not allowed; braking at least."""
+        """Return an allowed step between braking and a step that is not allowed."""
         brake = self._braked(self._step)
         for share in SHARES:
             trial = brake + share * (step - brake)
             if self._is_allowed(trial):
                 return trial
-        # Joint by joint: the arm slides along what is in the way.
+        # Joint by joint: the arm slides along the obstacle.
         allowed = brake
         for joint in np.argsort(-np.abs(step - brake), kind="stable"):
             trial = allowed.copy()
@@ -106,22 +106,22 @@ class GuardedStream:
         return self._guard.blocked_at(self._q, self._stop_after(step)) is None
 
     def was_sent(self, q: Array) -> None:
-        """Go on from what was really sent (nq,) instead of the last command."""
+        """Continue from the command (nq,) that was sent instead of the last command."""
         if np.array_equal(q, self._q):
             return
         before = self._q - self._step
-        self._step = np.where(self._longest > 0.0, q - before, 0.0)
+        self._step = np.where(self._largest_step > 0.0, q - before, 0.0)
         self._q = np.array(q, dtype=float)
 
     def _wanted_step(self, wanted: Array) -> Array:
         """Return the longest step towards ``wanted`` within the limits that need not overshoot.
 
-        The step that ``wanted`` itself made is added, as far as the joints can follow it. So the
-        commands do not stay behind a motion.
+        The last change of ``wanted`` is added, within the limits of the joints. So the commands do
+        not lag behind a motion.
         """
-        change = self._change
+        change = self._largest_change
         lead = np.clip(wanted - self._wanted, self._lead - change, self._lead + change)
-        self._lead = np.clip(lead, -self._longest, self._longest)
+        self._lead = np.clip(lead, -self._largest_step, self._largest_step)
         self._wanted = np.array(wanted, dtype=float)
         way = wanted - self._lead - self._q
         distance = np.abs(way)
@@ -129,7 +129,7 @@ class GuardedStream:
         ticks = np.maximum(1.0, np.ceil(0.5 * (np.sqrt(1.0 + 8.0 * distance / change) - 1.0)))
         longest = distance / ticks + 0.5 * change * (ticks - 1.0)
         step = self._lead + np.sign(way) * longest
-        step = np.clip(step, -self._longest, self._longest)
+        step = np.clip(step, -self._largest_step, self._largest_step)
         return np.asarray(np.clip(step, self._step - change, self._step + change))
 
     def _braked(self, step: Array) -> Array:
@@ -138,11 +138,11 @@ class GuardedStream:
         return step * (1.0 - 1.0 / ticks) if ticks > 1.0 else np.zeros_like(step)
 
     def _stop_after(self, step: Array) -> Array:
-        """Return where the arm stands (nq,) after a step and straight braking."""
+        """Return the posture (nq,) after a step and straight braking."""
         ticks = self._ticks_to_stop(step)
         return self._robot.apply_couplings(self._q + step * 0.5 * (ticks + 1.0))
 
     def _ticks_to_stop(self, step: Array) -> float:
-        """Return how many ticks straight braking takes, this one included; at least 1."""
-        ticks = float(np.max(np.abs(step) / self._change, initial=0.0))
+        """Return the number of ticks of straight braking, with the present tick; at least 1."""
+        ticks = float(np.max(np.abs(step) / self._largest_change, initial=0.0))
         return max(1.0, math.ceil(ticks - TICK_ROUNDING))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import InvalidGoalError, TrajectoryError, distinct_texts
 from robot_ik.geometry import Array, Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal, Tolerance
-from robot_ik.motion.timing import Timing, fastest_timing
+from robot_ik.motion.timing import MAX_SLOWDOWNS, SLOWDOWN_MARGIN, Timing, fastest_timing
 from robot_ik.motion.trajectory import (
     Trajectory,
     certified_trajectory,
@@ -52,12 +52,6 @@ MAX_HALVINGS = 10
 
 AT_LIMIT = 0.02
 """rad or m. A joint this near to a limit is named as the cause if no further point is found."""
-
-MARGIN = 1.002
-"""Each slowdown aims below the bound by this factor, so that few rounds are needed."""
-
-MAX_ROUNDS = 12
-"""Rounds of slowing down."""
 
 LARGEST_STRETCH = 4.0
 """Largest factor of the duration in one round."""
@@ -273,7 +267,7 @@ def _sampled(
     """Return the trajectory at ``rate`` Hz, slowed down until every measured bound holds."""
     velocity_limits, acceleration_limits = limits
     duration = timing.duration
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_SLOWDOWNS):
         count = max(1, int(np.ceil(duration * rate * (1.0 - COUNT_ROUNDING))))
         s = timing.progress(np.linspace(0.0, timing.duration, count + 1, dtype=np.float64))
         q = _solved(tracer, timing.s, path, s)
@@ -290,7 +284,7 @@ def _sampled(
             return trajectory
         if duration > SLOWEST * timing.duration + 1.0:
             break
-        stretch = min(excess * MARGIN, LARGEST_STRETCH)
+        stretch = min(excess * SLOWDOWN_MARGIN, LARGEST_STRETCH)
         duration = max(count + 1, np.ceil(count * stretch)) / rate
     raise TrajectoryError(
         f"no timing of this line keeps the limits (exceeded {excess:.2f} times)",

@@ -37,14 +37,14 @@ from robot_ik.motion.trajectory import (
 from robot_ik.motion.waypoints import joined, waypoint_move
 from robot_ik.problem import as_goals, check_arguments
 from robot_ik.robot import Robot
-from robot_ik.solution import Solution, Status
+from robot_ik.solution import COLLIDING, Solution, Status
 from robot_ik.solvers.base import Solver
 
 Ints = NDArray[np.int64]
 
 
 class PlanStatus(enum.Enum):
-    """How a plan ended. The value is the sentence for people."""
+    """How a plan ended. The value is a description for messages."""
 
     FOUND = "a path was found"
     NO_PATH = "no path was found within the budget"
@@ -54,7 +54,6 @@ class PlanStatus(enum.Enum):
     GOAL_NOT_SOLVED = "no joint angles were found for the goal"
 
 
-_BLOCKED = (Status.BLOCKED_BY_COLLISION, Status.NO_FREE_BRANCH)
 _BUDGET = Budget()
 # NumPy takes seeds from 0: a negative seed counts from the end.
 _SEEDS = 1 << 62
@@ -99,7 +98,7 @@ class Plan:
 
     @property
     def meaning(self) -> str:
-        """One sentence for people: the status, with pair and distance or with what was tried."""
+        """Description of the status, with pair and distance or with the numbers of the search."""
         if self.blocked is not None and self.blocked.pair is not None:
             first, second = self.blocked.pair
             distance_mm = 1e3 * self.blocked.distance
@@ -185,7 +184,7 @@ def plan(
         acceleration_limits: Further limits (nv,), rad/s² or m/s².
 
     Returns:
-        A plan. Its status tells whether a path was found. A failure is not an exception.
+        A plan. Its status is FOUND if there is a path. A failure raises no exception.
 
     Raises:
         UnsupportedJointError: The robot has ball or free joints.
@@ -249,7 +248,7 @@ def _task_goals(goal: Any) -> list[Goal] | None:
 
 @dataclass(frozen=True, eq=False)
 class _Planner:
-    """What is common to the steps of one call of ``plan``.
+    """Common arguments of the steps of one call of ``plan``.
 
     Attributes:
         robot: The robot.
@@ -278,7 +277,7 @@ class _Planner:
 
     def unmet(self, solution: Solution) -> Plan:
         """Return the result for a goal in task space that no free posture meets."""
-        if solution.status in _BLOCKED:
+        if solution.status in COLLIDING:
             return self.blocked(PlanStatus.GOAL_BLOCKED, solution.q, solution)
         proven = solution.status is Status.UNREACHABLE
         status = PlanStatus.GOAL_UNREACHABLE if proven else PlanStatus.GOAL_NOT_SOLVED
@@ -290,7 +289,7 @@ class _Planner:
         Args:
             start: Joint angles (nq,).
             postures: Postures (g, nq) of the goal, the preferred one first.
-            moved: Numbers of q (m,) that move the goal, beside those that move the tool.
+            moved: Indices in q (m,) of joints that move the goal, beside those of the tool.
         """
         free = self.contacts.rest.free(postures)
         if not free.any():

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from robot_ik.branches import solve_all
 from robot_ik.collision.avoidance import CollisionAvoidance
-from robot_ik.errors import MotionBlockedError, UnsupportedGoalError
+from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Array
 from robot_ik.goals import Goal, Tolerance
-from robot_ik.motion.certificate import certify
+from robot_ik.motion.certificate import is_certified
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution
-from robot_ik.solvers.avoiding import moved_numbers
+from robot_ik.solvers.avoiding import moved_coordinates
 from robot_ik.solvers.base import Solver
 
 MAX_STARTS = 12
@@ -144,22 +144,14 @@ class Contacts:
         return rows if is_certified(rows, self.rest) else None
 
 
-def is_certified(rows: Array, collisions: CollisionAvoidance) -> bool:
-    """Return whether straight lines between postures (n, nq) are proven to keep the margin."""
-    try:
-        return certify(rows, collisions).certified
-    except MotionBlockedError:
-        return False
-
-
 @dataclass(frozen=True, eq=False)
 class GoalPostures:
     """Postures that meet goals in task space.
 
     Attributes:
-        rows: (g, nq) free postures, nearest to the start first. None if the first solve failed.
+        rows: (g, nq) free postures, nearest to the start first. Empty if the first solve failed.
         solution: The first solution.
-        moved: Numbers of q (m,) that move a goal.
+        moved: Indices in q (m,) of the joints that move a goal.
     """
 
     rows: Array
@@ -191,7 +183,7 @@ def goal_postures(
         seed: Seed of the other starts.
     """
     problem = Problem(robot, goals, solver=solver, tolerance=tolerance, seed=seed, collisions=rest)
-    moved = np.asarray(moved_numbers(problem), dtype=np.int64)
+    moved = np.asarray(moved_coordinates(problem), dtype=np.int64)
     solution = problem.solve(start)
     if not solution.converged:
         return GoalPostures(np.empty((0, robot.nq)), solution, moved)

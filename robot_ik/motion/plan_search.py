@@ -1,7 +1,7 @@
 """``search_path``: a proven path of straight edges between postures, shortened.
 
-The search runs in slices, so that Ctrl-C and a budget of seconds end it. What it returns depends on
-the seed and the iterations only, not on the slices.
+The search runs in slices, so that Ctrl-C and a budget of seconds end it. The result depends on the
+seed and the iterations only, not on the slices.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RESERVE = 0.003
 """m. Samples of an edge keep this beside the margin: then nearly all edges can be proven."""
 
 RESERVE_SHARES = (1.0, 0.25, 0.0)
-"""Shares of the reserve in one search after the other. A passage may be too narrow for it all."""
+"""Shares of the reserve, one for each search in turn. A passage may need a small reserve."""
 
 RESOLUTION = 1.0 / 12.0
 """rad or m. Largest distance of two samples of an edge. The samples only find most contacts
@@ -43,7 +43,7 @@ MAX_NODES = 16_384
 """Nodes of a tree. A full tree ends its search."""
 
 SLICE = 64
-"""Iterations between two looks at the clock: some milliseconds."""
+"""Iterations between two checks of the time: some milliseconds."""
 
 SHORTCUTS = 100
 """Shortcuts that are tried."""
@@ -130,13 +130,13 @@ class _Search:
         jit.announce(tree_search.grow_trees, "the path search")
 
     def _rooms(self, postures: Array) -> Array:
-        """Return how much more than the margin each posture (n, nq) keeps, at most the reserve."""
+        """Return the distance (n,) of postures (n, nq) beyond the margin, up to two reserves."""
         address = self.edges.nested["samples"].address
         distances = np.zeros(len(postures))
         nearest = np.zeros(len(postures), dtype=np.int64)
         reach = self.edges["margin"] + 2.0 * RESERVE
         collision.smallest_distances(address, postures, reach, distances, nearest)
-        return np.clip(distances - self.edges["margin"], 0.0, reach)
+        return np.maximum(distances - self.edges["margin"], 0.0)
 
     def run(self) -> SearchResult:
         """Search until a path is found or the budget ends."""
@@ -161,7 +161,7 @@ class _Search:
 
     def _search_once(self, restart: int) -> Array | None:
         """Search with new trees; return a short path, or None."""
-        # Ends that have little room need a small reserve. Goals with less room are left out.
+        # Ends near the margin need a small reserve. Goals that are nearer are left out.
         cycle, number = divmod(restart, len(RESERVE_SHARES))
         share = RESERVE_SHARES[number]
         room = min(self.rooms[0], self.rooms[1:].max())
@@ -197,7 +197,7 @@ class _Search:
         goal_chain = self._chain("goal_tree", self.trees["goal_node"])
         first = self._tree("start_tree").arrays["q"][start_chain]
         last = self._tree("goal_tree").arrays["q"][goal_chain]
-        # The node of each edge that goes with the edge; the edge between the trees has none.
+        # The node that is removed with each edge. The edge between the trees has no node.
         children = [("start_tree", node) for node in start_chain[1:]]
         if np.array_equal(first[-1], last[0]):
             path = np.vstack([first, last[1:]])
@@ -223,7 +223,7 @@ class _Search:
         return chain
 
     def _remove(self, name: str, node: int) -> None:
-        """Remove a node and what grows on it."""
+        """Remove a node and its descendants."""
         nodes = self._tree(name)
         parents = nodes.arrays["parent"]
         parents[node] = tree_search.REMOVED

@@ -25,6 +25,12 @@ QUINTIC_PEAK_ACCELERATION = 10.0 / np.sqrt(3.0)
 STILL = 1e-9
 """A joint that moves less than this share of the fastest joint does not bound d²s/dt²."""
 
+SLOWDOWN_MARGIN = 1.002
+"""Factor by which a slowdown aims below a measured bound, so that few rounds are needed."""
+
+MAX_SLOWDOWNS = 12
+"""Rounds of slowing a sampled motion down until it keeps its bounds."""
+
 
 def minimum_jerk(phase: ArrayLike) -> Array:
     """Return progress from 0 to 1, at rest at both ends (Flash & Hogan 1985)."""

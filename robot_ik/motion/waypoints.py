@@ -1,7 +1,7 @@
 """``waypoint_move``: a timed motion through the corners of a path, with certified round corners.
 
 Between the corners the joints move straight. Each corner is cut by a parabola that is tangent to
-both edges, as long as the cut is proven free. Where no cut is, the motion stops at the corner.
+both edges, if the cut is proven free. Otherwise the motion stops at the corner.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ import numpy as np
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.errors import MotionBlockedError, TrajectoryError
 from robot_ik.geometry import Array
-from robot_ik.motion.timing import Profile, fastest_timing, trapezoid
+from robot_ik.motion.timing import (
+    MAX_SLOWDOWNS,
+    SLOWDOWN_MARGIN,
+    Profile,
+    fastest_timing,
+    trapezoid,
+)
 from robot_ik.motion.trajectory import (
     MAX_SAMPLES,
     Trajectory,
@@ -41,14 +47,8 @@ EDGE_KNOTS = 24
 CUT_KNOTS = 12
 """Knots of the timing on a cut."""
 
-SLOWER = 1.002
-"""Each slowdown aims below the bound by this factor, so that few rounds are needed."""
-
-MAX_SLOWDOWNS = 12
-"""Rounds of slowing down."""
-
-MAX_ROUNDS = 3
-"""Rounds in which all cuts are halved, before the motion stops at each corner."""
+MAX_CUT_HALVINGS = 3
+"""Times that all cuts are halved, before the motion stops at each corner."""
 
 
 def waypoint_move(
@@ -76,7 +76,7 @@ def waypoint_move(
         still = Trajectory([0.0], corners, robot.joints)
         return certified_trajectory(still, robot, collisions)
     cuts = _free_cuts(corners, collisions)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_CUT_HALVINGS):
         if not cuts.any():
             break
         trajectory = _timed(corners, cuts, limits, rate, robot.joints)
@@ -131,17 +131,17 @@ def _free_cuts(corners: Array, collisions: CollisionAvoidance) -> Array:
     if len(corners) < 3:
         return cuts
     longest = np.minimum(LONGEST_CUT, 0.5 * np.minimum(lengths[:-1], lengths[1:]))
-    tried = longest[:, None] * 0.5 ** np.arange(CUTS)
+    lengths_of_cuts = longest[:, None] * 0.5 ** np.arange(CUTS)
     shares = np.linspace(0.0, 1.0, CUT_POINTS)
     rows = [
         _Cut.at(corners, k + 1, cut).points(shares)
-        for k, of_corner in enumerate(tried)
-        for cut in of_corner
+        for k, cuts_of_corner in enumerate(lengths_of_cuts)
+        for cut in cuts_of_corner
     ]
     free = collisions.free(np.concatenate(rows)).reshape(len(longest), CUTS, CUT_POINTS)
     is_free = np.asarray(free.all(axis=2))
     first = np.argmax(is_free, axis=1)
-    chosen = tried[np.arange(len(longest)), first]
+    chosen = lengths_of_cuts[np.arange(len(longest)), first]
     cuts[1:-1] = np.where(is_free.any(axis=1), chosen, 0.0)
     return cuts
 
@@ -275,7 +275,8 @@ def _timed_between_stops(
     duration = profile.duration
     if not duration * rate <= MAX_SAMPLES:
         raise TrajectoryError(
-            f"the motion takes {duration:.3g} s, too many samples at {rate:g} Hz",
+            f"the motion takes {duration:.3g} s, which are {duration * rate:.3g} samples at "
+            f"{rate:g} Hz (at most {MAX_SAMPLES:.0e})",
             hint="give a higher speed, higher velocity_limits or a lower rate",
         )
     for _ in range(MAX_SLOWDOWNS):
@@ -290,7 +291,7 @@ def _timed_between_stops(
         )
         if excess <= 1.0:
             return trajectory
-        duration = max(count + 1, count * excess * SLOWER) / rate
+        duration = max(count + 1, count * excess * SLOWDOWN_MARGIN) / rate
     raise TrajectoryError(
         f"no timing of the path keeps the limits (exceeded {excess:.2f} times)",
         hint="give a lower speed or a higher rate",

@@ -14,13 +14,13 @@ from robot_ik.kernels.tree import TREE
 from robot_ik.solvers.analytic import write_branches
 from robot_ik.solvers.analytic.subproblems import FORM, image
 
-# What is known of a pose.
+# Status of a pose.
 UNREACHABLE, NOT_FOUND, TOUCHING, REACHED = range(4)
 
 # m. Clearances are measured up to this.
 FARTHEST_CLEARANCE = 0.1
 # Free branches of a pose that one byte can count.
-_MOST_BRANCHES = 255
+_MAX_BRANCHES = 255
 # A pivot of the Gram matrix at or below this is zero.
 _ZERO_PIVOT = 1e-300
 
@@ -29,7 +29,7 @@ _ZERO_PIVOT = 1e-300
 CELLS = Layout(
     "ReachabilityCells",
     checked="bool",  # collisions count
-    missed="int",  # what a pose without a branch is: UNREACHABLE or NOT_FOUND
+    missed="int",  # status of a pose without a branch: UNREACHABLE or NOT_FOUND
     swept="int",  # coordinate in q of the joint that is fixed at several values; -1 without one
     node="int",  # node that carries the frame
     margin="float",  # m
@@ -75,10 +75,10 @@ def put_branch(cells, form, row):
 
 @outlined
 def is_free(cells, run):
-    """Return whether cells.q keeps the margin; raises cells.best_clearance.
+    """Return whether cells.q keeps the margin; updates cells.best_clearance.
 
-    The exact distance is measured only if the posture is farther from contact than all before it.
-    A posture within rounding of the margin does not count as free.
+    The exact distance is measured only if the clearance of the posture is larger than the largest
+    so far. A posture within rounding of the margin does not count as free.
     """
     best = cells.best_clearance
     if best < cells.margin or best >= FARTHEST_CLEARANCE:
@@ -94,7 +94,7 @@ def is_free(cells, run):
 
 
 @outlined
-def manipulability(cells):
+def manipulability_at(cells):
     """Return √det(J Jᵀ) at cells.q (Yoshikawa 1985), metres and radians."""
     tree = cells.tree
     forward(tree, cells.nodes, cells.q, cells.world, cells.scratch)
@@ -131,9 +131,9 @@ def manipulability(cells):
 
 @outlined
 def sweep_pose(cells, run, forms, positions, cell, orientation):
-    """Return what is known of one pose, and its number of free branches.
+    """Return the status of one pose, and its number of free branches.
 
-    Raises cells.best_manipulability and cells.best_clearance.
+    Updates cells.best_manipulability and cells.best_clearance.
     """
     free = 0
     touching = False
@@ -153,14 +153,14 @@ def sweep_pose(cells, run, forms, positions, cell, orientation):
                 touching = True
                 continue
             free += 1
-            cells.best_manipulability = max(cells.best_manipulability, manipulability(cells))
+            cells.best_manipulability = max(cells.best_manipulability, manipulability_at(cells))
     if free > 0:
-        return REACHED, min(free, _MOST_BRANCHES)
+        return REACHED, min(free, _MAX_BRANCHES)
     return TOUCHING if touching else cells.missed, 0
 
 
 @kernel
-def sweep_cells(address, forms, collisions, positions, status, branches, dexterity, clearance):
+def sweep_cells(address, forms, collisions, positions, status, branches, manipulability, clearance):
     """Sweep all orientations of some cells.
 
     Args:
@@ -170,7 +170,7 @@ def sweep_cells(address, forms, collisions, positions, status, branches, dexteri
         positions: (c, 3) centres of the cells.
         status: Writes (c, o) UNREACHABLE … REACHED.
         branches: Writes (c, o) numbers of free branches.
-        dexterity: Writes (c,) the largest manipulability of the free branches.
+        manipulability: Writes (c,) the largest manipulability of the free branches.
         clearance: Writes (c,) the largest clearance of the free branches, m; NaN without one.
     """
     cells = open_cells(address)
@@ -178,13 +178,13 @@ def sweep_cells(address, forms, collisions, positions, status, branches, dexteri
     for cell in range(positions.shape[0]):
         cells.best_manipulability = 0.0
         cells.best_clearance = -math.inf
-        within = is_within_reach(cells, positions, cell)
+        in_ball = is_within_reach(cells, positions, cell)
         for orientation in range(cells.rotations.shape[0]):
-            known = UNREACHABLE
+            pose_status = UNREACHABLE
             count = 0
-            if within:
-                known, count = sweep_pose(cells, run, forms, positions, cell, orientation)
-            status[cell, orientation] = known
+            if in_ball:
+                pose_status, count = sweep_pose(cells, run, forms, positions, cell, orientation)
+            status[cell, orientation] = pose_status
             branches[cell, orientation] = count
-        dexterity[cell] = cells.best_manipulability
+        manipulability[cell] = cells.best_manipulability
         clearance[cell] = cells.best_clearance if cells.best_clearance > -math.inf else math.nan

@@ -13,25 +13,25 @@ from robot_ik.errors import OptionError
 from robot_ik.geometry import INTEGER, Array, axis_rotations, is_real, rotation_z_to
 
 BLOCK = 8
-"""Cells along each edge of a block, which is one task and one chunk of the file."""
+"""Cells along each edge of a block. A block is one task and one chunk of the file."""
 
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """rad. Turn between neighbours of the spiral of directions."""
 
-MOST_DIRECTIONS = 10_000
+MAX_DIRECTIONS = 10_000
 """Directions of the approach axis."""
 
-MOST_ROLLS = 360
+MAX_ROLLS = 360
 """Rolls about the approach axis."""
 
-MOST_POSES = 4_000_000_000
-"""Poses of a map. Beyond, its two tables of bytes do not fit into the memory of a machine."""
+MAX_POSES = 4_000_000_000
+"""Poses of a map. The two tables of bytes of a larger map need more than 8 GB."""
 
 
-def require_count(name: str, value: object, most: int) -> None:
-    """Raise ``OptionError`` unless a value is a whole number from 1 to ``most``."""
-    if not isinstance(value, INTEGER) or not 1 <= value <= most:
-        raise OptionError(name, f"{value!r}", f"a whole number from 1 to {most}")
+def require_count(name: str, value: object, largest: int) -> None:
+    """Raise ``OptionError`` unless a value is a whole number from 1 to ``largest``."""
+    if not isinstance(value, INTEGER) or not 1 <= value <= largest:
+        raise OptionError(name, f"{value!r}", f"a whole number from 1 to {largest}")
 
 
 @dataclass(frozen=True)
@@ -54,24 +54,24 @@ class Grid:
 
     @classmethod
     def around(cls, center: Array, radius: float, cell: float, directions: int, rolls: int) -> Grid:
-        """Return the grid of the cells that a ball meets. Corners are multiples of ``cell``.
+        """Return the grid of the cells that overlap a ball. Corners are multiples of ``cell``.
 
         Raises:
             OptionError: A number out of its range, or a map that is too large.
         """
         if not is_real(cell, 1e-3, radius):
             raise OptionError("cell", f"{cell!r}", f"0.001 to {radius:.3g} m, the reach of the arm")
-        require_count("directions", directions, MOST_DIRECTIONS)
-        require_count("rolls", rolls, MOST_ROLLS)
+        require_count("directions", directions, MAX_DIRECTIONS)
+        require_count("rolls", rolls, MAX_ROLLS)
         first = np.floor((center - radius) / cell).astype(int)
         end = np.ceil((center + radius) / cell).astype(int)
         shape = [int(n) for n in end - first]
-        if math.prod(shape) * directions * rolls > MOST_POSES:
+        if math.prod(shape) * directions * rolls > MAX_POSES:
             raise OptionError(
                 "cell",
                 f"{cell!r} m with {directions} directions and {rolls} rolls: "
                 f"{math.prod(shape) * directions * rolls:.2g} poses",
-                f"at most {MOST_POSES:.2g} poses",
+                f"at most {MAX_POSES:.2g} poses",
                 hint="take larger cells or fewer orientations",
             )
         corner = [float(k * cell) for k in first]
@@ -118,7 +118,7 @@ class Grid:
         return np.floor((positions - np.array(self.corner)) / self.cell).astype(np.int64)
 
     def orientation_of(self, rotations: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """Return the index (n,) of the orientation next to each rotation matrix (n, 3, 3)."""
+        """Return the index (n,) of the orientation nearest to each rotation matrix (n, 3, 3)."""
         # The trace of Rᵀ S grows as the angle between R and S falls.
         traces = rotations.reshape(-1, 9) @ self.rotations.reshape(-1, 9).T
         return np.asarray(traces.argmax(axis=1))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AXES = {"x": 0, "y": 1, "z": 2}
-"""Axes of the world, by the name of the axis across which a map is cut."""
+"""Name of a world axis -> its index. A slice is perpendicular to the axis."""
 
 _WIDTH = 6.0
 """inch."""
@@ -31,7 +31,7 @@ def draw_slice(
 
     Args:
         reach_map: The map.
-        across: Axis of the world across which the map is cut: "x", "y" or "z".
+        across: World axis that is perpendicular to the slice: "x", "y" or "z".
         at: Coordinate of the plane on this axis, m.
         quantity: One of ``QUANTITIES``.
 
@@ -47,11 +47,11 @@ def draw_slice(
         raise OptionError("across", f"{across!r}", ", ".join(AXES))
     axis = AXES[across]
     grid = reach_map.grid
-    low = grid.corner[axis]
-    high = low + grid.cell * grid.shape[axis]
-    if not is_real(at, low, high):
-        raise OptionError("at", f"{at!r}", f"{low:g} to {high:g} m")
-    layer = min(int((at - low) / grid.cell), grid.shape[axis] - 1)
+    lower = grid.corner[axis]
+    upper = lower + grid.cell * grid.shape[axis]
+    if not is_real(at, lower, upper):
+        raise OptionError("at", f"{at!r}", f"{lower:g} to {upper:g} m")
+    layer = min(int((at - lower) / grid.cell), grid.shape[axis] - 1)
     values = np.take(reach_map.quantity(quantity), layer, axis=axis)
     first, second = (k for k in range(3) if k != axis)
     left = grid.corner[first]

@@ -1,8 +1,8 @@
 """Base placement: where a robot has to stand to reach given poses.
 
 For each direction that the robot may face, the places are a grid with the step of the map's cells.
-There the cells of a pose, seen from all places, are one layer of the map, mirrored and shifted. So
-the votes of a pose for all places are one sum of two tables.
+The cells of a pose relative to all places are one layer of the map, mirrored and shifted. So the
+votes of a pose for all places are one sum of two tables.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from robot_ik.reachability.grid import Grid
     from robot_ik.reachability.reachability_map import ReachabilityMap
 
-MOST_YAWS = 720
-"""Directions that the robot may face: one every half degree."""
+MAX_YAWS = 720
+"""Directions that the robot may face: steps of half a degree."""
 
-MOST_PLACES = 20_000_000
+MAX_PLACES = 20_000_000
 """Places of one direction. Poses that need more are hundreds of metres apart."""
 
-MOST_TRIES = 10_000
+MAX_TRIES = 10_000
 """Places that inverse kinematics checks."""
 
 
@@ -41,7 +41,7 @@ class BasePlacement:
 
     Attributes:
         base: Pose of the robot's model in the room.
-        votes: Number of poses that the map proposes to be reached from there.
+        votes: Number of poses that are reached from there according to the map.
         solved: (n,) whether inverse kinematics solves each pose, with the condition of the map.
         q: (n, nq) its solutions.
     """
@@ -66,11 +66,11 @@ def place_base(
         raise OptionError("poses", f"{poses!r}", "a list of at least one Pose")
     if not is_real(height):
         raise OptionError("height", f"{height!r}", "a finite number, m")
-    require_count("yaws", yaws, MOST_YAWS)
-    require_count("tries", tries, MOST_TRIES)
+    require_count("yaws", yaws, MAX_YAWS)
+    require_count("tries", tries, MAX_TRIES)
     if reach_map.collisions is None and np.isfinite(reach_map.clearance).any():
         raise ReachabilityMapError(
-            "this map was made with a condition on collisions",
+            "this map was computed with a condition on collisions, and loaded without it",
             hint="load it with the same condition: ReachabilityMap.load(path, collisions=…)",
         )
     proposals = _proposals(reach_map, poses, height, yaws, tries)
@@ -130,12 +130,13 @@ def _votes(reach_map: ReachabilityMap, targets: Sequence[Pose]) -> tuple[Array, 
     orientations = grid.orientation_of(rotations)
     # Cells of the poses if the robot stood at the origin.
     at_origin = grid.cell_of(positions)
-    # A robot at (x, y) cells sees a pose in the cell at_origin - (x, y), which must be in the grid.
+    # For a robot at (x, y) cells, a pose is in the cell at_origin - (x, y), which must be in the
+    # grid.
     width = np.array(grid.shape[:2])
     first = at_origin[:, :2].min(axis=0) - width + 1
     last = at_origin[:, :2].max(axis=0)
     count = int(np.prod(last - first + 1))
-    if count > MOST_PLACES:
+    if count > MAX_PLACES:
         raise OptionError(
             "poses",
             f"they are up to {np.ptp(positions[:, :2], axis=0).max():.3g} m apart",

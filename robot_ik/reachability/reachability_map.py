@@ -1,10 +1,10 @@
-"""``ReachabilityMap`` and ``map_reachability``, which makes one.
+"""``ReachabilityMap``, and ``map_reachability`` that computes it.
 
     reach_map = rik.map_reachability(robot, cell=0.05, out="puma.zarr")
     reach_map.index                  # (x, y, z) share of the directions in which the tool can come
-    reach_map.best_base(poses).base  # where the robot has to stand to reach all poses
+    reach_map.best_base(poses).base  # pose of the base from which the robot reaches all poses
 
-A map proposes, and inverse kinematics decides: a pose between two entries of the map may differ.
+The map is a sample: a pose between two entries may differ from both. Solve it to be certain.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ DEFAULT_DIRECTIONS = 60
 """Directions of the approach axis: neighbours are about 26 degrees apart."""
 
 DEFAULT_ROLLS = 6
-"""Turns about the approach axis: one every 60 degrees."""
+"""Turns about the approach axis: steps of 60 degrees."""
 
-MOST_THREADS = 1024
+MAX_THREADS = 1024
 """Threads of one process."""
 
 QUANTITIES = {
@@ -58,7 +58,7 @@ QUANTITIES = {
 
 
 class Reach(enum.IntEnum):
-    """What a map knows of a pose."""
+    """Status of a pose in a map."""
 
     UNREACHABLE = cells.UNREACHABLE
     NOT_FOUND = cells.NOT_FOUND
@@ -67,7 +67,7 @@ class Reach(enum.IntEnum):
 
     @property
     def meaning(self) -> str:
-        """One sentence for people."""
+        """Description for messages."""
         return _MEANING[self]
 
 
@@ -83,8 +83,8 @@ _MEANING = {
 class ReachabilityMap:
     """In which poses a frame of an arm can stand, cell by cell.
 
-    All is measured at the centres of the cells. Joint limits count. Collisions count if the map
-    was made with a condition on collisions.
+    All values are measured at the centres of the cells. Joint limits count. Collisions count if the
+    map was computed with a condition on collisions.
 
     Attributes:
         robot: The arm.
@@ -143,11 +143,11 @@ class ReachabilityMap:
         sweep = Sweep(
             robot, facts["frame"], store.grid, arm_form(robot, facts["frame"]), collisions
         )
-        known = facts["checked"] and collisions is None
-        if not known and sweep.fingerprint() != facts["fingerprint"]:
+        skips_check = facts["checked"] and collisions is None
+        if not skips_check and sweep.fingerprint() != facts["fingerprint"]:
             raise ReachabilityMapError(
                 f"{store.path} is the map of another robot or scene",
-                hint="give the robot and the condition on collisions with which it was made",
+                hint="give the robot and the condition on collisions with which it was computed",
             )
         return _map_of(sweep, store.read(), bool(store.done.all()))
 
@@ -192,7 +192,7 @@ class ReachabilityMap:
         return float(self.index[tuple(cell)])
 
     def reach_at(self, pose: Pose) -> Reach:
-        """Return what the map knows of the entry that is next to a pose of the frame, world."""
+        """Return the status of the entry nearest to a pose of the frame, world."""
         cell = self.grid.cell_of(np.array(pose.position)[None])[0]
         if (cell < 0).any() or (cell >= self.grid.shape).any():
             return Reach.UNREACHABLE
@@ -223,8 +223,8 @@ class ReachabilityMap:
 
         The map is inverted: each pose votes for the places from which it is reached (Vahrenkamp,
         Asfour & Dillmann, 2013). Inverse kinematics then solves all poses from the places with the
-        most votes, and the first place from which it solves all of them is returned; else the
-        place from which it solves most. Obstacles of the map move with the robot.
+        most votes. The first place from which it solves all of them is returned, else the place
+        from which it solves the largest number. Obstacles of the map move with the robot.
 
         Args:
             poses: Poses of the frame in the room.
@@ -234,8 +234,8 @@ class ReachabilityMap:
 
         Raises:
             OptionError: There is no pose, or a number out of its range.
-            ReachabilityMapError: The map was made with a condition on collisions, and was loaded
-                without it.
+            ReachabilityMapError: The map was computed with a condition on collisions, and was
+                loaded without it.
         """
         return place_base(self, poses, height, yaws, tries)
 
@@ -253,7 +253,7 @@ def map_reachability(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ReachabilityMap:
-    """Find out in which poses a frame of an arm can stand.
+    """Compute in which poses a frame of an arm can stand.
 
     The arm needs a closed form for poses: six hinges of a known geometry, or seven of which one is
     swept over 24 values. A pose that is not reached is proven out of reach for six joints.
@@ -265,13 +265,13 @@ def map_reachability(
         directions: Number of directions of the frame's z axis.
         rolls: Number of turns of the frame about each direction.
         collisions: Condition that a branch must keep to be free; None for no condition.
-        out: Folder for the map, written while it is made (extra ``maps``). If it holds a part of
-            this map already, only the rest is made.
+        out: Folder for the map, written block by block (extra ``maps``). If it holds a part of this
+            map already, only the missing blocks are computed.
         threads: Default: one for each core that this process may use.
-        executor: Where the blocks are swept instead: any executor, such as
+        executor: Executor that sweeps the blocks instead of threads, such as
             ``distributed.Client(…).get_executor()`` for a cluster. The files of the robot must be
             at the same places there.
-        progress: Is called with the number of blocks that are done, and of all.
+        progress: Called with the number of finished blocks and the number of all blocks.
 
     Raises:
         ModelError: The arm has no closed form for a pose of the frame.
@@ -287,7 +287,7 @@ def map_reachability(
 
         require_same_robot(robot, collisions)
     if threads is not None:
-        require_count("threads", threads, MOST_THREADS)
+        require_count("threads", threads, MAX_THREADS)
     name = robot.frame(frame).name
     arm = arm_form(robot, name)
     ball = robot.reach(name)
@@ -336,7 +336,7 @@ class _Arrays:
 
 
 def _facts(sweep: Sweep) -> dict[str, Any]:
-    """Return what the file says of a map beside its grid."""
+    """Return the entries of the file beside the grid."""
     robot = sweep.robot
     collisions = sweep.collisions
     return {
@@ -363,7 +363,7 @@ def _map_of(sweep: Sweep, arrays: dict[str, NDArray[Any]], is_complete: bool) ->
 
 
 def _on_threads(sweep: Sweep, blocks: Sequence[int], threads: int) -> Iterator[BlockResult]:
-    """Yield the result of each block as it is done. An exception of the caller ends the threads."""
+    """Yield each result when its block is finished. An exception of the caller ends the threads."""
     stop = threading.Event()
     with ThreadPoolExecutor(threads) as pool:
         try:
@@ -374,7 +374,7 @@ def _on_threads(sweep: Sweep, blocks: Sequence[int], threads: int) -> Iterator[B
 
 
 def _on_executor(sweep: Sweep, blocks: Sequence[int], executor: Executor) -> Iterator[BlockResult]:
-    """Yield the result of each block as it is done. An exception of the caller cancels the rest."""
+    """Yield each result when its block is finished. An exception of the caller cancels the rest."""
     data = pickle.dumps(sweep)
     futures = [executor.submit(run_pickled, data, block) for block in blocks]
     try:

@@ -26,12 +26,12 @@ class MapStore:
     """The arrays of a map in a zarr folder.
 
     One process writes. Each block is one chunk of each array, and its entry in ``done`` is written
-    after its chunks, so a program that is killed loses only the blocks it was working on.
+    after its chunks, so a killed program loses only its unfinished blocks.
 
     Attributes:
         path: The folder.
         grid: The poses.
-        facts: What else is known of the map: robot, frame, condition, fingerprint.
+        facts: Robot, frame, condition on collisions and fingerprint of the map.
         done: (blocks,) which blocks are complete.
     """
 
@@ -63,19 +63,19 @@ class MapStore:
             group = zarr.open_group(str(folder), mode="r+")
             if group.attrs.get("format") != FORMAT:
                 raise ReachabilityMapError(
-                    f"{folder} is no reachability map of format {FORMAT}",
-                    hint="make it with: robot-ik reachability",
+                    f"{folder} is not a reachability map of format {FORMAT}",
+                    hint="compute it again: robot-ik reachability",
                 )
             return cls(folder, group)
         except (FileNotFoundError, KeyError, ValueError, OSError) as error:
             raise ReachabilityMapError(
-                f"{folder} is no reachability map: {error}",
-                hint="make it with: robot-ik reachability",
+                f"{folder} is not a reachability map: {error}",
+                hint="compute a map with: robot-ik reachability",
             ) from error
 
     @classmethod
     def create(cls, path: str | os.PathLike[str], grid: Grid, facts: dict[str, Any]) -> MapStore:
-        """Create a map, or open one of the same facts to go on with it.
+        """Create a map, or open an existing map with the same grid and facts to continue it.
 
         Raises:
             MissingExtraError: zarr is not installed.
@@ -88,7 +88,7 @@ class MapStore:
                 store = cls.open(folder)
             except ReachabilityMapError as error:
                 raise OutputError(
-                    f"{folder} was not changed: it exists and is no reachability map",
+                    f"{folder} was not changed: it exists and is not a reachability map",
                     hint="choose another name",
                 ) from error
             if store.grid != grid or store.facts != facts:

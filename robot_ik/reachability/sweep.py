@@ -32,7 +32,7 @@ SWEPT_VALUES = 24
 """Values of the joint that is fixed in turn on an arm of seven joints."""
 
 CELLS_PER_CALL = 8
-"""Cells of one call of the kernel. Between two calls a thread notices that it must stop."""
+"""Cells of one call of the kernel. A thread checks between two calls whether it must stop."""
 
 Bytes = NDArray[np.uint8]
 
@@ -109,7 +109,7 @@ def _swept_forms(robot: Robot, frame: str | None, joint: str, values: Array) -> 
 
 @dataclass(frozen=True, eq=False)
 class BlockResult:
-    """What a sweep finds out about the cells of one block.
+    """Results of the sweep of one block.
 
     Attributes:
         block: Number of the block.
@@ -198,8 +198,9 @@ class Sweep:
 class SweepMemory:
     """The memory of one thread's sweep of one block.
 
-    It is made anew for each block. A check begins where the last one ended, and rounding depends on
-    it: with one memory for several blocks their order would change the last bits.
+    Each block has its own memory. A collision check starts from the result of the check before it,
+    and its rounding depends on that start. With one memory for several blocks their order would
+    change the last bits.
     """
 
     def __init__(self, sweep: Sweep) -> None:
@@ -215,7 +216,7 @@ class SweepMemory:
             block.arrays["start"][...] = fixed.home[block.arrays["qadr"]]
             self._forms.append(block)
         self._addresses = np.array([block.address for block in self._forms], dtype=np.int64)
-        # Where the joints of the closed forms are in q of the whole robot.
+        # Coordinates in q of the complete robot for the joints of the closed forms.
         fixed_addresses = qpos_addresses(robot.model, arm.robots[0].tree)
         columns = np.searchsorted(addresses, fixed_addresses[self._forms[0].arrays["qadr"]])
         reach = tree.reach(node, local)
@@ -255,7 +256,7 @@ class SweepMemory:
         manipulability: NDArray[np.float32],
         clearance: NDArray[np.float32],
     ) -> None:
-        """Write what ``cells.sweep_cells`` finds out about the cells at ``positions`` (c, 3)."""
+        """Write the results of ``cells.sweep_cells`` for the cells at ``positions`` (c, 3)."""
         collisions = 0 if self._collisions is None else self._collisions.address
         cells.sweep_cells(
             self._cells.address,

@@ -3,9 +3,9 @@
 The method solves without regard to collisions. If its solution touches, another one is searched:
 
     closed form      the nearest free branch. If none is free or singular, that is a proof.
-    seven hinges     first of all a closed form for each angle of the last joint, see ``swept.py``
+    seven hinges     first a closed form for each angle of the last joint, see ``swept.py``
     other methods    the same method from other starts, first near the start, then anywhere;
-                     from time to time limited steps lead a solution out of its collisions
+                     between these tries limited steps lead a solution out of its collisions
 
 Only a solution that keeps the margin is CONVERGED. The compiled check decides. If it
 cannot, MuJoCo does. If none is found, limited steps lead to a free posture near the goal,
@@ -24,6 +24,7 @@ from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.distances import announce
 from robot_ik.geometry import Array
 from robot_ik.kernels import collision, jit
+from robot_ik.kernels.limited_step import KEPT_SHARE
 from robot_ik.model import random_q
 from robot_ik.robot import Robot
 from robot_ik.solution import COLLIDING, Solution, Status
@@ -44,21 +45,19 @@ _MAX_STARTS = 200
 _SHARE_STEP = 0.25
 # Random restarts of the method from each start.
 _RESTARTS_EACH = 10
-# Limited steps lead every so many touching solutions out: restarts cost less, but fail where nearly
-# all solutions touch.
+# Limited steps lead one touching solution out each time after this number of starts. Restarts cost
+# less, but fail where nearly all solutions touch.
 _RESTARTS_PER_LEAD = 10
-# Limited steps of one way out.
-_MOST_STEPS = 80
+# Largest number of limited steps of one way out.
+_MAX_LIMITED_STEPS = 80
 # Largest change of a joint in a limited step, rad or m.
 _LARGEST_STEP = 0.2
 # m. A limited step leads touching parts out by this at most.
 _WAY_OUT = 0.02
-# Limited steps keep this share of their margin at least, see ``kernels.limited_step``.
-_HELD_SHARE = 0.9
 # m. Margin of limited steps beyond that of the condition: parts that touch are not free.
 _EXTRA_MARGIN = 1e-5
-# A cost that falls by a smaller share in a limited step does not fall any more.
-_LEAST_GAIN = 1e-3
+# If a limited step reduces the cost by a smaller share, the cost counts as constant.
+_MIN_DECREASE = 1e-3
 # Below this smallest singular value of its Jacobian a branch is one of a continuum.
 _SINGULAR = 1e-6
 # Methods whose solution may be replaced by another branch.
@@ -94,7 +93,7 @@ class PreparedAvoiding:
         arguments = self._address, example, collisions.margin
         self._verdict = jit.entry(collision.posture_verdict, *arguments)
         self._start = problem.search.arrays["start"]
-        self._rows = moved_numbers(problem)
+        self._rows = moved_coordinates(problem)
         self._step: LimitedStep | None = None
 
     def is_free(self, q: Array) -> bool:
@@ -215,12 +214,12 @@ class PreparedAvoiding:
             share = min(1.0, _SHARE_STEP * (attempt + 1))
             self._start[...] = self._between(problem.robot, search.start, share, rng)
             solution = self.method.run(
-                problem, search.rest(min(_RESTARTS_EACH, max_starts - attempt - 1))
+                problem, search.remaining_budget(min(_RESTARTS_EACH, max_starts - attempt - 1))
             )
             first.restarts += 1
             search.count(solution)
             if solution.converged and self.is_free(solution.q):
-                return search.found(solution)
+                return search.with_totals(solution)
             if solution.converged:
                 touching = solution.q
             if budget.restarts is not None and first.restarts >= budget.restarts:
@@ -240,13 +239,13 @@ class PreparedAvoiding:
         posture = q
         cost = np.inf
         status = Status.ITERATION_LIMIT
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_LIMITED_STEPS):
             if search.is_over or status is not Status.ITERATION_LIMIT:
                 break
             before = posture
             status = step.advance(posture)
             search.first.iterations += 1
-            is_slow = step.cost > (1.0 - _LEAST_GAIN) * cost
+            is_slow = step.cost > (1.0 - _MIN_DECREASE) * cost
             posture = step.posture
             cost = step.cost
             if np.array_equal(before, posture) or (is_slow and self.is_free(posture)):
@@ -257,18 +256,18 @@ class PreparedAvoiding:
             search.nearest_cost = cost
             nearest = search.first.at(posture, Status.BLOCKED_BY_COLLISION)
             search.first.nearest_free = nearest
-        # The method decides whether the goals are met, and removes what is left of their errors.
+        # The method decides whether the goals are met, and removes the remaining errors.
         self._start[...] = posture
-        solution = self.method.run(problem, search.rest(0))
+        solution = self.method.run(problem, search.remaining_budget(0))
         search.count(solution)
         if solution.converged and self.is_free(solution.q):
-            return search.found(solution)
+            return search.with_totals(solution)
         return None
 
     def _limited_step(self, problem: Problem) -> LimitedStep:
-        """Return the limited steps of the problem, made on first use."""
+        """Return the limited steps of the problem, prepared on first use."""
         if self._step is None:
-            margin = self.collisions.margin / _HELD_SHARE + _EXTRA_MARGIN
+            margin = self.collisions.margin / KEPT_SHARE + _EXTRA_MARGIN
             self._step = LimitedStep(
                 problem, self.collisions, _LARGEST_STEP, margin=margin, way_out=_WAY_OUT
             )
@@ -293,7 +292,7 @@ class _Search:
 
     Attributes:
         problem: The problem.
-        first: The first solution, which touches. It counts the iterations and restarts of all.
+        first: The first solution, which touches. It has the totals of iterations and restarts.
         budget: Budget of the whole search.
         began: When the search began, on ``time.perf_counter``.
         start: Start (nq,) of the problem.
@@ -321,8 +320,8 @@ class _Search:
         is_late = seconds is not None and seconds <= 0.0
         return is_late or self.first.iterations >= self.budget.iterations
 
-    def rest(self, restarts: int) -> Budget:
-        """Return what is left of the budget, with a number of restarts."""
+    def remaining_budget(self, restarts: int) -> Budget:
+        """Return the remaining budget, with a number of restarts."""
         seconds = self.seconds
         return replace(
             self.budget,
@@ -332,19 +331,19 @@ class _Search:
         )
 
     def count(self, solution: Solution) -> None:
-        """Count the steps of one more solve."""
+        """Add the iterations and restarts of a solve to the totals."""
         self.first.iterations += solution.iterations
         self.first.restarts += solution.restarts
 
-    def found(self, solution: Solution) -> Solution:
-        """Return a free solution with the steps of the whole search."""
+    def with_totals(self, solution: Solution) -> Solution:
+        """Return a free solution with the iterations and restarts of the whole search."""
         solution.iterations = self.first.iterations
         solution.restarts = self.first.restarts
         return solution
 
 
-def moved_numbers(problem: Problem) -> Array:
-    """Return which numbers of q (k,) belong to joints that move a goal."""
+def moved_coordinates(problem: Problem) -> Array:
+    """Return the indices in q (k,) of the joints that move a goal."""
     tree = problem.robot.tree
     nodes = problem.compiled.block.arrays["nodes"]
     widths = np.diff(np.append(tree.qadr, problem.robot.nq))

@@ -1,6 +1,6 @@
 """``ArmGuard``: checks the motions of an arm against the scene of its arm file.
 
-Every joint of the arm counts, grippers too, at the values that they have.
+Every joint of the arm counts at its present value, grippers too.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ArmGuard:
             ConfigError: As ``arm_collisions``.
             ModelError: The model cannot be read.
         """
-        # Here, because they load the compiled collision checks, 0.05 s that few arms need.
+        # Imported here, because they load the compiled collision checks, 50 ms. Few arms need them.
         from robot_ik.motion.guard import MotionGuard
         from robot_ik.motion.guarded_stream import GuardedStream
 
@@ -49,10 +49,10 @@ class ArmGuard:
             raise ValueError(f"{config.name} has no table [collisions]")
         self._guard = MotionGuard(collisions)
         self._names = config.names
-        # Joints that the model has, in the order of the arm and of the robot.
-        shown = [name for name in config.names if name in self._robot.joints]
-        self._of_arm = [config.names.index(name) for name in shown]
-        self._of_robot = [self._robot.joints.index(name) for name in shown]
+        # Joints of the arm that the model has, as indices in the arm and in the model.
+        shared = [name for name in config.names if name in self._robot.joints]
+        self._arm_indices = [config.names.index(name) for name in shared]
+        self._robot_indices = [self._robot.joints.index(name) for name in shared]
         # Followers do not move by themselves.
         velocity_limits = self._spread(config.velocity, 0.0)
         acceleration_limits = self._spread(config.acceleration, 1.0)
@@ -76,8 +76,8 @@ class ArmGuard:
         for column, name in enumerate(trajectory.joints):
             rows[:, self._names.index(name)] = trajectory.q[:, column]
         postures = np.array([self._posture(row) for row in rows])
-        whole = Trajectory(trajectory.times, postures, self._robot.joints)
-        clearance = self._guard.checked(whole).clearance
+        motion = Trajectory(trajectory.times, postures, self._robot.joints)
+        clearance = self._guard.checked(motion).clearance
         return Trajectory(trajectory.times, trajectory.q, trajectory.joints, clearance=clearance)
 
     def begin(self, positions: Mapping[str, float]) -> None:
@@ -89,25 +89,25 @@ class ArmGuard:
         """Send the next command of a stream, which can always stop before parts touch.
 
         The joints follow ``wanted`` within their limits, and brake before they bring parts nearer
-        than allowed. ``contact`` says what is in the way.
+        than allowed. ``contact`` names the parts that limit the command.
 
         Args:
             arm: Enabled.
             wanted: Joint -> rad (m of a slide). The other joints stay.
 
         Returns:
-            What was sent, for every joint of the arm.
+            Joint -> sent command, for every joint of the arm.
 
         Raises:
             UnsafeCommandError: A value is not finite; nothing was sent.
         """
         if not all(map(math.isfinite, wanted.values())):
-            arm.send(wanted, arm.clock.now())  # raises
+            arm.send(wanted, arm.clock.now())  # raises UnsafeCommandError
         for name, value in wanted.items():
             self._wanted[self._names.index(name)] = value
         posture = self._stream.next(self._posture(self._wanted))
         command = self._wanted.copy()
-        command[self._of_arm] = posture[self._of_robot]
+        command[self._arm_indices] = posture[self._robot_indices]
         named = {name: float(command[self._names.index(name)]) for name in wanted}
         sent = arm.send(named, arm.clock.now())
         self._stream.was_sent(self._posture(sent))
@@ -115,7 +115,7 @@ class ArmGuard:
 
     @property
     def contact(self) -> str:
-        """What holds the last command of the stream back, in words. Empty if nothing does."""
+        """The parts that limit the last command of the stream. Empty if it is not limited."""
         contact = self._stream.contact
         if contact is None:
             return ""
@@ -123,15 +123,15 @@ class ArmGuard:
         return contact_text(contact.pair or ("", ""), contact.distance, margin)
 
     def _spread(self, limits: Array, follower: float) -> Array:
-        """Return limits (n,) of the arm as limits (nv,) of the model, with one for followers."""
+        """Return limits (n,) of the arm as limits (nv,) of the model, and a limit for followers."""
         spread = np.full(self._robot.nv, follower)
-        spread[self._of_robot] = limits[self._of_arm]
+        spread[self._robot_indices] = limits[self._arm_indices]
         return spread
 
     def _posture(self, q: Array) -> Array:
         """Return the posture (nq,) of the model with the joints of the arm at ``q`` (n,)."""
         posture = self._robot.home.copy()
-        posture[self._of_robot] = q[self._of_arm]
+        posture[self._robot_indices] = q[self._arm_indices]
         return self._robot.apply_couplings(posture)
 
 

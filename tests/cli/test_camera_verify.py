@@ -120,7 +120,7 @@ def test_samples_of_something_else_are_reported(robot_ik: Any, arm: Path) -> Non
     )
     run = robot_ik("camera", "verify", "--samples", "hand.json")
     run.assert_one_screen_error()
-    assert "which does not know the camera's pose" in run.err
+    assert "and have no pose of the camera" in run.err
     gone = robot_ik("camera", "verify", "--samples", "gone.json")
     assert "gone.json: the file of samples cannot be read: No such file" in gone.err
 

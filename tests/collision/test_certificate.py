@@ -246,8 +246,8 @@ def test_a_coupled_joint_moves_as_its_leader_determines(law, gate, turn, blocked
     last = robot.apply_couplings([turn, 0.0])
     leads = np.linspace(0.0, turn, 2000)
     way = np.array([robot.apply_couplings([lead, 0.0]) for lead in leads])
-    least = min(scene.clearance(q).distance for q in way)
-    assert (least < avoid.margin) == blocked
+    smallest = min(scene.clearance(q).distance for q in way)
+    assert (smallest < avoid.margin) == blocked
     if blocked:
         with pytest.raises(MotionBlockedError, match="gate") as caught:
             certify([first, last], avoid)
@@ -257,7 +257,7 @@ def test_a_coupled_joint_moves_as_its_leader_determines(law, gate, turn, blocked
     else:
         certificate = certify([first, last], avoid)
         assert certificate.certified
-        assert least >= certificate.clearance
+        assert smallest >= certificate.clearance
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -274,14 +274,14 @@ def test_random_couplings_are_certified_or_refuted_rightly(seed):
     first = robot.apply_couplings([rng.uniform(*lead), 0.0])
     last = robot.apply_couplings([rng.uniform(*lead), 0.0])
     leads = np.linspace(first[0], last[0], 1000)
-    least = min(scene.clearance(robot.apply_couplings([lead, 0.0])).distance for lead in leads)
+    smallest = min(scene.clearance(robot.apply_couplings([lead, 0.0])).distance for lead in leads)
     try:
         certificate = certify([first, last], avoid)
     except MotionBlockedError as error:
         assert scene.clearance(error.q).distance < avoid.margin
         return
     if certificate.certified:
-        assert least >= avoid.margin - 1e-9
+        assert smallest >= avoid.margin - 1e-9
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -304,13 +304,13 @@ def test_a_free_base_with_an_arm_is_certified_rightly(seed):
     first = robot.integrate(first, rng.normal(size=robot.nv) * 0.4)
     last = robot.integrate(first, rng.normal(size=robot.nv) * 0.3)
     postures = dense(robot, first, last)
-    least = min(scene.clearance(q).distance for q in postures)
+    smallest = min(scene.clearance(q).distance for q in postures)
     try:
         certificate = certify([first, last], avoid)
     except MotionBlockedError as error:
         assert scene.clearance(error.q).distance < avoid.margin
         return
     if certificate.certified:
-        assert least >= avoid.margin - 1e-9
+        assert smallest >= avoid.margin - 1e-9
     else:
-        assert least < avoid.margin + 1e-4
+        assert smallest < avoid.margin + 1e-4

@@ -48,9 +48,9 @@ def test_following_keeps_its_distance(rate, share):
         collisions=avoid,
     )
     q = recorder.trajectory().q
-    least = min(scene.clearance(row).distance for row in q)
-    assert share * avoid.margin - 1e-6 <= least
-    assert least < 0.02  # the box was in the way
+    smallest = min(scene.clearance(row).distance for row in q)
+    assert share * avoid.margin - 1e-6 <= smallest
+    assert smallest < 0.02  # the box was in the way
     limits = robot.velocity_limits / rate
     assert (np.abs(np.diff(q, axis=0)) <= limits * (1 + 1e-9)).all()
     assert report.statuses["ITERATION_LIMIT"] > 0
@@ -115,7 +115,7 @@ def test_an_obstacle_that_comes_nearer_pushes_the_arm_away():
     ball = rik.Sphere("ball", radius=0.05, pose=rik.Pose(tool.position + np.array((0, 0.4, 0))))
     scene = rik.Scene(robot, [ball])
     avoid = rik.CollisionAvoidance(scene, margin=0.01)
-    least = []
+    distances = []
 
     class Stay:
         def poll(self, now):
@@ -132,9 +132,9 @@ def test_an_obstacle_that_comes_nearer_pushes_the_arm_away():
         duration=3.5,
         clock=rik.VirtualClock(),
         collisions=avoid,
-        on_tick=lambda tick: least.append(scene.clearance(tick.q).distance),
+        on_tick=lambda tick: distances.append(scene.clearance(tick.q).distance),
     )
-    assert min(least) > 0.5 * avoid.margin
+    assert min(distances) > 0.5 * avoid.margin
 
 
 @pytest.mark.parametrize("name", ["panda", "puma560", "ur5e"])
@@ -247,4 +247,4 @@ def test_depths_are_near_those_of_mujoco(seed):
         depth = -scene.clearance(q, pair).distance
         found = -check.arrays["near_distance"][k]
         assert found >= depth - 1e-4
-        assert found <= 3.0 * depth + 2e-3  # not the least depth of all directions
+        assert found <= 3.0 * depth + 2e-3  # not the smallest depth of all directions

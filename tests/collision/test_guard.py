@@ -160,8 +160,7 @@ def test_a_thin_plate_between_two_commands_of_a_stream_is_found(robot):
     plate = rik.Box("plate", size=(0.004, 0.0002, 0.004), pose=rik.Pose(middle, wxyz))
     scene = rik.Scene(robot, [plate])
     avoid = rik.CollisionAvoidance(scene, margin=0.0)
-    if not avoid.free(np.array([first, last])).all():
-        pytest.fail("an end touches")
+    assert avoid.free(np.array([first, last])).all()
     blocked = MotionGuard(avoid).blocked_at(first, last)
     assert blocked is not None
     assert "plate" in scene.clearance(blocked).pair
@@ -229,17 +228,17 @@ def test_a_stream_keeps_the_margin_and_its_limits_at_full_speed(robot, rate, mar
     stream = GuardedStream(guard, velocity, acceleration, rate)
     stream.begin(first)
     assert scene.clearance(first).distance > 2.0 * MARGIN
-    there = stream_towards(stream, last, int(3.0 * rate))
+    forwards = stream_towards(stream, last, int(3.0 * rate))
     assert "ball" in stream.contact.pair
     # Without a margin nothing can be proven beside a contact: postures are compared.
     allowed = 0.9 * margin if margin else -1e-4
-    assert min(scene.clearance(q).distance for q in there) >= allowed
-    assert scene.clearance(there[-1]).distance < 0.02
-    back = stream_towards(stream, first, int(3.0 * rate))
+    assert min(scene.clearance(q).distance for q in forwards) >= allowed
+    assert scene.clearance(forwards[-1]).distance < 0.02
+    backwards = stream_towards(stream, first, int(3.0 * rate))
     assert stream.contact is None
-    assert min(scene.clearance(q).distance for q in back) >= allowed
-    assert back[-1] == pytest.approx(first, abs=1e-9)
-    q = np.concatenate([[first], there, back])
+    assert min(scene.clearance(q).distance for q in backwards) >= allowed
+    assert backwards[-1] == pytest.approx(first, abs=1e-9)
+    q = np.concatenate([[first], forwards, backwards])
     speeds = np.diff(q, axis=0) * rate
     assert (np.abs(speeds) <= velocity).all()
     assert (np.abs(np.diff(speeds, axis=0)) * rate <= acceleration).all()

@@ -25,7 +25,7 @@ SHARE = 0.6
 """Random postures are this share of the way from home: some corners of the box are cut off."""
 
 
-def least_distance(scene, rows, pairs=None):
+def smallest_distance(scene, rows, pairs=None):
     """Distance of the nearest pair on straight lines between rows (n, nq), by MuJoCo."""
     return min(scene.clearance(q, pairs).distance for q in densely(rows))
 
@@ -92,7 +92,7 @@ def test_planned_motions_keep_the_margin_and_the_limits(name):
         assert (trajectory.peak_velocity <= robot.velocity_limits * (1 + 1e-9)).all()
         assert (trajectory.peak_acceleration <= robot.acceleration_limits * (1 + 1e-9)).all()
         assert not robot.outside(trajectory.q[len(trajectory) // 2])
-        assert least_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
+        assert smallest_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
 
 
 def test_a_free_straight_line_is_the_fastest_move():
@@ -119,7 +119,7 @@ def test_a_pose_is_reached_by_the_posture_that_is_easiest(name):
     """All branches of the PUMA, and several solutions of the Panda, may be the end."""
     robot = rik.load_robot(name)
     avoid = rik.CollisionAvoidance(rik.Scene(robot, rack((0.5, 0.0, 0.5))), margin=MARGIN)
-    most = 0
+    largest_count = 0
     for start, goal in blocked_ends(avoid, 3, seed=5):
         pose = robot.forward(goal)
         result = rik.plan(robot, start, pose, collisions=avoid)
@@ -127,9 +127,9 @@ def test_a_pose_is_reached_by_the_posture_that_is_easiest(name):
         position, angle = robot.measure(trajectory.q[-1]).distance(pose)
         assert position <= 1e-4
         assert angle <= 1e-3
-        assert least_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
-        most = max(most, result.goal_postures)
-    assert most > 1
+        assert smallest_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
+        largest_count = max(largest_count, result.goal_postures)
+    assert largest_count > 1
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_another_path():
@@ -166,7 +166,7 @@ def test_a_passage_narrower_than_the_reserve_is_found():
     result = rik.plan(robot, start, np.array([0.5, 0.5]), collisions=avoid)
     trajectory = result.require()
     assert trajectory.certified
-    assert least_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
+    assert smallest_distance(avoid.scene, trajectory.q) >= MARGIN - 1e-6
 
 
 def test_no_path_is_a_result_that_says_what_was_tried():
@@ -240,10 +240,10 @@ def test_an_attached_part_is_kept_away_too():
     touches_without = 0
     for start, goal in blocked_ends(avoid, 4, seed=2):
         trajectory = rik.plan(robot, start, goal, collisions=avoid).require()
-        assert least_distance(holding, trajectory.q) >= MARGIN - 1e-6
+        assert smallest_distance(holding, trajectory.q) >= MARGIN - 1e-6
         bare = rik.CollisionAvoidance(scene, margin=MARGIN)
         without = rik.plan(robot, start, goal, collisions=bare).require()
-        touches_without += least_distance(holding, without.q) < MARGIN
+        touches_without += smallest_distance(holding, without.q) < MARGIN
     assert touches_without
 
 
@@ -281,7 +281,7 @@ def test_a_grasp_is_left_straight_and_only_the_allowed_pair_is_near():
     fingers = [scene.model.geom(name).id for name in ("left", "right", "palm")]
     with_part = np.isin(scene.pairs, fingers).any(axis=1)
     with_part &= (scene.pairs == scene.model.geom("part").id).any(axis=1)
-    assert least_distance(scene, trajectory.q, scene.pairs[~with_part]) >= MARGIN - 1e-6
+    assert smallest_distance(scene, trajectory.q, scene.pairs[~with_part]) >= MARGIN - 1e-6
     distances = [scene.clearance(q, scene.pairs[with_part]).distance for q in densely(trajectory.q)]
     assert min(distances) >= distances[0] - 1e-3
     leaves = int(np.argmax(np.array(distances) >= MARGIN))

@@ -277,7 +277,7 @@ def test_ctrl_c_ends_it_with_the_summary(
     monkeypatch.setattr("robot_ik.jobs.teleop.Blend.__call__", interrupted_at_the_tenth())
     words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
     assert main([*words.split(), "--on-exit", "torque_off"]) == 130
-    summary = "it was broken off after 0.1 s: 10 commands, engaged 1 time;"
+    summary = "ended early after 0.1 s: 10 commands, engaged 1 time;"
     said = capsys.readouterr().err
     assert summary in said and said.index(summary) < said.index("torque is off") < said.index("interrupted")
 
@@ -314,6 +314,6 @@ def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(
     with open(os.devnull) as nothing:
         monkeypatch.setattr(sys, "stdin", nothing)
         assert main(words) == 0
-        assert "it was ended" in capsys.readouterr().err
+        assert "ended by the operator" in capsys.readouterr().err
         assert main([*words, "--seconds", "0.3"]) == 0
-        assert "the time was over" in capsys.readouterr().err
+        assert "end of the given time" in capsys.readouterr().err

@@ -157,7 +157,7 @@ def judged(error: float) -> Judgement:
         (judged(2e-3), True, "", True, False, "zeros, horns"),
         (judged(2e-3), False, "", True, False, "calibration"),
         (None, True, "", True, False, "unproven"),
-        (None, True, "", False, True, "own account"),
+        (None, True, "", False, True, "servos' registers"),
         (None, False, "", True, True, "model's joint angles"),
         (None, True, "nobody looked", True, True, "nobody looked"),
     ],

@@ -1,4 +1,4 @@
-"""How maps are reach_map: the same bits for any number of workers, and again after a kill."""
+"""How maps are computed: the same bits for any number of workers, and again after a kill."""
 
 import os
 import signal
@@ -127,7 +127,7 @@ def test_a_killed_program_loses_only_the_blocks_it_was_working_on(expected, tmp_
 def test_a_folder_of_something_else_is_not_touched(tmp_path):
     pytest.importorskip("zarr")
     tmp_path.joinpath("letter.txt").write_text("dear reader")
-    with pytest.raises(OutputError, match="no reachability map"):
+    with pytest.raises(OutputError, match="not a reachability map"):
         make(out=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
     with pytest.raises(ReachabilityMapError):

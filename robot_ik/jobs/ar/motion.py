@@ -114,7 +114,7 @@ def marker_from_base(pose_board_marker: Pose, figure: DrawnRobot) -> Array:
 
 
 def robot_of(text: str) -> str:
-    """Return the robot that a motion is made for. Empty: any robot.
+    """Return the robot of a motion. Empty: any robot.
 
     Args:
         text: See ``make_motion``.
@@ -164,7 +164,7 @@ def make_motion(
         arm = _open_arm(path, bus or "sim", robot, stack)
         return DrawnMotion(lambda _time, _marker: arm.read().q)
     raise ConfigError(
-        f"{text!r} is no motion",
+        f"unknown motion {text!r}",
         file="command line",
         key="--motion",
         allowed="home, wave, follow, a trajectory (FILE.csv), a script (FILE.toml or "

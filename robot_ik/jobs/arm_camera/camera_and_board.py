@@ -139,7 +139,7 @@ def _open_synthetic(
         )
     if request.board is not None:
         raise ConfigError(
-            "the synthetic camera looks at a board of its own",
+            "the synthetic camera has a simulated board",
             file="command line",
             key="--board",
             allowed="only with a real camera",
@@ -221,7 +221,7 @@ def _open_real(
         raise _missing_board()
     if not source.live:
         raise ConfigError(
-            "recorded pictures do not show this arm where it goes",
+            "recorded pictures do not show the motions of this arm",
             file="command line",
             key="--camera",
             allowed="a camera or a stream, or --samples FILE",
@@ -237,6 +237,6 @@ def _open_real(
 
 def _missing_board() -> CameraError:
     return CameraError(
-        "what board the camera looks at is not given",
-        hint="say it with --board, for example --board grid:2x2:50:12",
+        "no board is given",
+        hint="give the board in front of the camera, for example --board grid:2x2:50:12",
     )

@@ -21,13 +21,13 @@ from robot_ik.jobs.robot_setup import prepare_robot
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
-# Limits of the error of an arm in good order, each axis: a part of its reach, and rad. With 8 views
-# and more, servo ticks alone give up to 0.0004 and 0.09 deg, twice the ticks 0.0007 and 0.13 deg, a
-# second joint with a zero error of 1.5 deg gives 0.0015 and 0.23 deg.
-_SOUND_POSITION = 8e-4
-_SOUND_ANGLE = math.radians(0.15)
-# The picture may spoil one view, or this part of the views.
-_SOUND_REJECTED = 0.1
+# Limits of the error of an arm with correct zeros, each axis: a part of its reach, and rad. With 8
+# views and more, servo ticks alone give up to 0.0004 and 0.09 deg, twice the ticks 0.0007 and
+# 0.13 deg, a second joint with a zero error of 1.5 deg gives 0.0015 and 0.23 deg.
+_MAX_ARM_POSITION = 8e-4
+_MAX_ARM_ANGLE = math.radians(0.15)
+# Largest share of views that are rejected because of their pictures. One view is always allowed.
+_MAX_REJECTED = 0.1
 
 
 @dataclass(eq=False, kw_only=True)
@@ -128,7 +128,7 @@ def run_handeye(
         visit_stations(report, request, setup, scene, keep, progress)
     if request.dry_run:
         return report
-    samples.require(len(report.stations), "give better guesses of where camera and board are")
+    samples.require(len(report.stations), "give better rough poses of camera and board")
     progress("solving", 0.0)
     report.solve(setup.robot)
     return report
@@ -158,9 +158,9 @@ def handeye_from_samples(
 def self_contradiction(
     result: HandEye, ball: tuple[Array, float] | None, zeros: Mapping[str, tuple[float, float]]
 ) -> str:
-    """Return why the arm of a calibration is not in good order. Empty if nothing speaks against it.
+    """Return the reasons to doubt the arm of a calibration. Empty without a reason.
 
-    An arm in good order has small errors, views that agree, and joint zeros that are right.
+    The views of an arm with correct joint zeros agree with small errors.
 
     Args:
         result: Result of the calibration.
@@ -175,25 +175,25 @@ def self_contradiction(
     ]
     views = len(result.residuals)
     rejected = len(result.outliers)
-    max_position = math.inf if ball is None else _SOUND_POSITION * ball[1]
+    max_position = math.inf if ball is None else _MAX_ARM_POSITION * ball[1]
     if (
         result.arm_position > max_position
-        or result.arm_angle > _SOUND_ANGLE
-        or rejected > max(1.0, _SOUND_REJECTED * views)
+        or result.arm_angle > _MAX_ARM_ANGLE
+        or rejected > max(1.0, _MAX_REJECTED * views)
     ):
         error = f"{1e3 * result.arm_position:.2f} mm and {math.degrees(result.arm_angle):.2f} deg"
-        limit = f"{math.degrees(_SOUND_ANGLE):.2f} deg"
+        limit = f"{math.degrees(_MAX_ARM_ANGLE):.2f} deg"
         if ball is not None:
             limit = f"{1e3 * max_position:.2f} mm and {limit}"
         reasons.append(
-            f"its own error is {error} (a sound arm: below {limit}) and {rejected} of {views} "
-            "views are not believed"
+            f"the error of the arm is {error} (usual: below {limit}) and {rejected} of {views} "
+            "views are rejected"
         )
     if not reasons:
         return ""
     return (
-        f"the arm contradicts itself: {'; '.join(reasons)}; so the pose may be wrong by far more "
-        "than is stated; check the joints' zeros: robot-ik camera verify --fit"
+        f"the measurements of the arm disagree: {'; '.join(reasons)}; so the pose may be wrong by "
+        "far more than is stated; check the joints' zeros: robot-ik camera verify --fit"
     )
 
 

@@ -79,7 +79,7 @@ class SampleSet:
         if len(self) < MIN_VIEWS:
             raise MarkerNotFoundError(
                 f"the board was seen at {len(self)} of {stations} stations; "
-                f"{MIN_VIEWS} are the least",
+                f"at least {MIN_VIEWS} are needed",
                 hint=f"check board, dictionary and light, and {hint}",
             )
 
@@ -133,8 +133,8 @@ class SampleSet:
         try:
             return cls._of_values(parse_json(text, path))
         except (ValueError, RobotIkError) as error:
-            found = config_error(error, path) if isinstance(error, ValidationError) else error
-            reason = str(found.args[0]).removeprefix(f"{path}: ")
+            problem = config_error(error, path) if isinstance(error, ValidationError) else error
+            reason = str(problem.args[0]).removeprefix(f"{path}: ")
             raise CameraError(f"{path} holds no samples of {of} ({reason})", hint=hint) from error
 
     @classmethod
@@ -151,17 +151,19 @@ class SampleSet:
             RobotIkError: Another value is invalid.
         """
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
-        found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date, **others)
-        for k, one in enumerate(file.samples):
-            if len(one.q) != len(file.joints):
+        samples = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date, **others)
+        for k, sample in enumerate(file.samples):
+            if len(sample.q) != len(file.joints):
                 raise ValueError(
-                    f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints"
+                    f"samples[{k}].q: {len(sample.q)} angles of {len(file.joints)} joints"
                 )
-            points = np.array(one.points)
-            pixels = np.array(one.pixels)
-            view = Observation(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
-            found.add(np.array(one.q), view)
-        return found
+            points = np.array(sample.points)
+            pixels = np.array(sample.pixels)
+            view = Observation(
+                points, pixels, Pose(sample.position, sample.wxyz), sample.sigma, sample.bias
+            )
+            samples.add(np.array(sample.q), view)
+        return samples
 
 
 @dataclass(eq=False)
@@ -198,7 +200,7 @@ class VerifySamples(SampleSet):
     def _of_values(cls, data: Any) -> Self:
         job = data.get("job") if isinstance(data, dict) else None
         if isinstance(job, str) and job != "verify":
-            raise ValueError(f"they are of {shown(job)}, which does not know the camera's pose")
+            raise ValueError(f"they are of {shown(job)}, and have no pose of the camera")
         file = _VerifyFile.model_validate(data)
         offsets = None if file.true_offsets is None else np.array(file.true_offsets, dtype=float)
         poses = {"camera": file.camera.known(), "board": file.board.known(), "by_arm": file.by_arm}
@@ -216,18 +218,18 @@ class VerifySamples(SampleSet):
         for row in self.servos:
             joint = by_name.get(row["name"])
             if joint is None or plain(joint) != row:
-                what = "has been changed since the arm was measured"
+                problem = "has been changed since the arm was measured"
                 if joint is None:
-                    what = "is not there"
+                    problem = "is missing"
                 raise ConfigError(
-                    f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
+                    f"joint {row['name']!r} {problem}, so these samples are not of this arm",
                     file=file,
                     key="joints",
                     hint="measure again",
                 )
         if unknown := [name for name in self.joints if name not in by_name]:
             raise ConfigError(
-                f"there is no joint {unknown[0]!r}, of which the samples are",
+                f"joint {unknown[0]!r} of the samples is missing",
                 file=file,
                 key="joints",
                 allowed=", ".join(by_name),

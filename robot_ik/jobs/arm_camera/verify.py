@@ -107,7 +107,7 @@ class VerifyReport(ArmCameraReport):
             MarkerNotFoundError: The board was found at too few stations.
         """
         samples = self.samples
-        samples.require(len(self.stations), "where camera and board are said to be")
+        samples.require(len(self.stations), "the given poses of camera and board")
         views = [
             CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)
         ]
@@ -212,7 +212,7 @@ def run_verify(
         setup = prepare_robot(request)
         if request.camera != "synthetic" and request.extrinsics is None:
             raise CalibrationError(
-                f"where the camera {request.camera!r} stands is not known, so it cannot judge the "
+                f"the pose of the camera {request.camera!r} is unknown, so it cannot measure the "
                 "arm",
                 hint="lay a board on the table, find it (robot-ik camera locate), give "
                 "--camera-extrinsics",
@@ -323,9 +323,8 @@ def _locate(setup: RobotSetup, scene: CameraAndBoard) -> CameraExtrinsics:
     views = [view for view in observations if view is not None]
     if not views:
         raise MarkerNotFoundError(
-            "the marker on the table is hidden, so the simulated camera does not know where it "
-            "stands",
-            hint="give where it is: --camera-extrinsics FILE",
+            "the marker on the table is hidden, so the pose of the simulated camera is unknown",
+            hint="give its pose: --camera-extrinsics FILE",
         )
     return locate_camera(views, surroundings.pose_world_marker, intrinsics)
 

@@ -20,30 +20,30 @@ from robot_ik.camera.targets import Observation, Squares, marker_points
 from robot_ik.collision.avoidance import CollisionAvoidance
 from robot_ik.collision.obstacles import Box, Obstacle
 from robot_ik.collision.scene import Scene
-from robot_ik.errors import CameraError, MotionBlockedError
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.jobs.scene import in_view
-from robot_ik.motion.certificate import certify
+from robot_ik.motion.certificate import is_certified
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 
-# Least distance of the arm from itself, its surroundings and the table, metres.
-_AIR = 0.01
-# Least thickness of a table, metres.
-_THINNEST = 0.03
+# Smallest distance of the arm from itself, its surroundings and the table, metres.
+_MIN_DISTANCE = 0.01
+# Smallest thickness of a table, metres.
+_MIN_THICKNESS = 0.03
 # A geom may begin this far before a point that is seen on it, metres.
 _SIGHT_SLACK = 2e-3
 # Border of the picture that is kept free at each side, as a share of its size. The guess of the
 # poses is off by about as much.
 _MARGIN = 0.06
-# Least cosine between the normal of a marker and the direction to the camera.
-_LEAST_FACING = 0.40
-# Least side of a marker in the picture, px.
-_LEAST_SIDE = 28.0
-# Least share of the markers facing the camera that must be in the picture.
-_LEAST_PART = 0.75
+# Smallest cosine between the normal of a marker and the direction to the camera.
+_MIN_FACING = 0.40
+# Smallest side of a marker in the picture, px.
+_MIN_SIDE = 28.0
+# Smallest share of the markers facing the camera that must be in the picture.
+_MIN_SHARE_IN_VIEW = 0.75
 # Largest tilt of a marker in a random view, rad.
 _LARGEST_TILT = np.deg2rad(50.0)
 # Number of random starts.
@@ -86,7 +86,7 @@ def condition_at(
         collisions: Condition of the arm file, whose obstacles count too. None for none.
     """
     obstacles: list[Obstacle] = []
-    margin = _AIR
+    margin = _MIN_DISTANCE
     ignore: Sequence[Sequence[str]] = ()
     if collisions is not None:
         obstacles += collisions.scene.obstacles
@@ -100,18 +100,10 @@ def condition_at(
 
 def _block(table: SceneTable) -> Box:
     """Return a table as an obstacle that reaches down to the floor."""
-    thickness = max(table.height - table.floor_height, _THINNEST)
+    thickness = max(table.height - table.floor_height, _MIN_THICKNESS)
     size = (table.x[1] - table.x[0], table.y[1] - table.y[0], thickness)
     middle = (0.5 * sum(table.x), 0.5 * sum(table.y), table.height - 0.5 * thickness)
     return Box("table of the scene", size=size, pose=Pose(middle))
-
-
-def path_is_free(condition: CollisionAvoidance, start: Array, end: Array) -> bool:
-    """Return whether a straight joint move between two configurations (nq,) is free."""
-    try:
-        return certify([start, end], condition).certified
-    except MotionBlockedError:
-        return False
 
 
 def is_visible(robot: Robot, q: Array, eye: Array, points: Array) -> bool:
@@ -128,15 +120,14 @@ def visiting_order(
     without a free path are left out.
     """
     configurations = [start, *stations]
-    cost = np.zeros((len(configurations), len(configurations)))
+    # Seconds of the move between two configurations; infinite if it is not proven free.
+    cost = np.full((len(configurations), len(configurations)), np.inf)
     for i in range(len(configurations)):
         for j in range(i):
-            seconds = float(
-                np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity_limits)
-            )
-            cost[i, j] = cost[j, i] = (
-                seconds if path_is_free(condition, configurations[i], configurations[j]) else np.inf
-            )
+            ends = [configurations[i], configurations[j]]
+            if is_certified(ends, condition):
+                cost[i, j] = float(np.max(np.abs(ends[1] - ends[0]) / robot.velocity_limits))
+                cost[j, i] = cost[i, j]
     order = [0]
     left = set(range(1, len(configurations)))
     while left:
@@ -196,19 +187,20 @@ class ViewTask:
         """
         size = np.array(self.intrinsics.size)
         facing = 0
-        found = []
-        for id, (side, pose) in self.squares.items():
-            at = pose_camera_board.compose(pose)
-            towards = -float(at.rotation[:, 2] @ at.position) / float(np.linalg.norm(at.position))
-            if at.position[2] <= side or towards <= _LEAST_FACING:
+        ids = []
+        for marker_id, (side, pose_board_marker) in self.squares.items():
+            marker = pose_camera_board.compose(pose_board_marker)
+            normal = marker.rotation[:, 2]
+            cosine = -float(normal @ marker.position) / float(np.linalg.norm(marker.position))
+            if marker.position[2] <= side or cosine <= _MIN_FACING:
                 continue
             facing += 1
-            pixels = self.intrinsics.project(at.apply(marker_points(side)))
+            pixels = self.intrinsics.project(marker.apply(marker_points(side)))
             sides = np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1)
             inside = (pixels > _MARGIN * size).all() and (pixels < (1.0 - _MARGIN) * size).all()
-            if inside and sides.min() > _LEAST_SIDE:
-                found.append(id)
-        return tuple(found) if len(found) >= _LEAST_PART * facing else ()
+            if inside and sides.min() > _MIN_SIDE:
+                ids.append(marker_id)
+        return tuple(ids) if len(ids) >= _MIN_SHARE_IN_VIEW * facing else ()
 
 
 def plan_views(
@@ -252,15 +244,14 @@ def plan_views(
         if len(order) == len(chosen):
             break
         # Replace the stations without a free path.
-        lost = {k for index, k in enumerate(chosen) if index not in order}
-        pool = [one for k, one in enumerate(pool) if k not in lost]
+        unconnected = {k for index, k in enumerate(chosen) if index not in order}
+        pool = [candidate for k, candidate in enumerate(pool) if k not in unconnected]
     if len(ordered) < MIN_VIEWS:
         carried = "camera" if task.mount.mounting == "eye_in_hand" else "board"
         raise CameraError(
             f"only {len(ordered)} views were found in which the board can be seen and the arm, "
-            f"carrying the {carried}, touches nothing; {MIN_VIEWS} are the least",
-            hint="give better guesses of where camera and board are, move them, "
-            "or take a larger board",
+            f"carrying the {carried}, touches nothing; at least {MIN_VIEWS} are needed",
+            hint="give better rough poses of camera and board, move them, or take a larger board",
         )
     return ordered
 
@@ -277,9 +268,9 @@ def _candidates(
     rng = np.random.default_rng(seed)
     aim = PoseGoal(task.frame, robot.forward(start, task.frame).position, (1.0, 0.0, 0.0, 0.0))
     problem = Problem(robot, aim, solver="lm", tolerance=_NEAR, budget=_TRY, seed=seed)
-    found: list[tuple[Array, Array]] = []
+    candidates: list[tuple[Array, Array]] = []
     for attempt in range(_TRIES):
-        if attempt == _HOPELESS and not found:
+        if attempt == _HOPELESS and not candidates:
             break
         near = robot.clip(start + rng.uniform(*_SHARES) * (robot.sample(rng) - start))
         hand = _wanted_hand(robot, task, near, rng)
@@ -289,10 +280,10 @@ def _candidates(
         q = robot.clip(problem.solve(near, target=hand).q)
         information = _worth(robot, task, condition, q)
         if information is not None:
-            found.append((q, information))
-            if len(found) == wanted:
+            candidates.append((q, information))
+            if len(candidates) == wanted:
                 break
-    return found
+    return candidates
 
 
 def _wanted_hand(
@@ -303,8 +294,8 @@ def _wanted_hand(
     _, pose_board_marker = list(task.squares.values())[rng.integers(len(task.squares))]
     mount = task.mount
     if mount.mounting == "eye_to_hand":
-        seen = _tilted(board.apply(pose_board_marker.position), rng)
-        orientation = seen.compose(pose_board_marker.inverse()).wxyz
+        marker = _tilted(board.apply(pose_board_marker.position), rng)
+        orientation = marker.compose(pose_board_marker.inverse()).wxyz
         rotated_board = Pose(board.position, orientation)
         if not task.shown(rotated_board):
             return None
@@ -344,22 +335,25 @@ def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Ar
 
 def _worth(robot: Robot, task: ViewTask, condition: CollisionAvoidance, q: Array) -> Array | None:
     """Return the information (12, 12) of the view at ``q``, or None if it is not usable."""
-    seen = task.pose_camera_board(robot, q)
-    ids = task.shown(seen)
+    board = task.pose_camera_board(robot, q)
+    ids = task.shown(board)
     if not ids or not condition.free(q):
         return None
     hand = robot.forward(q, task.frame)
     mount = task.mount
     parent = hand if mount.mounting == "eye_in_hand" else Pose()
     camera = parent.compose(mount.pose_parent_camera)
-    markers = [task.squares[id][1].apply(marker_points(task.squares[id][0])) for id in ids]
-    clear = [
-        m for m in markers if is_visible(robot, q, camera.position, camera.compose(seen).apply(m))
-    ]
+    pose_world_board = camera.compose(board)
+    visible = []
+    for marker_id in ids:
+        side, pose_board_marker = task.squares[marker_id]
+        points = pose_board_marker.apply(marker_points(side))
+        if is_visible(robot, q, camera.position, pose_world_board.apply(points)):
+            visible.append(points)
     # Half of the markers in the picture must not be hidden.
-    if 2 * len(clear) < len(ids):
+    if 2 * len(visible) < len(ids):
         return None
-    view, _ = compress(mount, [task.sample(robot, q, np.concatenate(clear))], task.intrinsics)
+    view, _ = compress(mount, [task.sample(robot, q, np.concatenate(visible))], task.intrinsics)
     arm = np.diag([_ARM_POSITION**2] * 3 + [_ARM_ANGLE**2] * 3)
     rows = view.rows[0]
     return np.asarray(rows.T @ np.linalg.solve(view.pixels[0] + arm, rows))

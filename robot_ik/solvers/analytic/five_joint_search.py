@@ -432,13 +432,13 @@ def sort(values, count):
 
 
 @inlined
-def add_sine_roots(cuts, count, sine, low, high):
+def add_sine_roots(cuts, count, sine, lower, upper):
     """Append the parameters in [lower, upper] with this sine to ``cuts``; return their number."""
     if abs(sine) < 1.0:
         angle = math.asin(sine)
         for root in (angle, math.pi - angle):
-            root += _FULL_TURN * math.ceil((low - root) / _FULL_TURN)
-            while root < high and count < _PIECES:
+            root += _FULL_TURN * math.ceil((lower - root) / _FULL_TURN)
+            while root < upper and count < _PIECES:
                 cuts[count] = root
                 count += 1
                 root += _FULL_TURN
@@ -457,19 +457,19 @@ def write_pieces(arm, target, search, branch):
     turn_lower = arm.lower[4] + arm.turn_zero - _END_SLACK
     turn_upper = arm.upper[4] + arm.turn_zero + _END_SLACK
     if target.by_turn:
-        low = turn_lower
-        high = turn_upper
+        lower = turn_lower
+        upper = turn_upper
     else:
-        low = target.azimuth - pan_upper
-        high = target.azimuth - pan_lower
-    if high - low > _FULL_TURN:
-        low = -math.pi
-        high = math.pi
-    cuts[0] = low
-    cuts[1] = high
+        lower = target.azimuth - pan_upper
+        upper = target.azimuth - pan_lower
+    if upper - lower > _FULL_TURN:
+        lower = -math.pi
+        upper = math.pi
+    cuts[0] = lower
+    cuts[1] = upper
     count = 2
-    quarter = math.ceil(low / _QUARTER_TURN) * _QUARTER_TURN
-    while quarter < high:
+    quarter = math.ceil(lower / _QUARTER_TURN) * _QUARTER_TURN
+    while quarter < upper:
         cuts[count] = quarter
         count += 1
         quarter += _QUARTER_TURN
@@ -482,12 +482,12 @@ def write_pieces(arm, target, search, branch):
             math.sin(target.azimuth - pan_upper),
         ):
             height = (target.range * sine - arm.side) * scale
-            count = add_sine_roots(cuts, count, height, low, high)
+            count = add_sine_roots(cuts, count, height, lower, upper)
     if not target.by_turn and target.range > 0.0:
         scale = 1.0 / target.range
         for sine in (-1.0, 1.0, math.sin(turn_lower), math.sin(turn_upper)):
             height = (arm.side + arm.radius * sine) * scale
-            count = add_sine_roots(cuts, count, height, low, high)
+            count = add_sine_roots(cuts, count, height, lower, upper)
     sort(cuts, count)
     written = 0
     for k in range(count - 1):
@@ -684,21 +684,21 @@ def is_out_of_reach(arm, target, search, distance, angle):
 def push_full_range(arm, target, search):
     """Push the full range of the parameter, cut at multiples of π/2; return the box count."""
     if target.by_turn:
-        low = arm.lower[4] + arm.turn_zero
-        high = arm.upper[4] + arm.turn_zero
+        lower = arm.lower[4] + arm.turn_zero
+        upper = arm.upper[4] + arm.turn_zero
     else:
-        low = target.azimuth - arm.upper[0]
-        high = target.azimuth - arm.lower[0]
-    if high - low > _FULL_TURN:
-        low = -math.pi
-        high = math.pi
-    low -= _END_SLACK
-    high += _END_SLACK
+        lower = target.azimuth - arm.upper[0]
+        upper = target.azimuth - arm.lower[0]
+    if upper - lower > _FULL_TURN:
+        lower = -math.pi
+        upper = math.pi
+    lower -= _END_SLACK
+    upper += _END_SLACK
     size = 0
-    while low < high:
-        end = min(high, (math.floor(low / _QUARTER_TURN + 1e-12) + 1.0) * _QUARTER_TURN)
-        size = push_box(search.boxes, size, low, end, 0.0)
-        low = end
+    while lower < upper:
+        end = min(upper, (math.floor(lower / _QUARTER_TURN + 1e-12) + 1.0) * _QUARTER_TURN)
+        size = push_box(search.boxes, size, lower, end, 0.0)
+        lower = end
     return size
 
 

@@ -141,8 +141,8 @@ def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     ("changes", "error", "text"),
     [
         ({"camera": "0"}, CalibrationError, "has no calibration"),
-        ({"camera": "0", "intrinsics": Path("x.yaml")}, CameraError, "what board"),
-        ({"board": parse_target("marker:7:50")}, ConfigError, "a board of its own"),
+        ({"camera": "0", "intrinsics": Path("x.yaml")}, CameraError, "no board is given"),
+        ({"board": parse_target("marker:7:50")}, ConfigError, "a simulated board"),
     ],
 )
 def test_missing_input_is_reported_before_anything_moves(

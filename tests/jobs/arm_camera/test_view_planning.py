@@ -156,4 +156,4 @@ def test_a_camera_that_cannot_see_the_board_is_reported(robot: Robot, task: View
     blind = replace(task, mount=Mount(camera, Pose(), "eye_to_hand"))
     with pytest.raises(CameraError, match="only 0 views") as reported:
         plan_views(robot, blind, 8)
-    assert "give better guesses of where camera and board are" in reported.value.hint
+    assert "give better rough poses of camera and board" in reported.value.hint
