@@ -66,7 +66,7 @@ class RobotArm(Closing):
     def collisions(self) -> CollisionAvoidance | None:
         """Condition on collisions of the arm file, for the robot; None if it has none.
 
-        Joints that the robot does not have, such as those of a gripper, stand as at home.
+        Joints that the robot does not have, such as those of a gripper, are at home.
 
         Raises:
             ConfigError: As ``arm_collisions``.
@@ -170,7 +170,7 @@ def open_robot(
 
 
 def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None:
-    """Return the condition of the table ``[collisions]`` of an arm file; None without the table.
+    """Return the collision condition of the table ``[collisions]``; None without the table.
 
     Args:
         config: Arm.
@@ -208,7 +208,7 @@ def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None
         raise config.wrong(
             "these parts are nearer than the margin in every posture, so no motion is free",
             "collisions.ignore",
-            hint=f"a smaller margin, or ignore = [{names}]",
+            hint=f"use a smaller margin, or set ignore = [{names}]",
         )
     return collisions
 

@@ -1,7 +1,7 @@
 """Signals that end a program: raised as exceptions, and deferred by critical steps.
 
 ``deferred_signals``    a step runs to its end, and the signals that came meanwhile are raised then
-``ExitGuard``           signals become exceptions while there is something to leave: an enabled arm
+``ExitGuard``           signals become exceptions while it is installed, as for an enabled arm
 ``raised_signals``      the same for a program without a guard
 
 A signal handler may run in the middle of a packet, so it must not talk to a bus.  It raises an
@@ -30,10 +30,10 @@ from typing import Any, NamedTuple, NoReturn, ParamSpec, Self, TypeVar
 log = logging.getLogger(__name__)
 
 PATIENCE = 5.0
-"""s after which a program that swallowed the exception of a signal gets another one."""
+"""s. If the program swallowed the exception of a signal, a later signal raises the next one."""
 
 WAIT_PERIOD = 0.05
-"""s between two looks for a signal in ``DeferredSignals.wait``."""
+"""s between two checks for a signal in ``DeferredSignals.wait``."""
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
@@ -101,11 +101,11 @@ class DeferredSignals:
 
         @functools.wraps(function)
         def protected(*args: P.args, **kwargs: P.kwargs) -> R:
-            over = False  # the handler reads it in this frame
+            is_finished = False  # the handler reads it in this frame
             try:
                 return function(*args, **kwargs)
             finally:
-                over = True  # noqa: F841 - from here on a signal is raised where it comes
+                is_finished = True  # noqa: F841 - from here on a signal is raised where it comes
                 _HANDLERS.deliver(sys._getframe())
 
         # functools.wraps hides the attribute from type checkers
@@ -140,9 +140,9 @@ _PROTECTED: set[CodeType] = set()
 
 
 def _is_protected(frame: FrameType | None) -> bool:
-    """Return whether a frame or a caller of it is a protected function that is not over."""
+    """Return whether a frame or a caller of it is a protected function that is not finished."""
     while frame is not None:
-        if frame.f_code in _PROTECTED and not frame.f_locals.get("over", False):
+        if frame.f_code in _PROTECTED and not frame.f_locals.get("is_finished", False):
             return True
         frame = frame.f_back
     return False
@@ -175,7 +175,7 @@ class ExitGuard:
                 end of the interpreter is armed.
         """
         self.received = 0
-        atexit.unregister(self._last_resort)  # not twice
+        atexit.unregister(self._last_resort)  # a second install must not register it twice
         atexit.register(self._last_resort)
         if handle_signals:
             _HANDLERS.add(self)
@@ -191,7 +191,7 @@ class ExitGuard:
 
 @contextlib.contextmanager
 def raised_signals(*numbers: int) -> Iterator[None]:
-    """Make signals raise ``SystemExit(128 + number)``, so that ``with`` blocks are left.
+    """Make signals raise ``SystemExit(128 + number)``, so that ``with`` blocks end.
 
     Args:
         numbers: Signal numbers.

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import robot_ik.lerobot
-from robot_ik.errors import ArmStateError, ConfigError, UnsafeCommandError
+from robot_ik.errors import ArmStateError, UnknownRobotError, UnsafeCommandError
 from robot_ik.hardware.arm import ArmState
 from tests.lerobot.stand_in import ConnectionStateError, install
 
@@ -224,7 +224,7 @@ def test_wrong_options_are_refused(
 
 
 def test_an_unknown_arm_is_refused(make_arm: MakeArm) -> None:
-    with pytest.raises(ConfigError, match="so102"):
+    with pytest.raises(UnknownRobotError, match="so102"):
         make_arm(arm="so102")
 
 

@@ -207,7 +207,7 @@ def locate_camera(
     if not (np.isfinite(pixels) and depths.min() > 0.0):
         raise CameraError(
             "no pose of the camera explains what was seen of the board",
-            hint="check the sizes of the board and that the whole of it is flat and in the picture",
+            hint="check the sizes of the board, and that it is flat and completely in the picture",
         )
     median_error = view.sigma * float(np.median(errors))
     if median_error > _MAX_ERROR:
