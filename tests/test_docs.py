@@ -34,7 +34,7 @@ import pytest
 from robot_ik.cli import main as cli
 from robot_ik.cli.main import find_command
 
-# The helpers lie beside this file; they are nobody's package.
+# The helpers are a file beside this one, not a module of a package.
 _spec = importlib.util.spec_from_file_location(
     "doc_pages", Path(__file__).with_name("doc_pages.py")
 )
@@ -79,7 +79,7 @@ def test_the_modules_of_the_recipes_pass_the_linter(title: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_what_a_page_shows_runs(
+def test_the_blocks_of_a_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, real_time: None
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -96,9 +96,8 @@ def test_what_a_page_shows_runs(
                 Path(block.file).parent.mkdir(parents=True, exist_ok=True)
                 Path(block.file).write_text(block.text, encoding="utf-8")
             if block.language == "python" and "append=" not in block.note:
-                padded = (
-                    "\n" * (block.line - 1) + block.text
-                )  # so that a traceback names the page's line
+                # The empty lines give a traceback the line number of the page.
+                padded = "\n" * (block.line - 1) + block.text
                 exec(compile(padded, str(page), "exec", dont_inherit=True), module.__dict__)
             elif block.language == "sh":
                 for line in block.text.splitlines():
@@ -127,9 +126,9 @@ def give(page: Path, folder: Path) -> None:
         )
     if "path/to/arm.xml" in text:
         (model,) = [
-            b
-            for b in blocks(ROOT / "docs" / "how-to" / "own_robot.md")
-            if b.file.endswith("desk_arm.xml")
+            block
+            for block in blocks(ROOT / "docs" / "how-to" / "own_robot.md")
+            if block.file.endswith("desk_arm.xml")
         ]
         (folder / "path" / "to").mkdir(parents=True)
         (folder / "path" / "to" / "arm.xml").write_text(model.text, encoding="utf-8")

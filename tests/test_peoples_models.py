@@ -279,9 +279,8 @@ def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
 def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         rik.load_robot(URDF.replace(was, becomes))
-    namespace = (
-        '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
-    )
+    # xacro does not remove its namespace.
+    namespace = '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'
     assert rik.load_robot(URDF.replace('<robot name="two">', namespace)).nv == 2
 
 

@@ -193,9 +193,8 @@ def test_goals_show_the_targets_that_they_have_now(puma):
         for shown in (problem.goals, problem.solve().goals, copy.deepcopy(problem).goals):
             assert isinstance(shown[0], PoseGoal) and shown[0].weights == goal.weights
             assert shown[0].target.distance(then) == pytest.approx((0, 0), abs=1e-7)
-        assert before.goals[0].target.distance(first) == pytest.approx(
-            (0, 0), abs=1e-7
-        )  # as it was then
+        # A solution keeps the targets of its own solve.
+        assert before.goals[0].target.distance(first) == pytest.approx((0, 0), abs=1e-7)
     assert problem.given[0] is move  # a goal is taken as it is
 
 

@@ -53,14 +53,8 @@ def test_a_file_is_a_robot(arm_file):
         2,
         0.4,
     ]
-    assert robot.home.tolist() == [
-        0.5,
-        0.3,
-        1,
-        0,
-        0,
-        0,
-    ]  # the keyframe "home" comes before the first
+    # The keyframe "home" comes before the first keyframe.
+    assert robot.home.tolist() == [0.5, 0.3, 1, 0, 0, 0]
     assert (
         robot.velocity_limits.shape == robot.acceleration_limits.shape == (5,)
         and (robot.velocity_limits > 0).all()
@@ -81,10 +75,9 @@ def test_a_urdf_is_a_robot(tmp_path):
 def test_frozen_joints_stand_at_home(arm_file):
     whole = load_robot(arm_file)
     part = load_robot(arm_file, joints=["wrist", "shoulder"])
-    assert part.joints == ("shoulder", "wrist") and (part.nq, part.nv) == (
-        5,
-        4,
-    )  # in declared order
+    # The joints are in the order of the model.
+    assert part.joints == ("shoulder", "wrist")
+    assert (part.nq, part.nv) == (5, 4)
     q = part.sample(np.random.default_rng(0))
     full = part.qpos(q)
     assert full[1] == 0.3
