@@ -217,13 +217,8 @@ def test_a_model_without_moving_joints_is_no_robot(tmp_path):
 def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
     robot = load_robot(arm_file)
     narrow = robot.with_limits(-0.5, 0.5)
-    for one in (
-        robot,
-        narrow,
-        copy.copy(robot),
-        copy.deepcopy(robot),
-        pickle.loads(pickle.dumps(robot)),
-    ):
+    copies = (copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot)))
+    for other in (robot, narrow, *copies):
         for name in (
             "home",
             "lower",
@@ -233,11 +228,11 @@ def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
             "stiffness",
             "frozen_qpos",
         ):
-            array = getattr(one, name)
+            array = getattr(other, name)
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 0.5
     q = robot.home.copy()
-    q += 0.1  # a copy is one's own
+    q += 0.1  # a copy is writable
     node, local = robot.attachment("tcp")
     local[:] = 7.0
     assert robot.attachment("tcp")[0] == node and not (robot.attachment("tcp")[1] == 7.0).any()

@@ -212,8 +212,8 @@ def locate_camera(
     median_error = view.sigma * float(np.median(errors))
     if median_error > _MAX_ERROR:
         raise CalibrationError(
-            f"the best pose of the camera leaves the board's corners {median_error:.1f} px off "
-            f"(median); a good one leaves some tenths, and beyond {_MAX_ERROR:g} px it is wrong",
+            f"the corners of the board are {median_error:.1f} px off (median) at the best pose of "
+            f"the camera; a few tenths are usual, at most {_MAX_ERROR:g} px are allowed",
             hint="check the sizes of the board as printed, its layout, and the calibration",
         )
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
