@@ -6,34 +6,16 @@ import importlib
 import importlib.util
 import json
 import re
-import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from robot_ik.cli import main as cli
+from tests.doc_pages import PAGES, ROOT, blocks, named, prose, script
 
-# The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location(
-    "doc_pages", Path(__file__).with_name("doc_pages.py")
-)
-assert _spec is not None and _spec.loader is not None
-pages: Any = importlib.util.module_from_spec(_spec)
-sys.modules[_spec.name] = pages  # dataclasses look it up
-_spec.loader.exec_module(pages)
-ROOT = pages.ROOT
-PAGES = pages.PAGES
-blocks = pages.blocks
-prose = pages.prose
-named = pages.named
-script = pages.script
 #: Files in which an install line could stand.
 TEXTS = {".py", ".md", ".toml", ".rst", ".yml", ".txt"}
-
-
-# Tables from the program
 
 
 def test_tables_are_what_the_program_says() -> None:
@@ -46,9 +28,6 @@ def test_tables_are_what_the_program_says() -> None:
             f"{named(page)} is out of date: python docs/make/tables.py"
         )
     assert used == set(tables.TABLES)
-
-
-# The first screen
 
 
 def test_the_first_screen_has_one_picture_and_two_commands() -> None:
@@ -225,9 +204,6 @@ def test_contributors_are_told_the_steps_of_ci() -> None:
     assert re.findall(r"`([\w-]+)`", row) == [*steps.split(), "test"]
 
 
-# The site
-
-
 def test_the_api_page_lists_every_public_name() -> None:
     import robot_ik as rik
 
@@ -238,9 +214,6 @@ def test_the_api_page_lists_every_public_name() -> None:
         r"^\.\. auto\w+:: (robot_ik\.[\w.]+)\.(\w+)$", page, re.MULTILINE
     ):
         assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
-
-
-# The architecture
 
 
 @pytest.mark.parametrize(
