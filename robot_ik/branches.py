@@ -35,7 +35,7 @@ def solve_all(
     three parallel axes, or with a spherical shoulder and two last axes that meet, for a pose. At a
     singular pose one joint angle is free; it stays as near to ``start`` as possible.
 
-    An arm of seven hinges, such as the Panda, is one of these once a joint is fixed:
+    An arm of seven hinges, such as the Panda, becomes an arm of six hinges with ``fixed``:
     ``solve_all(robot, pose, fixed={"panda_joint7": 0.8})``.
 
     An arm of five joints meets a position in infinitely many ways and a pose almost never. Each of
@@ -81,7 +81,7 @@ def _with_fixed_joints(
     limits: bool,
     collisions: CollisionAvoidance | None,
 ) -> tuple[Branch, ...]:
-    """Return the branches of a robot some of whose joints are fixed, as ``q`` of all joints."""
+    """Return the branches of a robot with fixed joints. Each ``branch.q`` has all joints."""
     moving = robot.with_fixed(fixed)
     addresses = qpos_addresses(robot.model, robot.tree)
     moves = np.isin(addresses, qpos_addresses(moving.model, moving.tree))

@@ -378,7 +378,11 @@ class Robot:
         for joint, value in values.items():
             node = self.joints.index(joint)
             if self.tree.kind[node] not in (HINGE, SLIDE):
-                raise UnsupportedJointError(f"joint {joint!r} has no single value", path=self.path)
+                raise UnsupportedJointError(
+                    f"joint {joint!r} is a ball or free joint, which has no single value",
+                    path=self.path,
+                    hint="fix hinges and slides only",
+                )
             v = self.tree.vadr[node]
             if not is_real(value, self.lower[v] - LIMIT_SLACK, self.upper[v] + LIMIT_SLACK):
                 raise ModelError(
@@ -389,7 +393,11 @@ class Robot:
             kept[node] = False
         joints = [joint for joint, keep in zip(self.tree.joint_ids, kept, strict=True) if keep]
         if not joints:
-            raise UnsupportedJointError("no joint is left that may move", path=self.path)
+            raise UnsupportedJointError(
+                f"all {len(values)} joints would be fixed",
+                path=self.path,
+                hint="leave at least one joint out of the mapping",
+            )
         frozen_qpos = self.qpos(home)
         tree, bodies = mjcf.build_tree(self.model, joints, frozen_qpos)
         dofs = kept[self.tree.dof_node]

@@ -35,8 +35,8 @@ GROUND = "ground"
 class RobotArm(Closing):
     """A robot model and the arm of servos that moves it: a ``JointSink`` and a ``JointSource``.
 
-    Vectors are those of the robot.  The arm may have more joints, such as a gripper, which keep
-    their last command.  Used in a ``with`` block: entering connects the arm, leaving applies the
+    Vectors are those of the robot. The arm may have more joints, such as a gripper, which keep
+    their last command. Used in a ``with`` block: entering connects the arm, leaving applies the
     exit policy.
 
     Attributes:
@@ -66,7 +66,7 @@ class RobotArm(Closing):
     def collisions(self) -> CollisionAvoidance | None:
         """Condition on collisions of the arm file, for the robot; None if it has none.
 
-        Joints that the robot does not have, such as those of a gripper, stand as at home.
+        Joints that the robot does not have, such as those of a gripper, are at home.
 
         Raises:
             ConfigError: As ``arm_collisions``.
@@ -127,18 +127,18 @@ def open_robot(
     virtual_bus: VirtualBus | None = None,
     clock: Clock | None = None,
 ) -> RobotArm:
-    """Return a robot and its arm on a bus.  Nothing is connected and no torque changes.
+    """Return a robot and its arm on a bus. Nothing is connected and no torque changes.
 
     If a calibration stands beside the arm file, the model must be the one that was calibrated.
     This check cannot be skipped.
 
     Args:
         name: Robot of the catalogue, path of a model, or a loaded robot.
-        arm: Arm file or its content.  None: the arm file beside the model.
+        arm: Arm file or its content. None: the arm file beside the model.
         bus: ``"sim"``, ``"pty"`` or a serial port such as ``"/dev/ttyUSB0"``.
-        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``.  None: as the arm file says.
+        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``. None: as the arm file says.
         start: (n,) initial values of the robot's joints, or joint name -> value, for simulated
-            servos.  None: home of the robot.
+            servos. None: home of the robot.
         virtual_bus: Simulated servos to use instead of new ones.
         clock: Clock of new simulated servos. None: virtual time on ``"sim"``, real time on
             ``"pty"``.
@@ -170,7 +170,7 @@ def open_robot(
 
 
 def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None:
-    """Return the condition of the table ``[collisions]`` of an arm file; None without the table.
+    """Return the collision condition of the table ``[collisions]``; None without the table.
 
     Args:
         config: Arm.
@@ -208,7 +208,7 @@ def arm_collisions(config: ArmConfig, robot: Robot) -> CollisionAvoidance | None
         raise config.wrong(
             "these parts are nearer than the margin in every posture, so no motion is free",
             "collisions.ignore",
-            hint=f"a smaller margin, or ignore = [{names}]",
+            hint=f"use a smaller margin, or set ignore = [{names}]",
         )
     return collisions
 

@@ -107,8 +107,8 @@ class Solution:
         given: The goals as given to the problem.
         targets: The matrices (g, 4, 4) of their parts in this solve. ``goals`` joins the two.
         avoidance: The condition on collisions. None without one.
-        nearest_free: If collisions are in the way: the free posture that comes nearest to the
-            goals, of those that limited steps found. None if they found none.
+        nearest_free: If collisions prevent a solution: of the free configurations that limited
+            steps found, the nearest to the goals. None if they found none.
         angle_bound: Radians, or None if nothing is proven. No configuration inside the limits with
             the position of this one has a smaller angle to the wanted orientation.
     """

@@ -23,6 +23,15 @@ SHOWN = {"python", "sh", "xml", "toml", "json", "text"}
 
 @dataclass(frozen=True)
 class Block:
+    """A fenced block of a page.
+
+    Attributes:
+        language: First word of the fence.
+        note: The other words of the fence.
+        text: Content.
+        line: Number of the first line of the content.
+    """
+
     language: str
     note: str
     text: str
@@ -30,11 +39,13 @@ class Block:
 
     @property
     def file(self) -> str:
-        found = re.search(r"file=(\S+)", self.note)
-        return found[1] if found else ""
+        """Path in a note ``file=PATH``; empty without one."""
+        match = re.search(r"file=(\S+)", self.note)
+        return match[1] if match else ""
 
 
 def blocks(page: Path) -> list[Block]:
+    """Return the blocks of a page."""
     text = page.read_text(encoding="utf-8")
     return [
         Block(m[1], m[2], m[3], text.count("\n", 0, m.start()) + 2) for m in FENCE.finditer(text)
@@ -42,15 +53,17 @@ def blocks(page: Path) -> list[Block]:
 
 
 def prose(page: Path) -> str:
+    """Return a page without its blocks."""
     return FENCE.sub("", page.read_text(encoding="utf-8"))
 
 
 def named(page: Path) -> str:
+    """Return the path of a page relative to the repository."""
     return str(page.relative_to(ROOT))
 
 
 def script(name: str) -> types.ModuleType:
-    """A script of docs/make, imported."""
+    """Return a script of docs/make as a module."""
     spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / "make" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

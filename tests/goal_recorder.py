@@ -1,7 +1,7 @@
 """A pytest plugin that fails a test in which an ``Arm`` sends a goal beyond its limits.
 
-It reads every packet on its way to simulated servos, in process and behind a pty, for every servo
-family. It costs nothing in tests without an arm. Packets of child processes are not seen.
+It reads every packet to simulated servos, in process and behind a pty, for every servo family. It
+has no cost in tests without an arm. It does not read packets of child processes.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class GoalRecorder:
         drives = {drive.id: drive for drive in config.drives}
         self._watched[id(bus)] = _Watched(bus, drives, bus.side.parser())
 
-    def see(self, bus: VirtualBus, data: bytes) -> None:
-        """Take bytes to the servos, before the servos have them."""
+    def read_bytes(self, bus: VirtualBus, data: bytes) -> None:
+        """Read bytes for the servos, before the servos receive them."""
         watched = self._watched.get(id(bus))
         if watched is None:
             return
@@ -75,11 +75,11 @@ class GoalRecorder:
                     continue
                 goal = drive.servo.table["goal_position"]
                 if address <= goal.address < address + len(written):
-                    at = goal.address - address
-                    self.check(bus, drive, goal.decode(written[at : at + goal.size]))
+                    offset = goal.address - address
+                    self.check(bus, drive, goal.decode(written[offset : offset + goal.size]))
 
     def check(self, bus: VirtualBus, drive: Any, goal: int) -> None:
-        """Take one goal for one servo, ticks."""
+        """Count one goal of one servo, ticks, and keep it if it is beyond the limits."""
         self.goals += 1
         first, last = drive.ticks_range
         if first <= goal <= last:
@@ -146,22 +146,22 @@ def _tap_bus(module: Any) -> None:
 
     def tapped(self: VirtualBus, data: bytes, baud: int | None = None) -> object:
         with self.lock:
-            _recorder.see(self, data)
+            _recorder.read_bytes(self, data)
             return respond(self, data, baud)
 
     module.VirtualBus.respond = tapped
 
 
 def _tap_arm(module: Any) -> None:
-    make = module.Arm.__init__
+    initialise = module.Arm.__init__
 
-    def made(self: Any, config: ArmConfig, *arguments: object, **options: object) -> None:
-        make(self, config, *arguments, **options)
+    def tapped(self: Any, config: ArmConfig, *arguments: object, **options: object) -> None:
+        initialise(self, config, *arguments, **options)
         servos = getattr(self.bus, "virtual_bus", None)
         if servos is not None:
             _recorder.watch(servos, config)
 
-    module.Arm.__init__ = made
+    module.Arm.__init__ = tapped
 
 
 _TAPS = {"robot_ik.hardware.virtual.bus": _tap_bus, "robot_ik.hardware.arm": _tap_arm}
@@ -191,7 +191,7 @@ class _Tapper(MetaPathFinder):
 
 
 def pytest_configure() -> None:
-    """Watch every arm from now on."""
+    """Watch every arm of this process."""
     for name in [name for name in _TAPS if name in sys.modules]:
         _TAPS.pop(name)(sys.modules[name])
     sys.meta_path.insert(0, _Tapper())

@@ -82,7 +82,7 @@ def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "key", "says"),
+    ("before", "after", "key", "message"),
     [
         ('solver = "dls"', 'solvr = "dls"', "solvr", "did you mean solver"),
         ('about = "between', 'abot = "between', "tools.grip.abot", "did you mean about"),
@@ -124,14 +124,14 @@ def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
     ],
 )
 def test_a_wrong_key_or_value_is_reported_with_file_key_and_what_is_allowed(
-    folder, before, after, key, says
+    folder, before, after, key, message
 ):
     assert before in FILE
     (folder / "robot.toml").write_text(FILE.replace(before, after))
     with pytest.raises(ConfigError) as caught:
         load_robot(folder)
     assert caught.value.file == folder / "robot.toml" and caught.value.key == key
-    assert says in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_slides_have_limits_of_motion_in_millimetres(folder):
@@ -173,7 +173,7 @@ def test_what_is_no_toml_or_no_file_is_reported(folder):
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "error", "says"),
+    ("before", "after", "error", "message"),
     [
         ('site = "tip"', 'site = "tipp"', UnknownFrameError, "did you mean 'tip'"),
         (
@@ -220,9 +220,9 @@ def test_what_is_no_toml_or_no_file_is_reported(folder):
         ),
     ],
 )
-def test_a_file_that_does_not_fit_its_model_is_reported(folder, before, after, error, says):
+def test_a_file_that_does_not_fit_its_model_is_reported(folder, before, after, error, message):
     (folder / "robot.toml").write_text(FILE.replace(before, after))
-    with pytest.raises(error, match=says):
+    with pytest.raises(error, match=message):
         load_robot(folder)
 
 

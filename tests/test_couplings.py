@@ -130,7 +130,7 @@ def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp
 
 
 @pytest.mark.parametrize(
-    ("equality", "says"),
+    ("equality", "message"),
     [
         (LAWS["linear"] + '<joint joint1="j3" joint2="j1"/>', "'j3' is coupled twice"),
         ('<joint joint1="j3" joint2="j2"/><joint joint1="j2" joint2="j3"/>', "in a circle"),
@@ -141,8 +141,8 @@ def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp
         ),
     ],
 )
-def test_couplings_that_make_no_sense_are_refused(tmp_path, equality, says):
-    with pytest.raises(UnsupportedJointError, match=says):
+def test_couplings_that_make_no_sense_are_refused(tmp_path, equality, message):
+    with pytest.raises(UnsupportedJointError, match=message):
         arm(tmp_path, equality)
 
 
@@ -199,8 +199,8 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
         assert abs(moved[25.0][0]) < 0.95 * abs(moved[1.0][0])
     with pytest.raises(UnsupportedGoalError, match="stiffness"):
         solve(stiff, near, solver="ccd")
-    for bad, says in (("j1 = 0.0", "stiffness"), ("j9 = 2.0", "j9")):
-        with pytest.raises((ConfigError, UnknownJointError), match=says):
+    for bad, message in (("j1 = 0.0", "stiffness"), ("j9 = 2.0", "j9")):
+        with pytest.raises((ConfigError, UnknownJointError), match=message):
             described(tmp_path, "[stiffness]\n" + bad)
 
 

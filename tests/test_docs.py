@@ -27,33 +27,14 @@ import tomllib
 import types
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from robot_ik.cli import main as cli
 from robot_ik.cli.main import find_command
-
-# The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location(
-    "doc_pages", Path(__file__).with_name("doc_pages.py")
-)
-assert _spec is not None and _spec.loader is not None
-pages: Any = importlib.util.module_from_spec(_spec)
-sys.modules[_spec.name] = pages  # dataclasses look it up
-_spec.loader.exec_module(pages)
-ROOT = pages.ROOT
-PAGES = pages.PAGES
-OTHERS = pages.OTHERS
-SHOWN = pages.SHOWN
-blocks = pages.blocks
-prose = pages.prose
-named = pages.named
+from tests.doc_pages import OTHERS, PAGES, ROOT, SHOWN, blocks, named, prose
 
 FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
-
-
-# Blocks are run
 
 
 @pytest.mark.parametrize(
@@ -79,7 +60,7 @@ def test_the_modules_of_the_recipes_pass_the_linter(title: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_what_a_page_shows_runs(
+def test_the_blocks_of_a_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, real_time: None
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -96,9 +77,8 @@ def test_what_a_page_shows_runs(
                 Path(block.file).parent.mkdir(parents=True, exist_ok=True)
                 Path(block.file).write_text(block.text, encoding="utf-8")
             if block.language == "python" and "append=" not in block.note:
-                padded = (
-                    "\n" * (block.line - 1) + block.text
-                )  # so that a traceback names the page's line
+                # The empty lines give a traceback the line number of the page.
+                padded = "\n" * (block.line - 1) + block.text
                 exec(compile(padded, str(page), "exec", dont_inherit=True), module.__dict__)
             elif block.language == "sh":
                 for line in block.text.splitlines():
@@ -127,9 +107,9 @@ def give(page: Path, folder: Path) -> None:
         )
     if "path/to/arm.xml" in text:
         (model,) = [
-            b
-            for b in blocks(ROOT / "docs" / "how-to" / "own_robot.md")
-            if b.file.endswith("desk_arm.xml")
+            block
+            for block in blocks(ROOT / "docs" / "how-to" / "own_robot.md")
+            if block.file.endswith("desk_arm.xml")
         ]
         (folder / "path" / "to").mkdir(parents=True)
         (folder / "path" / "to" / "arm.xml").write_text(model.text, encoding="utf-8")
@@ -172,10 +152,11 @@ def run_line(
         child = [sys.executable, "-m", "robot_ik", *words[1:-1]]
         beside.append(subprocess.Popen(child, stdout=subprocess.PIPE, text=True))
         out = beside[-1].stdout
-        assert out is not None and out.readline(), where  # it says its port when it is ready
+        assert out is not None and out.readline(), where  # the command prints its port when ready
     else:
-        wanted = int(found[1]) if (found := re.search(r"exit (\d)", comment)) else 0
-        assert cli.main(words[1:]) == wanted, where
+        match = re.search(r"exit (\d)", comment)
+        exit_code = int(match[1]) if match else 0
+        assert cli.main(words[1:]) == exit_code, where
 
 
 def check_options(words: list[str], where: str) -> None:
@@ -195,9 +176,6 @@ def targets() -> set[str]:
     return set(found)
 
 
-# What it names is there
-
-
 def slug(heading: str) -> str:
     kept = re.sub(r"[^\w\- ]", "", heading.strip().lower())
     return kept.replace(" ", "-")
@@ -209,10 +187,10 @@ def test_links_lead_somewhere(page: Path) -> None:
         if target.startswith("https://"):
             continue
         path, _, anchor = target.partition("#")
-        there = (page.parent / path).resolve() if path else page
-        assert there.exists(), f"{named(page)}: {target}"
+        linked_file = (page.parent / path).resolve() if path else page
+        assert linked_file.exists(), f"{named(page)}: {target}"
         if anchor:
-            headings = re.findall(r"^#+ (.*)$", prose(there), re.MULTILINE)
+            headings = re.findall(r"^#+ (.*)$", prose(linked_file), re.MULTILINE)
             assert anchor in map(slug, headings), f"{named(page)}: {target}"
 
 
@@ -220,8 +198,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_files_named_in_the_text_exist(page: Path) -> None:
     suffix = re.compile(r"\.(py|toml|md|xml|txt|png|jpg|urdf|yaml|run)$|/$")
     for name in re.findall(r"(?<!`)`([\w.\-/]+)`(?!`)", prose(page)):
-        made = name.startswith(("runs/", "/")) or "/" not in name
-        if made or not suffix.search(name):
+        is_created = name.startswith(("runs/", "/")) or "/" not in name
+        if is_created or not suffix.search(name):
             continue
         assert (ROOT / name).exists() or (page.parent / name).exists(), f"{named(page)}: {name}"
 
@@ -229,16 +207,17 @@ def test_files_named_in_the_text_exist(page: Path) -> None:
 def helps() -> dict[str, str]:
     import io
 
-    def asked(*words: str) -> str:
+    def help_of(*words: str) -> str:
         stream = io.StringIO()
         with contextlib.redirect_stdout(stream):
             cli.main([*words, "--help"])
         return stream.getvalue()
 
-    found = {}
+    texts = {}
     for name, command in cli.COMMANDS.items():
-        found[name] = " ".join([asked(name), *(asked(name, word) for word in command.subcommands)])
-    return found
+        parts = [help_of(name), *(help_of(name, word) for word in command.subcommands)]
+        texts[name] = " ".join(parts)
+    return texts
 
 
 def test_commands_and_options_named_in_the_text_exist() -> None:
@@ -265,7 +244,7 @@ def test_commands_and_options_named_in_the_text_exist() -> None:
                 assert flag in known, f"{named(page)}: {code}"
 
 
-def test_public_names_are_told_and_told_names_are_public() -> None:
+def test_the_pages_name_every_public_name_and_no_other() -> None:
     import robot_ik as rik
 
     everything = "".join(page.read_text(encoding="utf-8") for page in PAGES)
@@ -273,8 +252,8 @@ def test_public_names_are_told_and_told_names_are_public() -> None:
         for name in re.findall(r"\brik\.([A-Za-z_]\w*)", page.read_text(encoding="utf-8")):
             assert hasattr(rik, name), f"{named(page)}: rik.{name}"
     names = [name for name in rik.__all__ if not name.startswith("_")]
-    untold = [name for name in names if not re.search(rf"\b{name}\b", everything)]
-    assert not untold, f"public, and on no page: {untold}"
+    missing = [name for name in names if not re.search(rf"\b{name}\b", everything)]
+    assert not missing, f"public, and on no page: {missing}"
 
 
 @pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)

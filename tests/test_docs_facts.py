@@ -8,34 +8,16 @@ import importlib
 import importlib.util
 import json
 import re
-import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from robot_ik.cli import main as cli
+from tests.doc_pages import PAGES, ROOT, blocks, named, prose, script
 
-# The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location(
-    "doc_pages", Path(__file__).with_name("doc_pages.py")
-)
-assert _spec is not None and _spec.loader is not None
-pages: Any = importlib.util.module_from_spec(_spec)
-sys.modules[_spec.name] = pages  # dataclasses look it up
-_spec.loader.exec_module(pages)
-ROOT = pages.ROOT
-PAGES = pages.PAGES
-blocks = pages.blocks
-prose = pages.prose
-named = pages.named
-script = pages.script
 #: Files in which an install line could stand.
 TEXTS = {".py", ".md", ".toml", ".rst", ".yml", ".txt"}
-
-
-# Tables from the program
 
 
 def test_tables_are_what_the_program_says() -> None:
@@ -114,16 +96,15 @@ def test_make_reach_prints_what_the_page_shows(
     def labels(text: str) -> list[str]:
         return [m[0].strip() for m in re.finditer(r"^[a-z][\w ]*?(?=  )", text, re.MULTILINE)]
 
-    wanted = labels(shown.text)
-    assert wanted == labels(printed[printed.index("reach ") :])
-    assert {"goal", "solver", "read back", "camera", "result"} <= set(wanted)
-    # What the camera sees does not depend on the machine, but for rounding.
+    def numbers(text: str, line: str) -> list[float]:
+        return [float(x) for x in re.findall(r"-?\d+\.\d+", re.findall(line, text, re.M)[0])]
+
+    readme_labels = labels(block.text)
+    assert readme_labels == labels(printed[printed.index("reach ") :])
+    assert {"goal", "solver", "read back", "camera", "result"} <= set(readme_labels)
+    # The measurements of the camera differ between machines by rounding only.
     for line in (r"^marker 7 .*", r"^ +true at .*", r"^goal .*"):
-        one, other = (
-            re.findall(r"-?\d+\.\d+", re.findall(line, t, re.M)[0]) for t in (shown.text, printed)
-        )
-        assert [float(x) for x in one] == pytest.approx([float(x) for x in other], abs=0.11), line
-    # Both of the picture's captions and the files are named.
+        assert numbers(block.text, line) == pytest.approx(numbers(printed, line), abs=0.11), line
     assert {p.name for p in (tmp_path / "run").iterdir()} == {
         "reach.png",
         "trajectory.csv",
@@ -269,9 +250,6 @@ def test_contributors_are_told_the_steps_of_ci() -> None:
     assert re.findall(r"`([\w-]+)`", row) == [*steps.split(), "test"]
 
 
-# The site
-
-
 def test_the_api_page_lists_every_public_name() -> None:
     import robot_ik as rik
 
@@ -282,9 +260,6 @@ def test_the_api_page_lists_every_public_name() -> None:
         r"^\.\. auto\w+:: (robot_ik\.[\w.]+)\.(\w+)$", page, re.MULTILINE
     ):
         assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
-
-
-# The architecture
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def _servos() -> VirtualBus:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_whose_packets_are_on_the_wire_is_said_rightly(
+def test_the_table_names_the_source_of_the_packets_of_each_call(
     call: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     used: set[str] = set()

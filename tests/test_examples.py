@@ -107,9 +107,8 @@ def test_move_servos(run: Run, bus: tuple[str, ...], real_time: None) -> None:
     assert [name for name, *_ in rows] == [f"joint{k}" for k in range(1, 7)]
     for name, start, target, read in rows:
         assert abs(float(target) - float(start)) == pytest.approx(8.0, abs=0.02), name
-        assert float(read) == pytest.approx(float(target), abs=0.2), (
-            name
-        )  # two ticks of the coarsest joint
+        # Two ticks of the coarsest joint.
+        assert float(read) == pytest.approx(float(target), abs=0.2), name
     assert "left with torque_off, confirmed by 6 of 6 joints" in out
     assert 0.0 < number(r"largest lag ([\d.]+) deg", out) < 5.0
 
@@ -143,9 +142,9 @@ def test_whole_body(run: Run) -> None:
     assert [row[0] for row in near] == [0, 0, 1, 2, 3, 4]
     for _, name, mm, deg, met in near[:5]:
         assert mm <= 0.1 and deg <= 0.0573 and met == "yes", name
-    assert (
-        near[5][4] == "no" and near[5][3] > 5.0
-    )  # the posture only fills the freedom that is left
+    # The posture uses only the freedom that the other goals leave.
+    assert near[5][4] == "no"
+    assert near[5][3] > 5.0
 
 
 def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(
@@ -154,9 +153,8 @@ def test_whole_body_keeps_its_feet_where_the_hand_cannot_come(
     program(EXAMPLES / "04_whole_body.py").main(1.3, -0.3, 1.2)
     far = table(capsys.readouterr().out)
     assert [row[4] for row in far[:4]] == ["yes", "yes", "yes", "no"]
-    assert (
-        100.0 < far[3][2] < 400.0
-    )  # the arm's length and what a leaning trunk adds are not enough
+    # The length of the arm and a leaning trunk are not enough.
+    assert 100.0 < far[3][2] < 400.0
 
 
 def test_lion(run: Run) -> None:

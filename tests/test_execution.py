@@ -182,9 +182,8 @@ def test_no_sink_can_bend_the_command():
 def test_progress_counts_to_the_end():
     seen = []
     execute(ramp(), [], clock=VirtualClock(), on_tick=seen.append, settle=0.05)
-    assert [tick.index for tick in seen] == list(range(106)) and {tick.count for tick in seen} == {
-        106
-    }
+    assert [tick.index for tick in seen] == list(range(106))
+    assert {tick.count for tick in seen} == {106}
     assert seen[-1].time == pytest.approx(1.05) and seen[0].measured is None
 
 

@@ -102,25 +102,26 @@ for _ in range(20):
 
 def block(note: str, text: str) -> str:
     """Return the only block with this first line that contains ``text``."""
-    found = re.findall(rf"^```{re.escape(note)}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    (code,) = [code for code in found if text in code]
+    codes = re.findall(rf"^```{re.escape(note)}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    (code,) = [code for code in codes if text in code]
     return code
 
 
 def insert(file: Path, before: str, text: str) -> None:
-    """Insert a text before the only place in a file where ``before`` stands."""
+    """Insert a text before the only occurrence of ``before`` in a file."""
     source = file.read_text(encoding="utf-8")
     assert source.count(before) == 1, f"{file.name}: {before!r}"
     file.write_text(source.replace(before, text + before), encoding="utf-8")
 
 
 def indented(text: str) -> str:
+    """Return a text whose lines are indented by eight spaces, as a case of ``residuals.py``."""
     return "".join(f"        {line}" for line in text.splitlines(keepends=True))
 
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """A copy of the package, with the bundled models."""
+    """Return a copy of the package, with the bundled models."""
     copy = tmp_path / "robot_ik"
     shutil.copytree(ROOT / "robot_ik", copy, ignore=shutil.ignore_patterns("__pycache__"))
     (copy / "models").symlink_to(ROOT / "models")
@@ -132,8 +133,8 @@ def run(package: Path, code: str) -> None:
     script = package.parent / "recipe.py"
     script.write_text(USE_COPY + code, encoding="utf-8")
     command = [sys.executable, str(script), str(package.parent)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    completed = subprocess.run(command, capture_output=True, text=True)
+    assert completed.returncode == 0, completed.stderr
 
 
 def test_a_solver_is_one_file_and_one_row(package: Path) -> None:

@@ -214,7 +214,7 @@ def test_a_pose_owns_its_numbers_and_keeps_them():
 
 
 @pytest.mark.parametrize(
-    ("position", "wxyz", "says"),
+    ("position", "wxyz", "message"),
     [
         ((0, 0), (1, 0, 0, 0), "a position must be 3 numbers, not 2"),
         ((0, 0, 0), (1, 0, 0), "wxyz must be 4 numbers, not 3"),
@@ -223,8 +223,8 @@ def test_a_pose_owns_its_numbers_and_keeps_them():
         ((0, 0, 0), (0, 0, 0, 0), "zero quaternion"),
     ],
 )
-def test_nonsense_is_no_pose(position, wxyz, says):
-    with pytest.raises(ValueError, match=says):
+def test_nonsense_is_no_pose(position, wxyz, message):
+    with pytest.raises(ValueError, match=message):
         Pose(position, wxyz)
     with pytest.raises(ValueError, match="homogeneous"):
         Pose.from_matrix(np.eye(3))
@@ -260,7 +260,7 @@ def test_what_is_not_finite_is_no_pose(bad):
 
 
 @pytest.mark.parametrize(
-    ("rotation", "last_row", "says"),
+    ("rotation", "last_row", "message"),
     [
         (2.0 * np.eye(3), (0, 0, 0, 1), "scales or mirrors"),
         (np.zeros((3, 3)), (0, 0, 0, 1), "scales or mirrors"),
@@ -268,11 +268,11 @@ def test_what_is_not_finite_is_no_pose(bad):
         (np.eye(3), (1, 0, 0, 1), "last row"),
     ],
 )
-def test_a_matrix_that_is_no_rotation_and_shift_is_no_pose(rotation, last_row, says):
+def test_a_matrix_that_is_no_rotation_and_shift_is_no_pose(rotation, last_row, message):
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[3] = last_row
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(ValueError, match=message):
         Pose.from_matrix(matrix)
 
 

@@ -35,11 +35,9 @@ def test_targets_and_weights():
     assert OrientationGoal("tool", QUARTER).weights == (0.0, 1.0)
     pose = Pose((1, 2, 3), QUARTER)
     goal = PoseGoal.at("tool", pose)
-    assert (
-        goal.target.distance(pose) == (0.0, 0.0)
-        and goal.weights == (1.0, 1.0)
-        and goal.frame == "tool"
-    )
+    assert goal.target.distance(pose) == (0.0, 0.0)
+    assert goal.weights == (1.0, 1.0)
+    assert goal.frame == "tool"
 
 
 MADE = [
@@ -89,7 +87,7 @@ def test_every_kind_is_tried_above_and_below():
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda: PositionGoal("tool", (1, 2)), "3 numbers"),
         (lambda: PositionGoal("tool"), "3 numbers"),
@@ -121,8 +119,8 @@ def test_every_kind_is_tried_above_and_below():
         (lambda: PostureGoal(q=(0, 1), joints={"elbow": -1.0}), "elbow"),
     ],
 )
-def test_what_makes_no_sense_is_refused(make, says):
-    with pytest.raises(InvalidGoalError, match=says):
+def test_what_makes_no_sense_is_refused(make, message):
+    with pytest.raises(InvalidGoalError, match=message):
         make()
 
 

@@ -215,14 +215,7 @@ def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_thei
         lambda: rik.solve(robot, PoseGoal.at(None, pose), solver="lm"),
         lambda: rik.solve(robot, PoseGoal.at(None, pose), solver="lm", patience=7),
         lambda: rik.solve(robot, PoseGoal.at(None, pose), tolerance=rik.Tolerance(1e-6, 1e-6)),
-        lambda: rik.solve(
-            robot,
-            PoseGoal.at(
-                None,
-                pose,
-            ),
-            solver=make_solver("dls", damping=0.3),
-        ),
+        lambda: rik.solve(robot, PoseGoal.at(None, pose), solver=make_solver("dls", damping=0.3)),
     ]
     results = [call() for call in calls]
     assert len(compiled) == len(calls)

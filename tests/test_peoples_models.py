@@ -265,7 +265,7 @@ def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize(
-    ("was", "becomes", "says"),
+    ("was", "becomes", "message"),
     [
         ('xyz="0 0 .3"', 'xyz="0 0 ${length}"', "xacro file"),
         (
@@ -276,21 +276,22 @@ def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
         ('"bend"', '"turn"', "two joints are called 'turn'"),
     ],
 )
-def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, says: str) -> None:
-    with pytest.raises(ModelError, match=says):
+def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
         rik.load_robot(URDF.replace(was, becomes))
-    namespace = (
-        '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
-    )
+    # xacro does not remove its namespace.
+    namespace = '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'
     assert rik.load_robot(URDF.replace('<robot name="two">', namespace)).nv == 2
 
 
 @pytest.mark.parametrize("limit", ["0", "0.5"])
 def test_a_urdf_joint_that_cannot_move_is_refused_and_not_unlimited(limit: str) -> None:
     still = URDF.replace('lower="-2" upper="2" velocity="1.3"', f'lower="{limit}" upper="{limit}"')
-    with pytest.raises(ModelError, match=rf"joint 'bend' has the limits {limit} … {limit}") as told:
+    with pytest.raises(
+        ModelError, match=rf"joint 'bend' has the limits {limit} … {limit}"
+    ) as caught:
         rik.load_robot(still)
-    assert 'type="fixed"' in told.value.hint and 'type="continuous"' in told.value.hint
+    assert 'type="fixed"' in caught.value.hint and 'type="continuous"' in caught.value.hint
 
 
 def test_a_urdf_with_one_limit_has_zero_for_the_other() -> None:
@@ -299,18 +300,18 @@ def test_a_urdf_with_one_limit_has_zero_for_the_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("leader", "says", "hint"),
+    ("leader", "message", "hint"),
     [
         ("tern", "'bend' mimics 'tern', which does not exist", "did you mean turn"),
         ("end", "'bend' mimics 'end', but 'end' is fixed", "one of: turn"),
         ("bend", "'bend' mimics 'bend', which is itself", "turn"),
     ],
 )
-def test_a_urdf_joint_that_follows_nobody_is_refused(leader: str, says: str, hint: str) -> None:
+def test_a_urdf_joint_that_follows_nobody_is_refused(leader: str, message: str, hint: str) -> None:
     limit = '<limit lower="-2" upper="2" velocity="1.3" effort="1"/>'
-    with pytest.raises(ModelError, match=says) as told:
+    with pytest.raises(ModelError, match=message) as caught:
         rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="{leader}"/>'))
-    assert hint in told.value.hint
+    assert hint in caught.value.hint
     robot = rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="turn" multiplier="-1"/>'))
     assert robot.apply_couplings([0.5, 0.0]).tolist() == [0.5, -0.5]
 
@@ -319,9 +320,9 @@ def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
     for name in ("arm.mjcf", "arm.toml", "arm"):
         path = tmp_path / name
         path.write_text(NAMELESS)
-        with pytest.raises(ModelError) as told:
+        with pytest.raises(ModelError) as caught:
             rik.load_robot(path)
-        assert "ends with .xml or .urdf" in told.value.hint
+        assert "ends with .xml or .urdf" in caught.value.hint
 
 
 def test_a_model_in_millimetres_is_a_robot_however_heavy() -> None:

@@ -73,7 +73,7 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
 
 
 @pytest.mark.parametrize(
-    ("target", "says"),
+    ("target", "message"),
     [
         ((1, 2), "finite position"),
         ((1, np.nan, 2), "finite position"),
@@ -82,10 +82,10 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
         (PoseGoal("gripper", (1, 0, 0), angle_weight=0.0), "weight"),
     ],
 )
-def test_a_target_of_another_kind_is_refused_and_changes_nothing(puma, target, says):
+def test_a_target_of_another_kind_is_refused_and_changes_nothing(puma, target, message):
     problem = Problem(puma, PoseGoal("gripper", (0.1, 0.2, 0.3)))
     before = targets_of(problem)
-    with pytest.raises(InvalidGoalError, match=says):
+    with pytest.raises(InvalidGoalError, match=message):
         problem.retarget(target)
     assert np.array_equal(targets_of(problem), before)
 
@@ -135,7 +135,7 @@ def test_several_targets_are_moved_at_once_by_frame_or_index(puma):
 
 
 @pytest.mark.parametrize(
-    ("targets", "says"),
+    ("targets", "message"),
     [
         ({"flange": (0, 0, 1)}, "2 goals .* frame 'flange'"),
         ({"elbow": (0, 0, 1)}, "no goals .* frame 'elbow'"),
@@ -148,11 +148,11 @@ def test_several_targets_are_moved_at_once_by_frame_or_index(puma):
         ({0: Pose(), 1: PositionGoal("gripper", (0, 0, 1))}, "is a position goal"),
     ],
 )
-def test_of_several_targets_all_are_taken_or_none(puma, targets, says):
+def test_of_several_targets_all_are_taken_or_none(puma, targets, message):
     problem = several(puma)
     before = targets_of(problem)
     goals = problem.goals
-    with pytest.raises(InvalidGoalError, match=says):
+    with pytest.raises(InvalidGoalError, match=message):
         problem.retarget(targets)
     assert np.array_equal(targets_of(problem), before) and problem.goals == goals
 
@@ -193,9 +193,8 @@ def test_goals_show_the_targets_that_they_have_now(puma):
         for shown in (problem.goals, problem.solve().goals, copy.deepcopy(problem).goals):
             assert isinstance(shown[0], PoseGoal) and shown[0].weights == goal.weights
             assert shown[0].target.distance(then) == pytest.approx((0, 0), abs=1e-7)
-        assert before.goals[0].target.distance(first) == pytest.approx(
-            (0, 0), abs=1e-7
-        )  # as it was then
+        # A solution keeps the targets of its own solve.
+        assert before.goals[0].target.distance(first) == pytest.approx((0, 0), abs=1e-7)
     assert problem.given[0] is move  # a goal is taken as it is
 
 

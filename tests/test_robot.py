@@ -53,14 +53,8 @@ def test_a_file_is_a_robot(arm_file):
         2,
         0.4,
     ]
-    assert robot.home.tolist() == [
-        0.5,
-        0.3,
-        1,
-        0,
-        0,
-        0,
-    ]  # the keyframe "home" comes before the first
+    # The keyframe "home" comes before the first keyframe.
+    assert robot.home.tolist() == [0.5, 0.3, 1, 0, 0, 0]
     assert (
         robot.velocity_limits.shape == robot.acceleration_limits.shape == (5,)
         and (robot.velocity_limits > 0).all()
@@ -81,10 +75,9 @@ def test_a_urdf_is_a_robot(tmp_path):
 def test_frozen_joints_stand_at_home(arm_file):
     whole = load_robot(arm_file)
     part = load_robot(arm_file, joints=["wrist", "shoulder"])
-    assert part.joints == ("shoulder", "wrist") and (part.nq, part.nv) == (
-        5,
-        4,
-    )  # in declared order
+    # The joints are in the order of the model.
+    assert part.joints == ("shoulder", "wrist")
+    assert (part.nq, part.nv) == (5, 4)
     q = part.sample(np.random.default_rng(0))
     full = part.qpos(q)
     assert full[1] == 0.3
@@ -224,13 +217,8 @@ def test_a_model_without_moving_joints_is_no_robot(tmp_path):
 def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
     robot = load_robot(arm_file)
     narrow = robot.with_limits(-0.5, 0.5)
-    for one in (
-        robot,
-        narrow,
-        copy.copy(robot),
-        copy.deepcopy(robot),
-        pickle.loads(pickle.dumps(robot)),
-    ):
+    copies = (copy.copy(robot), copy.deepcopy(robot), pickle.loads(pickle.dumps(robot)))
+    for other in (robot, narrow, *copies):
         for name in (
             "home",
             "lower",
@@ -240,11 +228,11 @@ def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
             "stiffness",
             "frozen_qpos",
         ):
-            array = getattr(one, name)
+            array = getattr(other, name)
             with pytest.raises(ValueError, match="read-only"):
                 array[0] = 0.5
     q = robot.home.copy()
-    q += 0.1  # a copy is one's own
+    q += 0.1  # a copy is writable
     node, local = robot.attachment("tcp")
     local[:] = 7.0
     assert robot.attachment("tcp")[0] == node and not (robot.attachment("tcp")[1] == 7.0).any()

@@ -16,9 +16,9 @@ from tests.waiting import wait_for
 
 @pytest.fixture
 def guards() -> Iterator[list[ExitGuard]]:
-    made = [ExitGuard(lambda: None) for _ in range(3)]
-    yield made
-    for guard in made:
+    guards = [ExitGuard(lambda: None) for _ in range(3)]
+    yield guards
+    for guard in guards:
         guard.remove()
 
 
@@ -86,7 +86,7 @@ def test_the_outermost_of_nested_decorated_functions_ends_the_wait(guards):
     assert done == ["outer"]
 
 
-def test_a_decorated_function_leaves_the_handlers_of_a_program_alone(calls):
+def test_a_decorated_function_does_not_change_the_handlers_of_a_program(calls):
     before = handlers()
     reached: list[object] = []
 
@@ -210,22 +210,22 @@ def test_ignored_signals_stay_ignored(guards):
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_handler_put_above_ours_meanwhile_stays_and_reaches_what_was_before(guards, calls):
+def test_a_later_handler_stays_and_its_call_reaches_the_first_handler(guards, calls):
     guards[0].install()
-    ours = signal.getsignal(signal.SIGTERM)
-    assert callable(ours)
-    above = []
+    guard_handler = signal.getsignal(signal.SIGTERM)
+    assert callable(guard_handler)
+    later_calls = []
 
     def handle(number, frame):
-        above.append(number)
-        ours(number, frame)
+        later_calls.append(number)
+        guard_handler(number, frame)
 
     signal.signal(signal.SIGTERM, handle)
     with pytest.raises(SystemExit):
         signal.raise_signal(signal.SIGTERM)
     guards[0].remove()
     signal.raise_signal(signal.SIGTERM)  # without a guard it passes through to the first handler
-    assert above == [signal.SIGTERM] * 2
+    assert later_calls == [signal.SIGTERM] * 2
     assert calls == [signal.SIGTERM]
 
 
@@ -238,7 +238,7 @@ def test_outside_the_main_thread_no_handler_is_touched(guards):
 
 
 class InterruptingPicture(np.ndarray):
-    """A picture that raises Ctrl-C when a film looks at it."""
+    """A picture that raises SIGINT when its shape is read."""
 
     @property
     def shape(self):

@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from robot_ik import load_robot
 from robot_ik.solvers import SOLVERS
+from tests.doc_pages import ROOT, script
 
-# The helpers lie beside this file; they are nobody's package.
-_spec = importlib.util.spec_from_file_location(
-    "doc_pages", Path(__file__).with_name("doc_pages.py")
-)
-assert _spec is not None and _spec.loader is not None
-pages: Any = importlib.util.module_from_spec(_spec)
-sys.modules[_spec.name] = pages  # dataclasses look it up
-_spec.loader.exec_module(pages)
-script = pages.script
-
-DOCS = pages.ROOT / "docs"
+DOCS = ROOT / "docs"
 METHODS = DOCS / "reference" / "solvers"
 PLOTS = DOCS / "images" / "solvers"
 HEADINGS = [

@@ -23,15 +23,15 @@ def puma() -> rik.Robot:
 @pytest.fixture
 def builds(monkeypatch: pytest.MonkeyPatch) -> list[Problem]:
     """The problems that are built during a test."""
-    built: list[Problem] = []
-    build = Problem.__init__
+    problems: list[Problem] = []
+    initialise = Problem.__init__
 
-    def count(problem: Problem, *arguments: object, **options: object) -> None:
-        built.append(problem)
-        build(problem, *arguments, **options)  # type: ignore[arg-type]
+    def record(problem: Problem, *arguments: object, **options: object) -> None:
+        problems.append(problem)
+        initialise(problem, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Problem, "__init__", count)
-    return built
+    monkeypatch.setattr(Problem, "__init__", record)
+    return problems
 
 
 def conflicting_goals(robot: rik.Robot, weight: float) -> list[rik.Goal]:
@@ -46,9 +46,9 @@ def conflicting_goals(robot: rik.Robot, weight: float) -> list[rik.Goal]:
 
 def weighted_goals(robot: rik.Robot, weights: tuple[float, float]) -> dict[str, list[rik.Goal]]:
     """Return goals of each kind that exclude a position goal beside them."""
-    here = robot.forward(robot.home)
+    tool = robot.forward(robot.home)
     first, second = weights
-    aside = here.position + np.array([0.1, 0.05, -0.1])
+    aside = tool.position + np.array([0.1, 0.05, -0.1])
     turned = (0.9, 0.1, -0.2, 0.3)
     goals: dict[str, rik.Goal] = {
         "position": rik.PositionGoal("flange", aside, weight=first),
@@ -69,7 +69,7 @@ def weighted_goals(robot: rik.Robot, weights: tuple[float, float]) -> dict[str, 
         ),
     }
     return {
-        kind: [goal, rik.PositionGoal("gripper", here.position)] for kind, goal in goals.items()
+        kind: [goal, rik.PositionGoal("gripper", tool.position)] for kind, goal in goals.items()
     }
 
 
@@ -113,9 +113,9 @@ def test_weights_of_a_refused_mapping_are_not_taken(puma: rik.Robot) -> None:
 
 
 def test_a_weight_that_becomes_zero_is_another_kind(puma: rik.Robot) -> None:
-    here = puma.forward(puma.home)
-    problem = Problem(puma, rik.PoseGoal.at("gripper", here))
-    point = rik.PoseGoal("gripper", here.position, here.wxyz, angle_weight=0.0)
+    tool = puma.forward(puma.home)
+    problem = Problem(puma, rik.PoseGoal.at("gripper", tool))
+    point = rik.PoseGoal("gripper", tool.position, tool.wxyz, angle_weight=0.0)
     with pytest.raises(InvalidGoalError, match="weight that becomes zero"):
         problem.retarget(point)
 
@@ -151,12 +151,12 @@ class ShiftingWeights:
 
     def poll(self, now: float) -> list[rik.Goal]:
         """Return two positions that exclude each other."""
-        heavy, light = conflicting_goals(self._robot, next(self._weights))
-        assert isinstance(heavy, rik.PositionGoal)
+        weighted, other = conflicting_goals(self._robot, next(self._weights))
+        assert isinstance(weighted, rik.PositionGoal)
         moved = rik.PositionGoal(
-            "gripper", heavy.position + np.array([0.0, 0.01 * now, 0.0]), weight=heavy.weight
+            "gripper", weighted.position + np.array([0.0, 0.01 * now, 0.0]), weight=weighted.weight
         )
-        return [moved, light]
+        return [moved, other]
 
 
 def test_follow_builds_one_problem_for_weights_that_change_every_tick(

@@ -40,7 +40,7 @@ def follow(robot, **options):
 
 
 @pytest.mark.parametrize(
-    ("call", "says"),
+    ("call", "message"),
     [
         (lambda r, goal: rik.solve_batch(r, [[0.3, 0.1, 0.8]], threads=1.5), "threads: 1.5"),
         (lambda r, goal: rik.solve_batch(r, [[0.3, 0.1, 0.8]], threads="2"), "threads: '2'"),
@@ -82,8 +82,8 @@ def follow(robot, **options):
         (lambda r, goal: follow(r, tolerance=1), "tolerance: 1"),
     ],
 )
-def test_wrong_arguments_are_refused_in_a_sentence(puma, goal, call, says):
-    with pytest.raises(RobotIkError, match=says):
+def test_wrong_arguments_are_refused_in_a_sentence(puma, goal, call, message):
+    with pytest.raises(RobotIkError, match=message):
         call(puma, goal)
 
 

@@ -77,8 +77,11 @@ def compare_times(old: str, new: str, methods: Sequence[str], rounds: int) -> No
 
 
 def compare_compile(old: str, new: str, methods: Sequence[str], rounds: int) -> None:
-    """Print CPU seconds of a first solve with an empty cache, the two versions in turn."""
-    print("\nfirst compile with an empty cache, CPU seconds: old, new, ratio")
+    """Print CPU seconds of a first solve with an empty cache, the two versions in turn.
+
+    The seconds are the least of all rounds, the ratio is the median of the pairs.
+    """
+    print("\nfirst compile with an empty cache, CPU seconds: old, new (least), ratio (median)")
     for method in methods:
         pairs = []
         for _ in range(rounds):
@@ -101,16 +104,18 @@ def main() -> None:
     parser.add_argument("new", help="Python of the new version")
     parser.add_argument("--goals", type=int, default=100, help="Goals of each count")
     parser.add_argument("--rounds", type=int, default=3, help="Pairs of each timing")
-    parser.add_argument("--only", choices=("counts", "times", "compile"), help="One measurement")
-    parser.add_argument("--method", help="One method")
+    parser.add_argument(
+        "--only", choices=("counts", "times", "compile"), help="Run this measurement only"
+    )
+    parser.add_argument("--method", help="Measure this method only")
     options = parser.parse_args()
-    chosen = [options.method] if options.method else None
+    methods = [options.method] if options.method else None
     if options.only in (None, "counts"):
-        compare_counts(options.old, options.new, chosen or _COUNTED, options.goals)
+        compare_counts(options.old, options.new, methods or _COUNTED, options.goals)
     if options.only in (None, "times"):
-        compare_times(options.old, options.new, chosen or _TIMED, options.rounds)
+        compare_times(options.old, options.new, methods or _TIMED, options.rounds)
     if options.only in (None, "compile"):
-        compare_compile(options.old, options.new, chosen or _COMPILED, options.rounds)
+        compare_compile(options.old, options.new, methods or _COMPILED, options.rounds)
 
 
 if __name__ == "__main__":

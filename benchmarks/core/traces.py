@@ -3,8 +3,8 @@
     python benchmarks/core/traces.py OLD_PYTHON NEW_PYTHON [--method transpose] [--goals 300]
         [--seed 20]
 
-Both versions solve the same seeded poses of the PUMA from home. The script prints how the costs of
-the two traces of a goal drift apart, and the paired difference of the steps with its standard
+Both versions solve the same seeded poses of the PUMA from home. The script prints at which step the
+costs of the two traces of a goal differ, and the paired difference of the steps with its standard
 error. If the first difference is a rounding error and the mean difference is not significant, the
 two versions take the same steps.
 """
@@ -63,9 +63,9 @@ def main() -> None:
     drift = [first_steps(a["costs"], b["costs"]) for a, b in zip(old, new, strict=True)]
     print("median first step at which the costs differ by more than")
     for limit, column in zip(_DIFFERENCES, zip(*drift, strict=True), strict=True):
-        known = [step for step in column if step is not None]
-        median = np.median(known) if known else float("nan")
-        print(f"  {limit:7.0e}  {median:7.0f}  ({len(known)} of {len(column)} goals)")
+        first = [step for step in column if step is not None]
+        median = np.median(first) if first else float("nan")
+        print(f"  {limit:7.0e}  {median:7.0f}  ({len(first)} of {len(column)} goals)")
     steps = np.array([[row["steps"] for row in rows] for rows in (old, new)], dtype=float)
     change = steps[1] - steps[0]
     error = change.std(ddof=1) / np.sqrt(len(change))

@@ -141,13 +141,13 @@ def times(robot: Any, method: str) -> dict[str, float]:
     path_goals = [rik.PoseGoal.at(None, rik.Pose.from_matrix(pose)) for pose in path]
 
     def warm_tracking() -> list[float]:
-        taken = []
+        durations = []
         last = robot.home
         for goal in path_goals:
             began = time.perf_counter()
             last = rik.solve(robot, goal, solver=method, start=last).q
-            taken.append(time.perf_counter() - began)
-        return taken
+            durations.append(time.perf_counter() - began)
+        return durations
 
     runs = {
         "warm": warm,

@@ -161,11 +161,11 @@ def linearise_points(
         position: (3,) of the body in the camera's frame, metres.
     """
     groups, size, _ = points.shape
-    numbers = 2 * size
-    difference = np.empty(numbers)
-    slopes = np.empty((numbers, 6))
-    residual = np.zeros(groups * numbers)
-    jacobian = np.zeros((groups * numbers, 6))
+    coordinates = 2 * size
+    difference = np.empty(coordinates)
+    slopes = np.empty((coordinates, 6))
+    residual = np.zeros(groups * coordinates)
+    jacobian = np.zeros((groups * coordinates, 6))
     for group in range(groups):
         for k in range(size):
             point = points[group, k]
@@ -179,9 +179,9 @@ def linearise_points(
             difference[2 * k + 1] = v - normalized[group, k, 1]
             _write_slopes(slopes[2 * k], inverse_depth, 0.0, -u * inverse_depth, x, y, z)
             _write_slopes(slopes[2 * k + 1], 0.0, inverse_depth, -v * inverse_depth, x, y, z)
-        for i in range(numbers):
-            row = group * numbers + i
-            for j in range(numbers):
+        for i in range(coordinates):
+            row = group * coordinates + i
+            for j in range(coordinates):
                 whitener = whiteners[group, i, j]
                 residual[row] += whitener * difference[j]
                 for axis in range(6):

@@ -70,6 +70,10 @@ PIXEL = np.dtype(
 
 # Information of an unknown that a step does not change.
 _FIXED = 1e15
+# Damping of the normal equations, relative to the diagonal and absolute. It keeps the matrix
+# regular if the pixels give no information on an unknown, and is negligible otherwise.
+_RELATIVE_DAMPING = 1e-10
+_ABSOLUTE_DAMPING = 1e-12
 # Residuals beyond this many standard deviations lose weight (Cauchy weights).
 CAUCHY = 4.0
 # Of the pixels far from any edge, one in this number is kept. They only see dark and contrast.
@@ -327,7 +331,7 @@ def add_prior(gram, unknowns, prior_mean, noise):
         # The blur is at its bound: fix it.
         blur_information = _FIXED
     for i in range(size):
-        matrix[i, i] += 1e-10 * matrix[i, i] + 1e-12
+        matrix[i, i] += _RELATIVE_DAMPING * matrix[i, i] + _ABSOLUTE_DAMPING
     matrix[LOG_BLUR, LOG_BLUR] += blur_information
     matrix[SHIFT, SHIFT] += shift_information
     return matrix, right

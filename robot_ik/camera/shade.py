@@ -68,6 +68,7 @@ def _nodes_before(position: Array, cells: int) -> tuple[NDArray[np.intp], Array]
 
     The nodes are at the borders of the cells and of the margin.
     """
+    # The last node has no next one, so positions end just before it.
     x = np.clip((position + 0.5) * cells + 1.0, 0.0, cells + 1.999)
     node = x.astype(np.intp)
     return node, x - node

@@ -1,4 +1,4 @@
-"""Doors to LeRobot.
+"""Interfaces to LeRobot.
 
 ``Kinematics`` replaces LeRobot's ``RobotKinematics``. It needs neither LeRobot nor placo.
 

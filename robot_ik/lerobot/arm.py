@@ -43,18 +43,18 @@ TOOL_GRIPPER = "ee.gripper_pos"
 """Gripper opening of a tool action, 0 to 100."""
 
 MAX_STEP = 0.8
-"""rad. A solution this far from the last command holds the tool in another way, such as with the
-elbow down."""
+"""rad. A joint that moves farther than this in one action means another branch, such as elbow down
+instead of elbow up."""
 
 NEARBY = 0.05
-"""m. A tool action this near to the last command must not change the way the tool is held."""
+"""m. A tool action this near to the last command must not change the branch."""
 
 
 class RobotIkArm(Robot):
     """An arm of servos with limits, caps and an exit policy, driven by LeRobot.
 
-    A simulated arm has the zeros of its arm file. A real one has those of LeRobot's calibration
-    file, if there is one.
+    A simulated arm has the zeros of its arm file. A real arm has the zeros of LeRobot's calibration
+    file, or of its arm file if there is no calibration file.
 
     Args:
         config: Options.
@@ -65,7 +65,7 @@ class RobotIkArm(Robot):
         kinematics: Kinematics of the tool. ``kinematics.last`` is the last solution of a tool
             action.
         bus: Motors and positions for programs that use ``robot.bus``.
-        refused: Number of tool actions since ``connect`` that were not followed.
+        refused: Number of refused tool actions since ``connect``.
 
     Raises:
         ConfigError: There is no such arm file, or the calibration file does not fit it.
@@ -125,8 +125,8 @@ class RobotIkArm(Robot):
 
         Args:
             calibrate: True: calibrate an arm that is not calibrated, then switch torque on.
-                False: ask nothing and switch no torque on. An arm that is not calibrated is then
-                open for ``calibrate`` only.
+                False: wait for no input and switch no torque on. An arm that is not calibrated is
+                then open for ``calibrate`` only.
         """
         try:
             if not self.is_calibrated:
@@ -147,7 +147,7 @@ class RobotIkArm(Robot):
         log.info("%s connected", self)
 
     def configure(self) -> None:
-        """Switch torque on at the present pose. ``connect`` has set the servos up before."""
+        """Switch torque on at the present pose. ``connect`` sets the servos up before."""
         self._require_arm().enable(handle_signals=False)
 
     def calibrate(self) -> None:
@@ -197,7 +197,7 @@ class RobotIkArm(Robot):
         return pose
 
     def disconnect(self) -> None:
-        """Leave the arm as its exit policy says and close everything.
+        """Apply the exit policy of the arm, and close the bus and the cameras.
 
         It may be called any number of times.
         """
@@ -246,10 +246,13 @@ class RobotIkArm(Robot):
         Raises:
             ArmStateError: The arm is not connected, or only for its calibration.
         """
-        if self.arm is None:
+        if self._calibration_bus is not None:
             raise ArmStateError(
-                "the arm is not connected", hint="call connect(); calibrate it first"
+                "the arm is connected for its calibration only",
+                hint="call calibrate() and disconnect(), then connect()",
             )
+        if self.arm is None:
+            raise ArmStateError("the arm is not connected", hint="call connect()")
         return self.arm
 
     def _make_cameras(self) -> dict[str, Camera]:
@@ -285,7 +288,7 @@ class RobotIkArm(Robot):
         return dict(zip(TOOL_KEYS, numbers, strict=True))
 
     def _solve(self, action: Mapping[str, Any]) -> dict[str, float]:
-        """Return joint values for a tool action; the last command again if it is refused."""
+        """Return joint values for a tool action; those of the last command if it is refused."""
         missing = [key for key in TOOL_KEYS if key not in action]
         if missing:
             raise UnsafeCommandError(
@@ -295,22 +298,24 @@ class RobotIkArm(Robot):
         if not np.isfinite(numbers).all():
             raise UnsafeCommandError(f"a tool action of {numbers.tolist()}", "finite numbers")
         last = self._q(self._sent)
-        numbers_of_last = [
-            self._units.number(name, self._sent[name]) for name in self._robot.joints
-        ]
+        last_numbers = [self._units.number(name, self._sent[name]) for name in self._robot.joints]
         target = Pose(numbers[:3], rotation_exp(numbers[3:]))
-        solved = self.kinematics.inverse_kinematics(numbers_of_last, target.matrix)
+        solved = self.kinematics.inverse_kinematics(last_numbers, target.matrix)
         values = {
             joint: self._units.value(joint, number)
             for joint, number in zip(self._robot.joints, solved.tolist(), strict=True)
         }
         is_near = self._robot.forward(last).distance(target)[0] < NEARBY
-        if is_near and np.abs(self._q(values) - last).max() > MAX_STEP:
+        joint_step = float(np.abs(self._q(values) - last).max())
+        if is_near and joint_step > MAX_STEP:
             self.refused += 1
             if self.refused == 1:
                 log.warning(
-                    "a small step of the tool needs a large motion of the joints; it is refused "
-                    "until the tool is moved on"
+                    "tool action refused: a step of the tool below %g m needs a joint step of "
+                    "%.2f rad (at most %g rad); move the tool farther, or to another side",
+                    NEARBY,
+                    joint_step,
+                    MAX_STEP,
                 )
             values = dict(zip(self._robot.joints, last.tolist(), strict=True))
         if TOOL_GRIPPER in action:

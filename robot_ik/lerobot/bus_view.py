@@ -1,4 +1,4 @@
-"""What LeRobot's programs expect under ``robot.bus``."""
+"""The interface that LeRobot's programs use as ``robot.bus``."""
 
 from __future__ import annotations
 
@@ -53,5 +53,5 @@ class BusView:
 def _require(data_name: str, allowed: str) -> None:
     if data_name != allowed:
         raise NotImplementedError(
-            f"{data_name} is not offered; use {allowed}, or robot.arm for everything else"
+            f"register {data_name!r} is not supported (allowed: {allowed}); use robot.arm instead"
         )

@@ -1,4 +1,4 @@
-"""LeRobot's calibration of an arm: make it, use it, and compare it with the servos.
+"""LeRobot's calibration of an arm: create it, use it, and compare it with the servos.
 
 The procedure and the registers are those of LeRobot's ``so_follower``: the middle of the range
 first, then every joint from stop to stop.
@@ -31,7 +31,7 @@ MAX_STOPPED_RANGE = 4.5
 """rad. A joint with a larger range, such as ``wrist_roll``, has no end stops to sweep to."""
 
 Wait = Callable[[str, Callable[[], None]], None]
-"""Shows a text, and calls a function again and again until the person is ready."""
+"""Shows a text, and calls a function repeatedly until the person has pressed ENTER."""
 
 
 def with_calibration(
@@ -66,13 +66,13 @@ def save(path: Path, motors: Mapping[str, MotorCalibration]) -> None:
     write_atomically(path, json.dumps(content, indent=4) + "\n")
 
 
-def check_offsets(bus: ServoBus, config: ArmConfig, motors: Mapping[str, int]) -> None:
+def check_offsets(bus: ServoBus, config: ArmConfig, offsets: Mapping[str, int]) -> None:
     """Compare the Homing Offset registers with a calibration file.
 
     Args:
         bus: Open bus.
         config: Arm file.
-        motors: Joint -> homing offset of the file, ticks.
+        offsets: Joint -> homing offset of the file, ticks.
 
     Raises:
         CalibrationMismatchError: The servos were calibrated after the file was written.
@@ -80,7 +80,7 @@ def check_offsets(bus: ServoBus, config: ArmConfig, motors: Mapping[str, int]) -
     present = read_all(bus, config, "homing_offset")
     rows = []
     for joint in config.joints:
-        expected = motors.get(joint.name)
+        expected = offsets.get(joint.name)
         measured = present[joint.servo.id]
         if expected is not None and measured != expected:
             rows.append((joint.name, "homing offset, ticks", str(expected), str(measured)))
@@ -165,7 +165,7 @@ def _motor(joint: Joint, offset: int, first: int, last: int) -> MotorCalibration
 def _require_procedure(config: ArmConfig) -> None:
     if config.family.name != "feetech_sts":
         raise config.wrong(
-            "LeRobot's procedure is offered for Feetech STS servos only",
+            "LeRobot's calibration procedure needs Feetech STS servos",
             "joints[0].model",
             hint="calibrate this arm with: robot-ik servo calibrate",
         )
@@ -198,4 +198,7 @@ def _set_all(bus: ServoBus, config: ArmConfig, name: str, value: int) -> None:
     failed = sync_set(bus, config, name, dict.fromkeys(config.servo_ids, value))
     if failed:
         servos = ", ".join(drive.label for drive in failed)
-        raise HardwareError(f"{name} of {servos} was set to {value} and reads back otherwise")
+        raise HardwareError(
+            f"{name} of {servos} was set to {value}, but the servos return another value",
+            hint="check the cable and the supply, then calibrate again",
+        )

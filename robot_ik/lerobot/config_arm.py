@@ -24,8 +24,8 @@ class RobotIkArmConfig(RobotConfig):
         observe_tool: Add the measured tool pose ``ee.x`` to ``ee.wz`` to the observation.
         fps: Rate of LeRobot's loop, Hz. The limiter needs it: one command moves the arm by at most
             two periods of its speed limit.
-        disable_torque_on_disconnect: True: leave the arm as its arm file says. False: hold it with
-            torque.
+        disable_torque_on_disconnect: True: apply the exit policy of the arm file. False: hold the
+            arm with torque.
         cameras: LeRobot's cameras by name. The type ``robot_ik_scene`` draws the arm.
     """
 
@@ -43,4 +43,4 @@ class RobotIkArmConfig(RobotConfig):
             allowed = " or ".join(CONTROLS)
             raise ValueError(f"unknown control {self.control!r} (allowed: {allowed})")
         if not self.fps > 0.0:
-            raise ValueError(f"fps must be above 0, not {self.fps}")
+            raise ValueError(f"fps {self.fps} is not allowed (allowed: above 0, such as 30)")

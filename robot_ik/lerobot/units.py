@@ -18,7 +18,7 @@ POSITION = ".pos"
 
 @dataclass(frozen=True)
 class Scale:
-    """Straight line between a joint value (rad or m) and LeRobot's number.
+    """Linear relation between a joint value (rad or m) and LeRobot's number.
 
     Attributes:
         zero: Joint value at LeRobot's 0.

@@ -90,10 +90,10 @@ def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> N
 @pytest.mark.parametrize("at", [(1000, 1000), (-500, -500), (-300, 100), (100, 2000)])
 def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
     rough = np.array([[0, 0], [100, 0], [100, 100], [0, 100]]) + np.array(at, dtype=float)
-    (seen,) = refine_markers(
+    (corners,) = refine_markers(
         np.full((480, 640), 128, np.uint8), [rough], [7], "DICT_4X4_50", STANDARD_CAMERA
     )
-    assert not seen.refined and (seen.pixels == rough).all()
+    assert not corners.refined and (corners.pixels == rough).all()
 
 
 def test_a_picture_that_was_sharpened_is_measured_too() -> None:
@@ -105,7 +105,7 @@ def test_a_picture_that_was_sharpened_is_measured_too() -> None:
             image + 3.0 * (image - cv2.GaussianBlur(image, (0, 0), 1.0)), 0, 255
         ).astype(np.uint8)
         (rough,) = MarkerDetector("DICT_4X4_50").detect(sharp)
-        (seen,) = refine_markers(sharp, [rough.corners], [7], "DICT_4X4_50", STANDARD_CAMERA)
-        refined += seen.refined
-        assert np.abs(seen.pixels - view.corners).max() < 0.5
+        (corners,) = refine_markers(sharp, [rough.corners], [7], "DICT_4X4_50", STANDARD_CAMERA)
+        refined += corners.refined
+        assert np.abs(corners.pixels - view.corners).max() < 0.5
     assert refined == 20

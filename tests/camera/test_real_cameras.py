@@ -79,12 +79,12 @@ def light_of(layout: dict[int, tuple[float, Pose]], pose: Pose, blur: float) -> 
         n = len(bits)
         column = np.floor((u + 0.5) * n).astype(int)
         row = np.floor((v + 0.5) * n).astype(int)
-        seen = fine[
+        crop = fine[
             (top - y0) * FINE : (bottom - y0) * FINE, (left - x0) * FINE : (right - x0) * FINE
         ]
-        seen[np.maximum(np.abs(u), np.abs(v)) < 0.62] = 0.85
+        crop[np.maximum(np.abs(u), np.abs(v)) < 0.62] = 0.85
         ink = (np.minimum(column, row) >= 0) & (np.maximum(column, row) < n)
-        seen[ink] = np.where(bits[row[ink], column[ink]] > 0, 0.85, 0.08)
+        crop[ink] = np.where(bits[row[ink], column[ink]] > 0, 0.85, 0.08)
     # Blur at this resolution, then take the mean over the area of each pixel.
     soft = cv2.GaussianBlur(fine, (0, 0), blur * FINE)
     whole = np.full((480, 640), 0.4)
@@ -146,13 +146,13 @@ def scenes() -> list[tuple[Pose, Array]]:
 
 def observed(light: Array, camera: Camera, seed: int) -> Observation:
     image = picture_of(light, camera, np.random.default_rng(seed))
-    seen = marker(ID, SIZE, DICTIONARY).find(frame_of(image), CAMERA)
-    assert seen is not None
-    return seen
+    observation = marker(ID, SIZE, DICTIONARY).find(frame_of(image), CAMERA)
+    assert observation is not None
+    return observation
 
 
 @pytest.mark.parametrize(
-    ("camera", "most"),
+    ("camera", "max_error"),
     [
         (LINEAR, 0.2e-3),
         (replace(WEBCAM, tone="gamma 1.5"), 0.25e-3),
@@ -173,24 +173,25 @@ def observed(light: Array, camera: Camera, seed: int) -> Observation:
     ],
 )
 def test_a_marker_is_where_it_is_for_every_tone_curve(
-    scenes: list[tuple[Pose, Array]], camera: Camera, most: float
+    scenes: list[tuple[Pose, Array]], camera: Camera, max_error: float
 ) -> None:
-    off = []
+    distances = []
     nees = []
     outward = []
     for k, (pose, light) in enumerate(scenes):
-        seen = observed(light, camera, k)
-        miss = seen.pose.position - pose.position
-        off.append(float(np.linalg.norm(miss)))
-        nees.append(float(miss @ np.linalg.solve(seen.covariance[:3, :3], miss)) / 3.0)
+        observation = observed(light, camera, k)
+        error = observation.pose.position - pose.position
+        distances.append(float(np.linalg.norm(error)))
+        nees.append(float(error @ np.linalg.solve(observation.covariance[:3, :3], error)) / 3.0)
         true = CAMERA.project(pose.apply(marker_points(SIZE)))
         way = true - true.mean(axis=0)
         outward.append(
-            np.mean(np.sum((seen.pixels - true) * way, axis=1) / np.linalg.norm(way, axis=1))
+            np.mean(np.sum((observation.pixels - true) * way, axis=1) / np.linalg.norm(way, axis=1))
         )
-    assert np.sqrt(np.mean(np.square(off))) < most
+    assert np.sqrt(np.mean(np.square(distances))) < max_error
     assert abs(np.mean(outward)) < 0.04
-    assert np.mean(nees) < 3.0  # it knows how near, too
+    # The covariance agrees with the errors.
+    assert np.mean(nees) < 3.0
 
 
 def test_the_covariance_covers_a_hard_shadow_over_a_marker(
@@ -205,10 +206,10 @@ def test_the_covariance_covers_a_hard_shadow_over_a_marker(
         angle = rng.uniform(0.0, 2.0 * np.pi)
         column = (np.arange(640) - middle[0]) * np.cos(angle)
         row = (np.arange(480)[:, None] - middle[1]) * np.sin(angle)
-        seen = observed(light * np.where(column + row > 0.0, 0.5, 1.0), WEBCAM, k)
-        error = seen.pose.position - pose.position
-        nees.append(float(error @ np.linalg.solve(seen.covariance[:3, :3], error)) / 3.0)
-        sigmas.append(seen.sigma)
+        observation = observed(light * np.where(column + row > 0.0, 0.5, 1.0), WEBCAM, k)
+        error = observation.pose.position - pose.position
+        nees.append(float(error @ np.linalg.solve(observation.covariance[:3, :3], error)) / 3.0)
+        sigmas.append(observation.sigma)
     plain = observed(scenes[0][1], WEBCAM, 0)
     assert np.mean(nees) < 2.0
     assert min(sigmas) > 1.5 * plain.sigma
@@ -225,19 +226,19 @@ def test_a_strongly_tilted_marker_is_fitted_though_its_sharp_corners_are_found_f
 
 
 def test_a_board_is_where_it_is_under_a_webcam() -> None:
-    """2 x 2 markers; the shift of the edges is found of each."""
+    """The board has 2 x 2 markers. The edge shift of each is estimated."""
     rng = np.random.default_rng(13)
-    off = []
+    distances = []
     nees = []
     for _ in range(5):
         pose = some_pose(rng, 0.6)
         image = picture_of(light_of(dict(BOARD.markers), pose, 0.7), WEBCAM, rng)
-        seen = BOARD.find(frame_of(image), CAMERA)
-        assert seen is not None
-        miss = seen.pose.position - pose.position
-        off.append(float(np.linalg.norm(miss)))
-        nees.append(float(miss @ np.linalg.solve(seen.covariance[:3, :3], miss)) / 3.0)
-    assert np.sqrt(np.mean(np.square(off))) < 0.08e-3
+        observation = BOARD.find(frame_of(image), CAMERA)
+        assert observation is not None
+        error = observation.pose.position - pose.position
+        distances.append(float(np.linalg.norm(error)))
+        nees.append(float(error @ np.linalg.solve(observation.covariance[:3, :3], error)) / 3.0)
+    assert np.sqrt(np.mean(np.square(distances))) < 0.08e-3
     assert np.mean(nees) < 3.0
 
 

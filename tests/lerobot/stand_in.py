@@ -123,7 +123,7 @@ _MODULES: dict[str, dict[str, Any]] = {
     },
 }
 
-_OURS = ("arm", "bus_view", "config_arm", "config_scene_camera", "scene_camera")
+_SUBMODULES = ("arm", "bus_view", "config_arm", "config_scene_camera", "scene_camera")
 
 
 def install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,5 +134,5 @@ def install(monkeypatch: pytest.MonkeyPatch) -> None:
         for key, value in content.items():
             setattr(module, key, value)
         monkeypatch.setitem(sys.modules, name, module)
-    for name in _OURS:
+    for name in _SUBMODULES:
         monkeypatch.delitem(sys.modules, f"robot_ik.lerobot.{name}", raising=False)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik import lerobot as door
-from robot_ik.errors import ArmStateError, ConfigError, UnsafeCommandError
+import robot_ik.lerobot
+from robot_ik.errors import ArmStateError, UnknownRobotError, UnsafeCommandError
 from robot_ik.hardware.arm import ArmState
 from tests.lerobot.stand_in import ConnectionStateError, install
 
@@ -20,14 +20,14 @@ PERIOD = 1.0 / 30.0
 """Period of LeRobot's loop, s."""
 
 SOLVE_TOLERANCE = 1e-4
-"""Position error at which a goal counts as met, m."""
+"""Largest position error of a goal that is met, m."""
 
 MakeArm = Callable[..., Any]
 
 
 @pytest.fixture
 def make_arm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[MakeArm]:
-    """Return a function that makes a robot with the options given."""
+    """Return a function that creates a robot with the given options."""
     install(monkeypatch)
     from robot_ik.lerobot.arm import RobotIkArm
     from robot_ik.lerobot.config_arm import RobotIkArmConfig
@@ -45,7 +45,7 @@ def make_arm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[MakeAr
 
 
 def _step_to(robot: Any, action: dict[str, float], steps: int = 200) -> dict[str, float]:
-    """Send an action again and again until the limiter follows it; return what was sent."""
+    """Repeat an action until the limiter sends it unchanged; return the last command."""
     sent: dict[str, float] = {}
     for _ in range(steps):
         sent = robot.send_action(action)
@@ -209,17 +209,25 @@ def test_bus_view_reads_and_commands_joints(make_arm: MakeArm) -> None:
         robot.bus.sync_read("Present_Velocity")
 
 
-@pytest.mark.parametrize("options", [{"control": "tools"}, {"fps": 0.0}])
-def test_wrong_options_are_refused(make_arm: MakeArm, options: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"control|fps"):
-        make_arm(**options)
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("control", "tools", r"'tools' \(allowed: joints or tool\)"),
+        ("fps", 0.0, r"fps 0\.0 is not allowed \(allowed: above 0"),
+    ],
+)
+def test_wrong_options_are_refused(
+    make_arm: MakeArm, option: str, value: object, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_arm(**{option: value})
 
 
 def test_an_unknown_arm_is_refused(make_arm: MakeArm) -> None:
-    with pytest.raises((ConfigError, KeyError, ValueError)):
+    with pytest.raises(UnknownRobotError, match="so102"):
         make_arm(arm="so102")
 
 
-def test_an_unknown_name_of_the_door_is_an_attribute_error() -> None:
+def test_an_unknown_name_of_the_package_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="RobotIkArms"):
-        door.RobotIkArms  # noqa: B018
+        robot_ik.lerobot.RobotIkArms  # noqa: B018

@@ -207,13 +207,13 @@ def locate_camera(
     if not (np.isfinite(pixels) and depths.min() > 0.0):
         raise CameraError(
             "no pose of the camera explains what was seen of the board",
-            hint="check the sizes of the board and that the whole of it is flat and in the picture",
+            hint="check the sizes of the board, and that it is flat and completely in the picture",
         )
     median_error = view.sigma * float(np.median(errors))
     if median_error > _MAX_ERROR:
         raise CalibrationError(
-            f"the best pose of the camera leaves the board's corners {median_error:.1f} px off "
-            f"(median); a good one leaves some tenths, and beyond {_MAX_ERROR:g} px it is wrong",
+            f"the corners of the board are {median_error:.1f} px off (median) at the best pose of "
+            f"the camera; a few tenths are usual, at most {_MAX_ERROR:g} px are allowed",
             hint="check the sizes of the board as printed, its layout, and the calibration",
         )
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)

@@ -170,13 +170,13 @@ class NormalEquations:
         return LeftOut(step, rest, expected, sigmas)
 
     def _with_fixed(self, step: Array) -> Array:
-        """Return a step (m,) of all unknowns for one of the free ones (f,)."""
+        """Return the step (m,) of all unknowns for a step (f,) of the free unknowns."""
         full = np.zeros(len(self.views.prior_error))
         full[self.free] = step
         return full
 
     def _spread_out(self, matrix: Array) -> Array:
-        """Return a matrix (m, m) of all unknowns for one of the free ones (f, f)."""
+        """Return the matrix (m, m) of all unknowns for a matrix (f, f) of the free unknowns."""
         count = len(self.views.prior_error)
         full = np.zeros((count, count))
         full[np.ix_(self.free, self.free)] = matrix

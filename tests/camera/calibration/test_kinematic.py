@@ -98,47 +98,51 @@ def test_a_camera_on_the_arm_determines_the_same_offsets(robot: Robot) -> None:
     board = Pose((0.3, 0.0, -0.3), (0.0, 1.0, 0.0, 0.0))
     while len(views) < 10:
         q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
-        seen = robot.forward(q + offsets, FRAME).compose(camera).inverse().compose(board)
-        if seen.position[2] > 0.1 and (np.abs(seen.position[:2]) < seen.position[2]).all():
-            pixels = STANDARD_CAMERA.project(seen.apply(POINTS))
-            views.append(CalibrationStation(q, Observation(POINTS, pixels, seen, 0.01)))
+        pose_world_camera = robot.forward(q + offsets, FRAME).compose(camera)
+        pose_camera_board = pose_world_camera.inverse().compose(board)
+        x, y, depth = pose_camera_board.position
+        if depth > 0.1 and max(abs(x), abs(y)) < depth:
+            pixels = STANDARD_CAMERA.project(pose_camera_board.apply(POINTS))
+            observation = Observation(POINTS, pixels, pose_camera_board, 0.01)
+            views.append(CalibrationStation(q, observation))
     known = {"camera": KnownPose.within(camera, *EXACT), "board": KnownPose.within(board, *EXACT)}
     found = fit(views, robot, mounting="eye_in_hand", **known)
     np.testing.assert_allclose(found.offsets, offsets, atol=1e-5)
     assert max(error.distance for error in found.errors) < 2e-5
     errors = measure_errors(model_of(views, robot, mounting="eye_in_hand", **known))
-    for one, view in zip(errors, views, strict=True):
-        said, really = (robot.forward(q, FRAME).compose(camera) for q in (view.q, view.q + offsets))
-        np.testing.assert_allclose(one.vector, really.position - said.position, atol=1e-9)
-        assert 0.0 < one.sigma < 2e-4
+    for error, view in zip(errors, views, strict=True):
+        reported = robot.forward(view.q, FRAME).compose(camera)
+        true = robot.forward(view.q + offsets, FRAME).compose(camera)
+        np.testing.assert_allclose(error.vector, true.position - reported.position, atol=1e-9)
+        assert 0.0 < error.sigma < 2e-4
 
 
 def test_stated_uncertainty_agrees_with_the_errors(robot: Robot) -> None:
     """Each seed draws all uncertain values: pixels, joints, pose of camera and board."""
     camera = KnownPose.within(CAMERA, 5e-4, 5e-4)
     board = KnownPose.within(BOARD, 2e-4, 1e-3)
-    off = []
+    errors = []
     stated = []
     noise = []
     for seed in range(8):
         rng = np.random.default_rng(100 + seed)
         offsets = np.deg2rad(rng.uniform(-3, 3, 6))
         views = views_of(robot, offsets, 12, seed, pixel=0.2, joint=5e-4)
-        said = [
+        drawn_poses = [
             KnownPose(
-                one.pose.plus(rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance
+                known.pose.plus(rng.normal(0, np.sqrt(np.diag(known.covariance)))), known.covariance
             )
-            for one in (camera, board)
+            for known in (camera, board)
         ]
-        found = fit(views, robot, camera=said[0], board=said[1])
+        found = fit(views, robot, camera=drawn_poses[0], board=drawn_poses[1])
         assert found.determined == robot.joints
-        off.append(found.offsets - offsets)
+        errors.append(found.offsets - offsets)
         stated.append(found.sigma)
         noise.append(found.joint_noise)
-    each = np.sqrt(np.mean(np.square(off), axis=0) / np.mean(np.square(stated), axis=0))
+    each = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(stated), axis=0))
     assert ((each > 0.4) & (each < 2.0)).all(), each
-    whole = float(np.sqrt(np.mean(np.square(np.array(off) / np.array(stated)))))
-    assert 0.5 < whole < 2.0
+    overall = float(np.sqrt(np.mean(np.square(np.array(errors) / np.array(stated)))))
+    assert 0.5 < overall < 2.0
     assert 2e-4 < np.median(noise) < 1e-3
 
 

@@ -173,11 +173,11 @@ def test_truth_says_what_is_the_case_and_can_be_taken_away() -> None:
     )
     half = 0.025
     corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
-    seen = OVERHEAD.inverse().compose(pose)
+    pose_camera_marker = OVERHEAD.inverse().compose(pose)
     expected = cv2.projectPoints(
         corners,
-        cv2.Rodrigues(seen.rotation)[0],
-        seen.position,
+        cv2.Rodrigues(pose_camera_marker.rotation)[0],
+        pose_camera_marker.position,
         LENS.matrix,
         np.array(LENS.distortion),
     )
@@ -187,13 +187,14 @@ def test_truth_says_what_is_the_case_and_can_be_taken_away() -> None:
 
 def test_one_seed_gives_one_picture_and_another_seed_another() -> None:
     scene = desk(SyntheticMarker(9, 0.05), lens=SMALL)
-    one, same, other = (photograph(scene, seed=s) for s in (3, 3, 4))
-    a = one.read().image
-    b = one.read().image
-    assert (a == same.read().image).all() and (b == same.read().image).all()
-    assert (a != b).any(), "noise differs from picture to picture"
-    assert (a != other.read().image).any()
-    noise = a.astype(float) - b
+    source, same, other = (photograph(scene, seed=s) for s in (3, 3, 4))
+    first = source.read().image
+    second = source.read().image
+    assert (first == same.read().image).all()
+    assert (second == same.read().image).all()
+    assert (first != second).any(), "noise differs from picture to picture"
+    assert (first != other.read().image).any()
+    noise = first.astype(float) - second
     assert noise.std() == pytest.approx(2.0 * np.sqrt(2), rel=0.1)
 
 
@@ -236,10 +237,10 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
         frame = source.read()
         assert isinstance(frame.truth, dict)
         assert frame.truth["q"] == pytest.approx(where[0])
-        seen = [id for id in frame.truth["corners"] if id >= 20]
-        assert 1 <= len(seen) <= 2, "of a cube's four sides at most two face a camera"
+        visible_ids = [id for id in frame.truth["corners"] if id >= 20]
+        assert 1 <= len(visible_ids) <= 2, "of a cube's four sides at most two face a camera"
         found = {d.id: d.corners for d in detector.detect(frame.image)}
-        for id in seen:
+        for id in visible_ids:
             side = robot.forward(where[0], f"marker_{id}")
             assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx(
                 (0, 0), abs=1e-9

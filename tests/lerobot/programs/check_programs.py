@@ -30,7 +30,7 @@ ATTEMPTS = 3
 NO_REPLY = "There is no status packet"
 
 SWING_TICKS = 300
-"""Distance by which a hand moves every shaft to and fro."""
+"""Distance by which every shaft is moved to and fro by hand."""
 SWING_PERIOD = 0.3
 """s between two of its moves."""
 
@@ -55,7 +55,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 def run(environment: dict[str, str], program: str, *arguments: str) -> str:
     """Run a program of LeRobot to its end, and return what it printed."""
-    done = subprocess.run(
+    completed = subprocess.run(
         [str(PROGRAMS / program), *arguments],
         env=environment,
         stdin=subprocess.DEVNULL,
@@ -64,8 +64,8 @@ def run(environment: dict[str, str], program: str, *arguments: str) -> str:
         text=True,
         timeout=TIMEOUT,
     )
-    assert done.returncode == 0, done.stdout[-4000:]
-    return done.stdout
+    assert completed.returncode == 0, completed.stdout[-4000:]
+    return completed.stdout
 
 
 def test_calibrate_writes_lerobots_file(environment: dict[str, str], tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def test_unmodified_so101_calibrates_virtual_servos(
             arguments = [f"--{kind}.{key}={value}" for key, value in options.items()]
             arguments.append(f"--{kind}.port={port.path}")
             with started(environment, "lerobot-calibrate", *arguments) as program:
-                text = calibrated(program, moves)
+                text = answer_questions(program, moves)
         if program.returncode == 0 or NO_REPLY not in text:
             break
     assert program.returncode == 0, text[-4000:]
@@ -166,7 +166,7 @@ def test_unmodified_so101_calibrates_virtual_servos(
         assert row["homing_offset"] == offset
 
 
-def calibrated(program: subprocess.Popen[str], moves: threading.Semaphore) -> str:
+def answer_questions(program: subprocess.Popen[str], moves: threading.Semaphore) -> str:
     """Answer the questions of ``lerobot-calibrate``, and return what it printed."""
     text = wait_for_text(program, "middle of its range of motion")
     with contextlib.suppress(BrokenPipeError):
