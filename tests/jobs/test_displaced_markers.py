@@ -69,10 +69,10 @@ def test_hand_eye_rejects_a_displaced_marker(
 ) -> None:
     use_drawn_camera(monkeypatch)
     # The simulated board has the ids 30 to 35.
-    monkeypatch.setattr(DrawnCamera, "displaced", {31: pixels})
+    monkeypatch.setattr(DrawnCamera, "displaced", {34: pixels})
     report = run_handeye(HandEyeRequest(mounting="eye_in_hand", bus="none", views=6))
     rejected = [view.rejected for view in report.samples.views]
-    assert rejected == [(31,) if pixels else ()] * 6
+    assert rejected == [(34,) if pixels else ()] * 6
 
 
 @pytest.mark.parametrize("pixels", DISPLACEMENTS)

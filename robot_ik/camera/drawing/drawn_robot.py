@@ -127,13 +127,20 @@ class DrawnRobot:
         return Drawing(((shadow, SHADOW_STRENGTH), robot))
 
 
-def cast_shadow(faces: Faces, intrinsics: CameraIntrinsics, pose_camera_plane: Pose) -> Layer:
+def cast_shadow(
+    faces: Faces,
+    intrinsics: CameraIntrinsics,
+    pose_camera_plane: Pose,
+    softness: float = _SOFTNESS,
+) -> Layer:
     """Draw the soft shadow that faces throw on the plane z = 0 of a frame.
 
     Args:
         faces: Of the robot, in the picture.
         intrinsics: Lens of the picture.
         pose_camera_plane: The frame, z on the side of the light.
+        softness: Standard deviation of the edge of the shadow, in heights of the robot in the
+            picture.
 
     Returns:
         A black layer. Its coverage is 255 in the full shadow.
@@ -152,7 +159,8 @@ def cast_shadow(faces: Faces, intrinsics: CameraIntrinsics, pose_camera_plane: P
     throwing = corners_above & np.logical_and.reduce(within[faces.faces], axis=1)
     # Vertices beside the lens have meaningless pixels.
     rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
-    softness = max(1.0, _SOFTNESS * float(np.ptp(rows)) / _COARSE) if len(rows) else 1.0
+    height_px = float(np.ptp(rows)) if len(rows) else 0.0
+    sigma = max(1.0, softness * height_px / _COARSE)
     flat = replace(
         faces,
         pixels=(pixels + 0.5) / _COARSE - 0.5,
@@ -160,15 +168,15 @@ def cast_shadow(faces: Faces, intrinsics: CameraIntrinsics, pose_camera_plane: P
         chosen=faces.chosen[throwing[faces.chosen]],
         within=within,
     )
-    width, height_px = intrinsics.size
-    margin = 3 + round(3 * softness)
-    box = bounding_box(flat, width // _COARSE, height_px // _COARSE, margin=margin)
+    width, picture_height = intrinsics.size
+    margin = 3 + round(3 * sigma)
+    box = bounding_box(flat, width // _COARSE, picture_height // _COARSE, margin=margin)
     if box == EMPTY:
         return Layer.empty()
     buffer = SurfaceBuffer(box, 1)
     buffer.fill(flat, np.zeros((int(faces.geom.max()) + 1, 4), dtype=np.float32))
     dark = np.where(buffer.depth > 0.0, np.uint8(255), np.uint8(0))
-    dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), softness), dtype=np.uint8)
+    dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), sigma), dtype=np.uint8)
     coverage = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = box
     large = (_COARSE * x0, _COARSE * y0, _COARSE * x1, _COARSE * y1)

@@ -49,6 +49,8 @@ _ON_TABLE = 5e-3
 _LEVEL = 0.999
 
 _ROOM = Room(wall=(0.62, 0.60, 0.58), floor=(0.55, 0.535, 0.52))
+# Softness of the robot's shadow under a wide ceiling light, in heights of the robot in the picture.
+_ROOM_SOFTNESS = 0.1
 _TABLE_RGBA = (0.66, 0.54, 0.40, 1.0)
 _LEG_RGBA = (0.20, 0.21, 0.22, 1.0)
 # Thickness of the top of the table, and half the side of its legs, metres.
@@ -155,7 +157,9 @@ class PaintedScene:
         """Paint the robot at its true configuration ``qpos`` (model.nq,) and the sheets."""
         light = self._surroundings.light.copy()
         faces = faces_in_picture(self._model, qpos, self._lens, self._camera)
-        shadow = cast_shadow(faces, self._lens, self._seen(self._ground))
+        shadow = cast_shadow(
+            faces, self._lens, self._seen(self._ground), _ROOM_SOFTNESS
+        )
         self._shade_ground(light, shadow)
         box = bounding_box(faces, *self._lens.size)
         robot = Layer.empty()
@@ -230,7 +234,7 @@ class PaintedScene:
         height = float(plane.position[2] - self._ground.position[2])
         shadow = ground_shadow
         if not (abs(height) < _ON_TABLE and plane.rotation[2, 2] > _LEVEL):
-            shadow = cast_shadow(faces, self._lens, self._seen(plane))
+            shadow = cast_shadow(faces, self._lens, self._seen(plane), _ROOM_SOFTNESS)
         return _cropped(_share(shadow.coverage), shadow.box, box)
 
     def _blocker(self, faces: Faces, box: Box) -> Blocker:
