@@ -99,12 +99,12 @@ def test_make_reach_prints_what_the_page_shows(
     def numbers(text: str, line: str) -> list[float]:
         return [float(x) for x in re.findall(r"-?\d+\.\d+", re.findall(line, text, re.M)[0])]
 
-    readme_labels = labels(block.text)
+    readme_labels = labels(shown.text)
     assert readme_labels == labels(printed[printed.index("reach ") :])
     assert {"goal", "solver", "read back", "camera", "result"} <= set(readme_labels)
     # The measurements of the camera differ between machines by rounding only.
     for line in (r"^marker 7 .*", r"^ +true at .*", r"^goal .*"):
-        assert numbers(block.text, line) == pytest.approx(numbers(printed, line), abs=0.11), line
+        assert numbers(shown.text, line) == pytest.approx(numbers(printed, line), abs=0.11), line
     assert {p.name for p in (tmp_path / "run").iterdir()} == {
         "reach.png",
         "trajectory.csv",

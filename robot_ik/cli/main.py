@@ -82,7 +82,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "teleop": ("teleop", "lead an arm by another one, or by the keys of this terminal"),
     "stop": ("servo_motion", "make an arm that another program drives stop and hold"),
     "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
-    "figure": ("figure", "a humanoid sees a ball, decides, and reaches, bends, jumps or walks"),
+    "figure": ("figure", "a humanoid sees a ball and reaches, bends, jumps or walks"),
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
     "camera list": ("camera", "cameras of this machine: index, name, who uses them"),
     "camera print": ("camera", "a sheet of markers, a board, a cube or a pattern to print"),
