@@ -50,7 +50,7 @@ _LEVEL = 0.999
 
 _ROOM = Room(wall=(0.62, 0.60, 0.58), floor=(0.55, 0.535, 0.52))
 # Softness of the robot's shadow under a wide ceiling light, in heights of the robot in the picture.
-_ROOM_SOFTNESS = 0.1
+_ROOM_SOFTNESS = 0.25
 _TABLE_RGBA = (0.66, 0.54, 0.40, 1.0)
 _LEG_RGBA = (0.20, 0.21, 0.22, 1.0)
 # Thickness of the top of the table, and half the side of its legs, metres.
