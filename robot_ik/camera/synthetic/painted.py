@@ -157,9 +157,7 @@ class PaintedScene:
         """Paint the robot at its true configuration ``qpos`` (model.nq,) and the sheets."""
         light = self._surroundings.light.copy()
         faces = faces_in_picture(self._model, qpos, self._lens, self._camera)
-        shadow = cast_shadow(
-            faces, self._lens, self._seen(self._ground), _ROOM_SOFTNESS
-        )
+        shadow = cast_shadow(faces, self._lens, self._seen(self._ground), _ROOM_SOFTNESS)
         self._shade_ground(light, shadow)
         box = bounding_box(faces, *self._lens.size)
         robot = Layer.empty()
