@@ -11,6 +11,7 @@ path is proven free, shortened, timed within the joint limits, and proven again 
 from __future__ import annotations
 
 import enum
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -107,6 +108,12 @@ class Plan:
             return (
                 f"{self.status.value}: {first} is {distance_mm:.1f} mm from {second} "
                 f"(margin {1e3 * self.margin:.1f} mm)"
+            )
+        if self.solution is not None and self.status is PlanStatus.GOAL_UNREACHABLE:
+            error = self.solution.error
+            return (
+                f"{self.status.value}; the nearest pose is {1e3 * error.position:.1f} mm and "
+                f"{math.degrees(error.angle):.1f} deg from it"
             )
         if self.solution is not None:
             return f"{self.status.value}: {self.solution.meaning}"
