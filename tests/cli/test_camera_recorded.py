@@ -110,7 +110,10 @@ def test_a_recording_is_refused_while_the_bus_stays_silent(
         *rest,
     )
     run.assert_one_screen_error()
-    assert "recorded pictures do not show this arm" in run.err and "--samples" in run.err
+    assert (
+        "recorded pictures do not show the motions of this arm" in run.err
+        and "--samples" in run.err
+    )
     assert bytes(wire.sent) == b""
     assert not (tmp_path / "result.json").exists()
 

@@ -57,7 +57,7 @@ def test_what_cannot_be_done_is_said(robot_ik: Any, tmp_path: Path) -> None:
     (tmp_path / "letter" / "map.zarr").mkdir()
     (tmp_path / "letter" / "map.zarr" / "letter.txt").write_text("dear reader")
     other = robot_ik("reachability", "puma560", *SMALL, "--out", tmp_path / "letter")
-    assert other.code == 2 and "no reachability map" in other.err
+    assert other.code == 2 and "not a reachability map" in other.err
     cell = robot_ik("reachability", "puma560", "--cell", "-1", *out)
     assert cell.code == 2 and "--cell" in cell.err
 

@@ -223,7 +223,8 @@ def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
             f"| {labels.get(name, name)} | {degrees:.1f}° | {inside:.0%} | {nearest:.2f} | {error:.2f} mm |"
         )
         assert line.replace("%", " %") in page
-    assert f"Held out were {found['held out']} of {found['motions']} motions" in page
-    assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
+    assert f"{found['held out']} of {found['motions']} motions were held out" in page
+    share = f"{found['held-out poses inside the contour']:.0%}".replace("%", " %")
+    assert f"The held-out poses themselves are {share} inside" in page
     with_prior, plain = found["rows"]["with the prior"], found["rows"]["goals alone"]
     assert with_prior["rms of elbows and spine, degrees"] < 0.6 * plain["rms of elbows and spine, degrees"]
