@@ -33,6 +33,8 @@ _STEEPEST = 0.6
 _SOFTNESS = 0.012
 # Shadows are drawn this much coarser than the picture. Their edges are soft, so it is not visible.
 _COARSE = 3
+# Standard deviation of a blur on its own lattice, px. Less would show the lattice.
+_BLUR_PIXELS = 4.0
 # Factor of inverse depth by which an object must be nearer than the plane to hide a shadow on it.
 # What stands on the plane does not hide the plane where it stands.
 _NEARER = 1.005
@@ -176,10 +178,16 @@ def cast_shadow(
     buffer = SurfaceBuffer(box, 1)
     buffer.fill(flat, np.zeros((int(faces.geom.max()) + 1, 4), dtype=np.float32))
     dark = np.where(buffer.depth > 0.0, np.uint8(255), np.uint8(0))
-    dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), sigma), dtype=np.uint8)
-    coverage = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = box
     large = (_COARSE * x0, _COARSE * y0, _COARSE * x1, _COARSE * y1)
+    size = (large[2] - large[0], large[3] - large[1])
+    # A wide blur is as smooth on a coarser lattice, and takes less time.
+    shrink = max(1, int(sigma / _BLUR_PIXELS))
+    if shrink > 1:
+        small = (-(-dark.shape[1] // shrink), -(-dark.shape[0] // shrink))
+        dark = np.asarray(cv2.resize(dark, small, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), sigma / shrink), dtype=np.uint8)
+    coverage = np.asarray(cv2.resize(dark, size), dtype=np.uint8)
     return Layer(large, np.zeros((*coverage.shape, 3), dtype=np.uint8), coverage)
 
 
