@@ -39,7 +39,8 @@ from robot_ik.hardware.virtual.protocol import build_fast_status, build_status
 PAGE = Path(__file__).resolve().parents[1] / "reference" / "hardware.md"
 IDS = tuple(range(1, 7))
 TABLE = X_TABLES["XM430-W350"]
-GOAL, PRESENT = TABLE["goal_position"], TABLE["present_position"]
+GOAL = TABLE["goal_position"]
+PRESENT = TABLE["present_position"]
 BLOCK = Register("torque and position", TABLE["indirect_data_1"].address, 5, signed=True)
 RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 BITS_PER_BYTE = 10

@@ -26,12 +26,15 @@ PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL
 PAGES = [Path(__file__).resolve().parents[1] / "theory" / name for name in ("methods.md", "singularities.md")]
 
 # Joints of the PUMA, counted from 0.
-_ELBOW, _WRIST = 2, 4
+_ELBOW = 2
+_WRIST = 4
 TARGETS = 100
 # How far beside the singular angles a start is at most, rad, in each joint.
 ASIDE = 0.5
-# The path: so many poses, the wrist's middle axis from one side to the other, rad, past the singular pose.
-TICKS, _SWING = 401, 0.4
+# Number of poses of the path.
+TICKS = 401
+# Angle of the middle axis of the wrist to each side of the singular pose, rad.
+_SWING = 0.4
 # How far the path stays off the singular pose, rad.
 PATHS = {"exactly": 0.0, "0.2° off": np.radians(0.2)}
 

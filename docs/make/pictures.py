@@ -45,7 +45,9 @@ Image = NDArray[np.uint8]
 DOCS = Path(__file__).resolve().parents[1]
 # Of one picture of the two, pixels.
 SIZE = (560, 560)
-_BALL_RADIUS, _BALL_COLOUR = 0.045, (0.93, 0.42, 0.10, 1.0)
+# Radius of the ball, m.
+_BALL_RADIUS = 0.045
+_BALL_COLOUR = (0.93, 0.42, 0.10, 1.0)
 # Of a picture's width, left free on both sides of what is to be seen.
 _AIR = 0.06
 

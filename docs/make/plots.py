@@ -28,9 +28,12 @@ TOLERANCE = rik.Tolerance(position=1e-6, angle=1e-6)
 BUDGET = rik.Budget(iterations=3000)
 # The right edge of both panels, steps.
 _STEPS = 3000
-_BALLS, _BALL_LENGTH = 7, 0.15
-# Thin lines on the left; colours of a picture.
-_THIN, _COLOURS = 25, 64
+_BALLS = 7
+_BALL_LENGTH = 0.15
+# Number of thin lines on the left.
+_THIN = 25
+# Number of colours of a picture.
+_COLOURS = 64
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 
 README = Path(__file__).resolve().parents[2] / "models" / "tabletop_puma" / "README.md"
 ROBOT = "tabletop_puma"
-POSES, SEED = 4000, 0
+POSES = 4000
+SEED = 0
 PAYLOAD = 0.1
 """kg at the site `gripper`."""
 CONTINUOUS_SHARE = 0.2

@@ -47,9 +47,10 @@ NORM_DEG: Mapping[str, tuple[float, ...]] = {
 """Flexion each 10 % of the cycle from heel strike, free speed: Schwartz, Rozumalski & Trost, J. Biomech.
 41:1639, 2008."""
 
-# Shapes within 3 mm of the floor support; a zero-moment point at less force than this share of the weight
-# means nothing.
-_NEAR, _LEAST_FORCE = 0.003, 0.2
+# A shape this near to the floor supports the figure, m.
+_NEAR = 0.003
+# A zero-moment point is evaluated from this share of the weight on.
+_MIN_FORCE = 0.2
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def measure_motion(
             if contact[i, side] != AIR
         ]
         under = np.concatenate(near) if near else np.zeros((0, 2))
-        if len(under) and weight[i] > _LEAST_FORCE:
+        if len(under) and weight[i] > _MIN_FORCE:
             margins.append(hull_margin(under, zmp[i]))
     slip, drift = _slip_and_drift(soles, contact)
     low = min(float(h.min()) for h in soles.height)
@@ -427,8 +428,10 @@ def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iter
 
 PEER_ERROR = 1e-4
 """Of feet and centre of mass, m and rad."""
-PEER_SOLVER, PEER_STEPS = "daqp", 20
-"""mink's QP solver, and most of its steps a frame."""
+PEER_SOLVER = "daqp"
+"""QP solver of mink."""
+PEER_STEPS = 20
+"""Largest number of steps of mink in a frame."""
 COSTS = {
     "feet": 100.0, "center": 100.0, "pelvis": 3.0, "height": 20.0, "chest": 3.0, "gaze": 1.0, "posture": 0.1,
 }  # fmt: skip

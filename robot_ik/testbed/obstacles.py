@@ -18,7 +18,7 @@ from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.commands import Shape
 
-MOST = 8
+MAX_OBSTACLES = 8
 """Obstacles of a session. Each costs about 0.2 ms a measurement."""
 
 _SIZE = 0.09
@@ -96,8 +96,10 @@ class Obstacles:
             CollisionError: There are too many.
             RobotIkError: As ``Scene``.
         """
-        if len(self._shapes) >= MOST:
-            raise CollisionError(f"there are {MOST} obstacles: remove one first")
+        if len(self._shapes) >= MAX_OBSTACLES:
+            raise CollisionError(
+                f"there are {MAX_OBSTACLES} obstacles, the largest number; remove one first"
+            )
         self._added += 1
         side = _BESIDE * ((len(self._shapes) + 1) // 2) * (-1.0) ** len(self._shapes)
         position = (_PLACE + np.array((0.0, side, 0.0))) * self._extent

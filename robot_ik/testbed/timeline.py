@@ -15,7 +15,7 @@ from robot_ik.robot import Robot
 SPACING = 1.0
 """Seconds between a new key pose and the one before it."""
 
-NEAREST = 0.05
+MIN_INTERVAL = 0.05
 """Seconds. Two key poses are at least this far apart."""
 
 MOTION = "timeline"
@@ -106,12 +106,12 @@ class Timeline:
             self._set([*others, _Key(time, moved.name, moved.q)])
 
     def _set(self, keys: list[_Key]) -> None:
-        """Order key poses by their times, at least ``NEAREST`` apart, the first at 0 s."""
+        """Order key poses by their times, at least ``MIN_INTERVAL`` apart, the first at 0 s."""
         ordered = sorted(keys, key=lambda key: key.time)
         first = ordered[0].time if ordered else 0.0
         spread: list[_Key] = []
         for key in ordered:
-            earliest = spread[-1].time + NEAREST if spread else 0.0
+            earliest = spread[-1].time + MIN_INTERVAL if spread else 0.0
             spread.append(_Key(max(key.time - first, earliest), key.name, key.q))
         times = [key.time for key in spread]
         poses = [key.q for key in spread]

@@ -40,10 +40,10 @@ from robot_ik.testbed.commands import (
     Start,
 )
 from robot_ik.testbed.loop import replayed
-from robot_ik.testbed.obstacles import MOST
+from robot_ik.testbed.obstacles import MAX_OBSTACLES
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.setup import first_ball
-from robot_ik.testbed.timeline import NEAREST, Timeline
+from robot_ik.testbed.timeline import MIN_INTERVAL, Timeline
 from robot_ik.testbed.view import View
 
 
@@ -125,7 +125,7 @@ def test_key_poses_are_moved_and_removed(session: Session) -> None:
     assert view.timeline.names == ("pose 2", "pose 3", "pose 1")
     assert view.timeline.times == (0.0, 1.0, 4.0)
     view = view_after(session, MovePose(1, 0.0), Scrub(0.0), ticks=1)
-    assert view.timeline.times[1] - view.timeline.times[0] == pytest.approx(NEAREST)
+    assert view.timeline.times[1] - view.timeline.times[0] == pytest.approx(MIN_INTERVAL)
     view = view_after(session, RemovePose(0), RemovePose(7), ticks=1)
     assert len(view.timeline.times) == 2 and view.timeline.times[0] == 0.0
     view = view_after(session, RemovePose(0), RemovePose(0), ticks=2)
@@ -182,9 +182,9 @@ def test_distances_to_obstacles_are_mujocos(session: Session) -> None:
 
 
 def test_there_is_a_limit_of_obstacles(session: Session) -> None:
-    commands = [AddObstacle("box")] * (MOST + 1)
+    commands = [AddObstacle("box")] * (MAX_OBSTACLES + 1)
     view = view_after(session, *commands, ticks=1)
-    assert len(view.obstacles) == MOST and "remove one" in view.message
+    assert len(view.obstacles) == MAX_OBSTACLES and "remove one" in view.message
 
 
 def test_a_contact_between_parts_of_the_robot_is_named() -> None:

@@ -32,9 +32,15 @@ FIGURE_FRAMES = (
     "left_hand", "right_hand", "left_foot", "right_foot", "head", "pelvis", "left_toe", "right_toe",
 )  # fmt: skip
 
-_LOOP, _ROUNDS = 2000, 15  # calls in a compiled loop, and loops of which the best counts
-_PROBLEMS, _STEPS = 20, 40  # of a measurement of growth
-_CHAIN_LENGTH, _CHAIN_LIMIT = 2.0, 2.6  # metres in all; rad either way
+# Calls in a compiled loop, and number of loops of which the best counts.
+_LOOP = 2000
+_ROUNDS = 15
+# Problems and steps of a measurement of growth.
+_PROBLEMS = 20
+_STEPS = 40
+# Length of the whole chain, m, and limit of a joint to each side, rad.
+_CHAIN_LENGTH = 2.0
+_CHAIN_LIMIT = 2.6
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
