@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from robot_ik.camera import corners
 from robot_ik.camera.corners import refine_markers
 from robot_ik.camera.shade import shade_factors
-from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
+from robot_ik.camera.synthetic.pictures import (
+    STANDARD_CAMERA,
+    marker_light,
+    photograph,
+    render_markers,
+)
+from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.targets import marker_points
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array, Image
@@ -53,6 +62,21 @@ def test_a_shadow_on_a_part_of_a_marker_does_not_bias_its_corners(
         image = render_markers(STANDARD_CAMERA, {7: (SIZE, POSE)}, np.random.default_rng(seed))
         errors.append(corner_errors(shaded(image, position, 0.42, softness)))
     assert np.abs(np.mean(errors, axis=0)).max() < 0.05
+
+
+def test_an_overexposed_print_is_not_taken_for_a_shaded_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_arguments: object) -> Array:
+        raise AssertionError("a shadow was estimated")
+
+    monkeypatch.setattr(corners, "shade_factors", refuse)
+    sensor = replace(WEBCAM, exposure=1.5)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        canvas, center = marker_light(STANDARD_CAMERA, {7: (SIZE, POSE)}, rng)
+        image = photograph(canvas, center, rng, sensor)
+        refine_markers(image, [TRUE_CORNERS + 0.4], [7], "DICT_4X4_50", STANDARD_CAMERA)
 
 
 def test_the_factor_of_a_known_shadow_is_found() -> None:

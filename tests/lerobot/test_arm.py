@@ -109,6 +109,22 @@ def test_tool_actions_move_the_tool(make_arm: MakeArm) -> None:
     assert robot.get_observation()["ee.z"] == pytest.approx(action["ee.z"], abs=1e-3)
 
 
+def test_a_small_tool_step_that_needs_a_large_motion_is_refused(
+    make_arm: MakeArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = make_arm(arm="so101", control="tool", observe_tool=True)
+    robot.connect()
+    before = robot.get_observation()
+    action = {key: before[key] for key in robot.action_features if key in before}
+    # 60 degrees in each joint: another branch.
+    far = lambda joints, _pose: np.asarray(joints) + 60.0  # noqa: E731
+    monkeypatch.setattr(robot.kinematics, "inverse_kinematics", far)
+    sent = robot.send_action(action)
+    assert robot.refused == 1
+    for key, value in action.items():
+        assert sent[key] == pytest.approx(value, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     "action",
     [
