@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli import main as cli
+from robot_ik.commands import main as cli
 from tests.doc_pages import PAGES, ROOT, blocks, named, prose, script
 
 #: Files in which an install line could stand.
