@@ -55,7 +55,7 @@ def prepare_command(app: App) -> None:
     The row of the table has one line of help for the list. The docstring is the help of the
     command. A field that is not ``kw_only`` becomes an argument without an option name.
     """
-    command = app.default_command
+    command: Any = app.default_command
     app.help = inspect.cleandoc(command.__doc__ or "")
     app.help_epilogue = ""
     signature = inspect.signature(command)
