@@ -228,8 +228,8 @@ class Arm(Closing):
         if not isinstance(self.clock, VirtualClock):
             self._stop_requests.open(self.bus.port)
             self._heartbeat.start()
-        standing = read_standing(self.bus, self.config)
-        self._cycle.samples.begin(standing, self.clock.now())
+        standing, velocities = read_standing(self.bus, self.config)
+        self._cycle.samples.begin(standing, self.clock.now(), velocities)
         # Before torque: if that fails, no servo is sent to the goals of an earlier motion.
         self._cycle.stand(standing)
         self._obey_stop(look_into_file=True)
@@ -329,9 +329,7 @@ class Arm(Closing):
             return JointReading(samples.q.copy(), float(samples.times.min()), samples.dq.copy())
 
     def _is_stale(self) -> bool:
-        """Return whether every sample is older than this cycle, or no velocity was read yet."""
-        if np.isnan(self._cycle.samples.dq).all():
-            return True
+        """Return whether every sample is older than this cycle."""
         return bool(self.ages.min() > FRESH_SHARE * self._cycle.period)
 
     def velocities(self) -> dict[str, float]:
