@@ -207,27 +207,24 @@ class Robot:
         kinematics.tree_frame(*self._kernel_arguments(q, frame, row))
         return Pose.from_row(row[0])
 
-    def forward_many(self, qs: ArrayLike, frame: str | None = None) -> Array:
-        """Return the world poses (n, 4, 4) of a frame (default: the tool) at ``qs`` (n, nq).
+    def forward_rows(self, q: Array, frame: str | None, positions: Array, wxyz: Array) -> None:
+        """Write the world poses of a frame (default: the tool) at ``q`` to two arrays.
+
+        It may be called from several threads. See ``forward_batch``, which checks ``q``.
+
+        Args:
+            q: (n, nq) joint positions, contiguous, rad or m.
+            frame: Frame.
+            positions: (n, 3) written, m.
+            wxyz: (n, 4) written, unit quaternions with w >= 0.
 
         Raises:
-            ModelError: ``qs`` has another shape or is not finite.
             UnknownFrameError: As ``frame``.
         """
-        array = np.ascontiguousarray(qs, dtype=float)
-        if array.ndim != 2 or array.shape[1] != self.nq or not np.isfinite(array).all():
-            raise ModelError(
-                f"joint positions of shape {array.shape} for {self.name}",
-                hint=f"give finite numbers (n, {self.nq})",
-            )
-        rows = np.empty((len(array), 12))
-        arguments = self._kernel_arguments(self.home, frame, rows)
+        row = np.empty((1, 12))
+        arguments = self._kernel_arguments(self.home, frame, row)
         address, nodes, node, local, _, world, scratch, _ = arguments
-        kinematics.tree_frames(address, nodes, node, local, array, world, scratch, rows)
-        matrices = np.tile(np.eye(4), (len(array), 1, 1))
-        matrices[:, :3, 3] = rows[:, :3]
-        matrices[:, :3, :3] = rows[:, 3:].reshape(-1, 3, 3)
-        return matrices
+        kinematics.tree_poses(address, nodes, node, local, q, world, scratch, row, positions, wxyz)
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return the Jacobian (6, nv) of a frame: linear over angular velocity per unit of dq."""
