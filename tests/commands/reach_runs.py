@@ -60,7 +60,8 @@ DESK = """
  <geom type="capsule" fromto="0 0 0 .1 0 0" size=".012"/>
  <body name="left" pos=".1 0 0"><joint name="left_finger" type="slide" axis="0 1 0" range="0 .02"/>
   <geom type="box" size=".02 .004 .01" pos="0.02 .01 0"/></body>
- <body name="right" pos=".1 0 0"><joint name="right_finger" type="slide" axis="0 -1 0" range="0 .02"/>
+ <body name="right" pos=".1 0 0">
+  <joint name="right_finger" type="slide" axis="0 -1 0" range="0 .02"/>
   <geom type="box" size=".02 .004 .01" pos="0.02 -.01 0"/></body>
  <site name="ee" pos=".126 0 0"/>
 </body></body></body></body></body></worldbody></mujoco>
@@ -88,7 +89,9 @@ def two_arms(links: list[tuple[str, float]]) -> str:
     return f'<mujoco model="two"><worldbody>{trunk}{both}</body></worldbody></mujoco>'
 
 
-X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
+X = "1 0 0"
+Y = "0 1 0"
+Z = "0 0 1"
 # Both were given scenes in which the arm's own markers covered the target.
 SEVEN = [(Y, 0.117), (Z, 0.06), (Z, 0.253), (Y, 0.278), (Y, 0.232), (Y, 0.186), (X, 0.254)]
 THREE = [(Z, 0.175), (X, 0.2), (Z, 0.087)]
