@@ -108,6 +108,9 @@ class ServoFamily(Protocol):
         """Make every servo answer reads and writes."""
         ...
 
+    def watchdog_tripped(self, bus: ServoBus, drive: Drive, /) -> bool:
+        """Return whether the bus watchdog of a servo has run out.  Reads the servo."""
+
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Disarm the bus watchdog of a servo.  Does nothing in a family without one."""
         ...

@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Deviation, Solution, Status
     from robot_ik.solvers import SOLVERS, make_solver
+    from robot_ik.support import support_goals
 
 _HOME = {
     "robot_ik.batch": ("solve_batch",),
@@ -92,6 +93,7 @@ _HOME = {
     "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Deviation", "Solution", "Status"),
+    "robot_ik.support": ("support_goals",),
     "robot_ik.inverse_kinematics": ("solve", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
@@ -157,6 +159,7 @@ __all__ = [
     "solve",
     "solve_all",
     "solve_batch",
+    "support_goals",
     "warm_up",
 ]
 

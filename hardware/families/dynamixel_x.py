@@ -20,6 +20,7 @@ from robot_ik.hardware.families.dynamixel_x_table import (
     POSITION_MODE_HOMING,
     RETURN_ALL,
     REVERSE,
+    TRIPPED,
     VELOCITY_UNIT,
     X_SERIES,
     hardware_error_names,
@@ -103,6 +104,13 @@ class DynamixelX:
             raise HardwareError(
                 f"servo id {servo.id} (joint {drive.name!r}) keeps its status return level"
             )
+
+    def watchdog_tripped(self, bus: ServoBus, drive: Drive, /) -> bool:
+        """Return whether Bus Watchdog has run out.  Firmware before 38 has none."""
+        servo = drive.servo
+        return "bus_watchdog" in servo.table and (
+            bus.read(servo.id, servo.table["bus_watchdog"]).data == TRIPPED
+        )
 
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Clear a bus watchdog that is armed or has tripped.

@@ -136,6 +136,10 @@ class FeetechSts:
                     f"servo id {servo.id} (joint {drive.name!r}) keeps its response level"
                 )
 
+    def watchdog_tripped(self, _bus: ServoBus, _drive: Drive, /) -> bool:
+        """Return False: STS servos have no bus watchdog."""
+        return False
+
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Do nothing: STS servos have no bus watchdog."""
 
