@@ -143,9 +143,7 @@ class Abilities:
                 return float(np.sqrt(2 * GRAVITY * rise))
         return None
 
-    def _palms(
-        self, arm: str, relative: Array, lowest: float, shoulder: Array
-    ) -> Iterator[Array]:
+    def _palms(self, arm: str, relative: Array, lowest: float, shoulder: Array) -> Iterator[Array]:
         """Yield positions (3,) of the palm above the centre of mass that may serve a ball.
 
         Args:
@@ -164,9 +162,7 @@ class Abilities:
             return
         inwards = shoulder - xy
         inwards *= (
-            0.9
-            * JUMP_REACH.lateral
-            / max(float(np.linalg.norm(inwards)), JUMP_REACH.lateral)
+            0.9 * JUMP_REACH.lateral / max(float(np.linalg.norm(inwards)), JUMP_REACH.lateral)
         )
         if palm[2] < lowest:
             yield palm_above_center(self.figure, arm, xy + inwards, None)
@@ -176,7 +172,7 @@ class Abilities:
 
 @cached_per_figure
 def raised_arm(figure: Figure, arm: str) -> tuple[Array, float]:
-    """Return the shoulder (3,) of a raised arm relative to the centre of mass, and its length, m."""
+    """Return the shoulder (3,) of a raised arm from the centre of mass, and its length, m."""
     shoulder = shoulder_position(figure, arm) - figure.center_at_home
     q = _raised_pose(figure, arm, shoulder[:2], None)
     palm = figure.pose(q, figure.hands[arm])[0]

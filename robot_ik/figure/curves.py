@@ -28,9 +28,7 @@ def smooth(values: Array, sigma: float) -> Array:
     padding = [(radius, radius)] + [(0, 0)] * (values.ndim - 1)
     padded = np.pad(values, padding, mode="edge")
     columns = padded.reshape(len(padded), -1).T
-    filtered = np.stack(
-        [np.convolve(column, weights, mode="valid") for column in columns], axis=1
-    )
+    filtered = np.stack([np.convolve(column, weights, mode="valid") for column in columns], axis=1)
     return filtered.reshape(values.shape)
 
 
@@ -121,9 +119,7 @@ def decay(
     """
     rest = np.zeros_like(x0)
     coefficients = quintic(x0, v0, rest + a0, rest, rest, rest, duration)
-    return lambda t: np.where(
-        t[:, None] >= duration, 0.0, np.polyval(coefficients, t[:, None])
-    )
+    return lambda t: np.where(t[:, None] >= duration, 0.0, np.polyval(coefficients, t[:, None]))
 
 
 def _hermite(knots: Array, values: Array, slopes: Array, t: Array) -> Array:

@@ -269,9 +269,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
             path=robot.path,
             hint="load it without `joints=`; split ball joints into hinges",
         )
-    left, right = (
-        float(robot.forward(robot.home, parts.feet[side]).position[1]) for side in SIDES
-    )
+    left, right = (float(robot.forward(robot.home, parts.feet[side]).position[1]) for side in SIDES)
     speeds = {"daily": np.full(robot.nv, np.inf)}
     for key, rows in robot.file.speeds.items():
         speeds[key] = _values_by_pattern(robot, rows, np.inf)
@@ -392,9 +390,7 @@ def _collision_geoms(model: mujoco.MjModel, body: int) -> tuple[int, ...]:
     )
 
 
-def rotation_points(
-    model: mujoco.MjModel, data: mujoco.MjData, body: int, top: int
-) -> list[Array]:
+def rotation_points(model: mujoco.MjModel, data: mujoco.MjData, body: int, top: int) -> list[Array]:
     """Return the world points (3,) about which the joints of a limb rotate.
 
     Args:

@@ -39,7 +39,7 @@ _ROUNDING = 1e-6
 """Steps. A count that exceeds a whole number by less is that number."""
 
 _SIDEWAYS = 0.03
-"""Metres. Above it the side of a small step's motion decides which foot goes first, else the turn."""
+"""Metres. Above it the side of the motion decides which foot goes first, below it the turn."""
 
 
 @dataclass(frozen=True)

@@ -104,9 +104,7 @@ class FrameRows:
         A figure without a gaze gets no constraint. A figure without a neck uses all joints.
         """
         if self.figure.gaze is not None:
-            self._add(
-                whole_body.AIM, self.figure.gaze, target, weight, joints=self.figure.neck
-            )
+            self._add(whole_body.AIM, self.figure.gaze, target, weight, joints=self.figure.neck)
 
     def momentum(self, weight: ArrayLike = HARD) -> None:
         """Constrain the angular momentum about the centre of mass between two frames to zero."""

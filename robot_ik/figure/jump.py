@@ -220,10 +220,7 @@ class JumpPlan:
         ]
         numbers = np.clip(np.searchsorted(self.ends, t, side="left"), 0, 6)
         return np.array(
-            [
-                np.polyval(pieces[k], time - starts[k])
-                for k, time in zip(numbers, t, strict=True)
-            ]
+            [np.polyval(pieces[k], time - starts[k]) for k, time in zip(numbers, t, strict=True)]
         )
 
 
@@ -489,9 +486,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
         rows.orientation(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
         stiffness = figure.stiffnesses(STIFFNESS)
-        solved = rows.solve(
-            figure.posture(raised), stiffness, q, speeds=None, max_steps=_MAX_STEPS
-        )
+        solved = rows.solve(figure.posture(raised), stiffness, q, speeds=None, max_steps=_MAX_STEPS)
         q = solved.q[-1]
     return q
 
@@ -534,9 +529,7 @@ def _solve(
     poses = {}
     for side, foot in figure.feet.items():
         stand = figure.pose(plan.ready, foot.frame)[0]
-        position = np.column_stack(
-            [stand[0] + rolled, np.full(count, stand[1]), height + lift]
-        )
+        position = np.column_stack([stand[0] + rolled, np.full(count, stand[1]), height + lift])
         poses[side] = (position, axis_rotations("y", pitch))
     rows.feet(poses, np.where(is_released, released_weight, HARD))
 
@@ -655,9 +648,7 @@ def _posture(
     return postures
 
 
-def jump(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0
-) -> Motion:
+def jump(figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0) -> Motion:
     """Return a jump with the palm at a ball overhead at the apex. It ends where it began.
 
     Args:
@@ -695,8 +686,6 @@ def _ways(speed: float) -> list[tuple[float, float]]:
 
 def _jump_at_origin(plan: JumpPlan, start: Array) -> Motion:
     """Return the jump of a plan from ``start`` (nq,), in the frame of the stance."""
-    figure = plan.figure
-
     # One frame is at the apex, the moment of the touch.
     t = np.arange(1, int((plan.end + JUMPING.stand_time) / DT) + 1) * DT
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
@@ -705,9 +694,7 @@ def _jump_at_origin(plan: JumpPlan, start: Array) -> Motion:
 
     # The palm moves by millimetres in later rounds. Its row corrects that.
     top = _arm_at_apex(plan, _palm_at_apex(plan, t, x, apex_height))
-    frames, contact = _solve(
-        plan, x, _palm_at_apex(plan, t, x, apex_height), top, t, start, None
-    )
+    frames, contact = _solve(plan, x, _palm_at_apex(plan, t, x, apex_height), top, t, start, None)
     error = np.zeros(len(t))
     for round_number in range(JUMPING.corrections):
         remaining = _pressure_error(plan, frames.q, points, contact)
@@ -731,9 +718,7 @@ def _palm_at_apex(plan: JumpPlan, t: Array, x: Array, apex_height: float) -> Arr
     return plan.ball - np.array([np.interp(plan.apex, t, x), 0.0, apex_height])
 
 
-def _pressure_error(
-    plan: JumpPlan, q: Array, points: Array, contact: NDArray[np.int64]
-) -> Array:
+def _pressure_error(plan: JumpPlan, q: Array, points: Array, contact: NDArray[np.int64]) -> Array:
     """Return the smoothed error (n,) of the zero-moment point of the whole body, forwards.
 
     Args:

@@ -115,20 +115,15 @@ class Lion:
             depth_mm = -1e3 * position[2]
             return Decision("nothing", None, f"the ball lies {depth_mm:.0f} mm under the floor")
         distances = {
-            paw: float(np.linalg.norm(self._prints[paw].position - position))
-            for paw in self.paws
+            paw: float(np.linalg.norm(self._prints[paw].position - position)) for paw in self.paws
         }
         for paw in sorted(self.paws, key=distances.__getitem__):
             if self._reaching_pose(paw, position) is not None:
-                reason = (
-                    f"{paw} is {distances[paw]:.2f} m away, and reaches it on the other three"
-                )
+                reason = f"{paw} is {distances[paw]:.2f} m away, and reaches it on the other three"
                 return Decision("reach", paw, reason)
         return Decision("nothing", None, "no paw reaches it while the other three stand")
 
-    def reach(
-        self, ball: ArrayLike, paw: str | None = None, *, rate: float = 60.0
-    ) -> Keyframes:
+    def reach(self, ball: ArrayLike, paw: str | None = None, *, rate: float = 60.0) -> Keyframes:
         """Return the whole motion: lean, reach, hold, and return to the relaxed pose.
 
         Args:
@@ -209,9 +204,7 @@ class Lion:
             *self._hard_goals(standing, center),
             *goals,
             AimGoal("gaze", self._gaze_target(ball), axis="x", soft=True),
-            PostureGoal(
-                self.relaxed, joints={self.robot.joints[0]: 0.3}, soft=True, priority=1
-            ),
+            PostureGoal(self.relaxed, joints={self.robot.joints[0]: 0.3}, soft=True, priority=1),
         ]
         solution = solve(
             self.robot, all_goals, solver="lm", start=self.relaxed, budget=_POSE_BUDGET

@@ -83,7 +83,7 @@ SEARCH = SearchOptions()
 def find_pose(
     figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None
 ) -> FigurePose:
-    """Return the pose nearest to a ball, standing upright (``reach``) or with any posture (``bend``).
+    """Return the pose with the hand nearest to a ball.
 
     The natural pose is tried first. If it is not admissible, poses from ``starts`` are tried, and
     one without self-contact is preferred. Without ``starts`` the search takes a hundred times as

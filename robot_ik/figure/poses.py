@@ -92,9 +92,7 @@ class FigurePose:
     violation: str
 
 
-def judged_pose(
-    figure: Figure, q: Array, ball: Array, arm: str, feet_error: float
-) -> FigurePose:
+def judged_pose(figure: Figure, q: Array, ball: Array, arm: str, feet_error: float) -> FigurePose:
     """Return a pose with its error and its violation, by MuJoCo.
 
     Args:

@@ -130,9 +130,7 @@ class ReachMap:
         inner = self._inner
         k = (z - ORIGIN[2]) / GRID
         levels = [
-            level
-            for level in {int(np.floor(k)), int(np.ceil(k))}
-            if 0 <= level < inner.shape[2]
+            level for level in {int(np.floor(k)), int(np.ceil(k))} if 0 <= level < inner.shape[2]
         ]
         return np.asarray(ORIGIN[:2] + np.argwhere(inner[:, :, levels].any(axis=2)) * GRID)
 
@@ -274,9 +272,7 @@ def _nearest(i: int, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int64], floa
     return indices[order], float(distances[order[0]])
 
 
-def grade(
-    figure: Figure, point: Array, arm: str, kind: str, starts: Array
-) -> tuple[float, Array]:
+def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> tuple[float, Array]:
     """Return the error of a point as the map stores it, and the pose (nq,) nearest to it.
 
     Args:
@@ -299,9 +295,9 @@ def grade(
 def _retry_missed(
     figure: Figure, key: tuple[str, str], error: NDArray[np.float32], poses: Array
 ) -> None:
-    """Write improved values into ``error`` and ``poses``: retry missed points from their neighbours.
+    """Retry missed points from their neighbours, until no further point comes into reach.
 
-    It ends when no further point comes into reach.
+    It writes into ``error`` and ``poses``.
     """
     kind, arm = key
     fresh = np.flatnonzero(error == 0.0)

@@ -147,7 +147,7 @@ class FigureSession:
 
     @property
     def ball(self) -> Array | None:
-        """The ball (3,) that counts. In passive mode the frozen one, None before ``start_passive``."""
+        """The ball (3,) that counts: in passive mode the frozen one, or None."""
         return self._ball if self.mode == "active" else self._frozen_ball
 
     @property
@@ -378,7 +378,7 @@ class FigureSession:
             self._pending = None
 
     def _walk_on(self, goal: Array) -> None:
-        """Plan the next part of the way to a stance: a turn, a walk along a curve, or small steps."""
+        """Plan the next part of the way to a stance: a turn, a curve, or small steps."""
         figure = self.figure
         q = self._q
         stance = figure.stance(q)

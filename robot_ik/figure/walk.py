@@ -80,9 +80,7 @@ class _Footfall:
     def off_share(self, following: _Footfall) -> float:
         """Return the pitch at toe off for the following footfall, as a share of a whole step."""
         largest = WALKING.first_off if self.first else 1.0
-        return min(
-            largest, WALKING.least_off + (1.0 - WALKING.least_off) * following.share
-        )
+        return min(largest, WALKING.least_off + (1.0 - WALKING.least_off) * following.share)
 
 
 class _Plan:
@@ -95,9 +93,7 @@ class _Plan:
         x: (2,) centre of mass at the start.
     """
 
-    def __init__(
-        self, figure: Figure, prints: Sequence[Footprint], gait: Gait, x: Array
-    ) -> None:
+    def __init__(self, figure: Figure, prints: Sequence[Footprint], gait: Gait, x: Array) -> None:
         self.figure = figure
         self.prints = prints
         self.gait = gait
@@ -394,9 +390,7 @@ class _Plan:
             extra_deg = max(0.0, WALKING.leaving_deg - knee_deg)
             bend = np.radians(knee_deg + extra_deg * self._nearness_to_toe_off(side))
             leg2 = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bend)
-            rotation = axis_rotations("z", self.yaw[side]) @ axis_rotations(
-                "y", self.pitch[side]
-            )
+            rotation = axis_rotations("z", self.yaw[side]) @ axis_rotations("y", self.pitch[side])
             ankle = self.foot_positions[side] + rotation @ foot.ankle
             hip = pelvis @ foot.hip
             across2 = ((ankle[:, :2] - pelvis_xy - hip[:, :2]) ** 2).sum(axis=1)

@@ -187,7 +187,6 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("figure --path triangle", "'triangle' is not a valid choice; allowed: circle, random, marker"),
         ("experiments", "missing: {a00,s12} (Which thesis.)"),
         ("experiments b00", "'b00' is not a valid choice (did you mean 'a00'?); allowed: a00, s12"),
-        ("bench figures", "did you mean 'figure'?"),
         ("bench --sets foo", "--sets: 'foo' is not a valid choice; allowed: cold, warm,"),
         ("robots a b c", "'b c': nothing more is taken here"),
         ("servo", "which subcommand of servo? There are: ports, scan,"),
