@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from robot_ik.batch import solve_batch
+    from robot_ik.batch import forward_batch, solve_batch
     from robot_ik.branches import solve_all
     from robot_ik.budget import Budget
     from robot_ik.chain import DHRow, from_dh, make_chain
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from robot_ik.support import support_goals
 
 _HOME = {
-    "robot_ik.batch": ("solve_batch",),
+    "robot_ik.batch": ("forward_batch", "solve_batch"),
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("DHRow", "from_dh", "make_chain"),
     "robot_ik.collision.avoidance": ("CollisionAvoidance",),
@@ -145,6 +145,7 @@ __all__ = [
     "catalogue",
     "execute",
     "follow",
+    "forward_batch",
     "from_dh",
     "joint_move",
     "line_move",

@@ -34,7 +34,7 @@ from robot_ik.errors import (
 )
 from robot_ik.geometry import Array, Pose, is_real, vector
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import HINGE, SLIDE, Tree
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, Tree
 from robot_ik.robot_file import CHAIN, RobotFile, chain_links, find_robot
 
 LIMIT_SLACK = 1e-9
@@ -42,6 +42,9 @@ LIMIT_SLACK = 1e-9
 
 NAMES_SHOWN = 8
 """Joint names in the ``repr`` of a robot."""
+
+_KINDS = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
+"""Name of each kind of joint."""
 
 LARGEST_STIFFNESS = 1e6
 """Ratio to a joint of stiffness 1. A joint that is stiffer hardly moves at all."""
@@ -118,6 +121,11 @@ class Robot:
             f"Robot({self.name!r}, {len(self.joints)} joints: {names}; tool {self.tool!r}, "
             f"{len(self._frames)} frames; {self.path.name})"
         )
+
+    @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """Kind of each active joint: hinge, slide, ball or free."""
+        return tuple(_KINDS[int(kind)] for kind in self.tree.kind)
 
     @property
     def lower(self) -> Array:
@@ -207,27 +215,24 @@ class Robot:
         kinematics.tree_frame(*self._kernel_arguments(q, frame, row))
         return Pose.from_row(row[0])
 
-    def forward_many(self, qs: ArrayLike, frame: str | None = None) -> Array:
-        """Return the world poses (n, 4, 4) of a frame (default: the tool) at ``qs`` (n, nq).
+    def forward_rows(self, q: Array, frame: str | None, positions: Array, wxyz: Array) -> None:
+        """Write the world poses of a frame (default: the tool) at ``q`` to two arrays.
+
+        It may be called from several threads. See ``forward_batch``, which checks ``q``.
+
+        Args:
+            q: (n, nq) joint positions, contiguous, rad or m.
+            frame: Frame.
+            positions: (n, 3) written, m.
+            wxyz: (n, 4) written, unit quaternions with w >= 0.
 
         Raises:
-            ModelError: ``qs`` has another shape or is not finite.
             UnknownFrameError: As ``frame``.
         """
-        array = np.ascontiguousarray(qs, dtype=float)
-        if array.ndim != 2 or array.shape[1] != self.nq or not np.isfinite(array).all():
-            raise ModelError(
-                f"joint positions of shape {array.shape} for {self.name}",
-                hint=f"give finite numbers (n, {self.nq})",
-            )
-        rows = np.empty((len(array), 12))
-        arguments = self._kernel_arguments(self.home, frame, rows)
+        row = np.empty((1, 12))
+        arguments = self._kernel_arguments(self.home, frame, row)
         address, nodes, node, local, _, world, scratch, _ = arguments
-        kinematics.tree_frames(address, nodes, node, local, array, world, scratch, rows)
-        matrices = np.tile(np.eye(4), (len(array), 1, 1))
-        matrices[:, :3, 3] = rows[:, :3]
-        matrices[:, :3, :3] = rows[:, 3:].reshape(-1, 3, 3)
-        return matrices
+        kinematics.tree_poses(address, nodes, node, local, q, world, scratch, row, positions, wxyz)
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return the Jacobian (6, nv) of a frame: linear over angular velocity per unit of dq."""

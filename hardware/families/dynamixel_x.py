@@ -63,8 +63,14 @@ ROBOTIS-GIT/emanual _includes/en/dxl/x/position_pid_gain.md: the gain is the reg
 LARGEST_PROFILE = 32767
 """Largest value of both profile registers."""
 
-CYCLE_REGISTERS = ("torque_enable", "present_position")
+CYCLE_REGISTERS = ("torque_enable", "present_velocity", "present_position")
 """Registers that every control cycle reads."""
+
+SHORT_VELOCITY_SIZE = 2
+"""Bytes of Present Velocity that a control cycle reads: the lower two of four.
+
+They hold 32767 counts in both directions. The largest Velocity Limit of a model is 2047.
+"""
 
 
 class DynamixelX:
@@ -334,9 +340,14 @@ class DynamixelX:
     def short_block(
         self, bus: ServoBus, id: int, table: ControlTable, *, with_health: bool
     ) -> CycleBlock:
-        """Point the indirect addresses at torque and position: 5 bytes, with health 10."""
+        """Point the indirect addresses at torque, velocity and position.
+
+        The block has 7 bytes, with health 12.
+        """
         names = (*CYCLE_REGISTERS, *_health_registers(table)) if with_health else CYCLE_REGISTERS
         registers = [table[name] for name in names]
+        velocity = names.index("present_velocity")
+        registers[velocity] = replace(registers[velocity], size=SHORT_VELOCITY_SIZE)
         addresses = [a for register in registers for a in range(register.address, register.end)]
         first = table["indirect_address_1"].address
         pointers = Register("indirect addresses", first, 2 * len(addresses), writable=True)
@@ -348,7 +359,7 @@ class DynamixelX:
                 raise HardwareError("the indirect addresses read back with other values")
 
         begin = table["indirect_data_1"].address
-        block = Register("torque, position and health", begin, len(addresses), signed=True)
+        block = Register("torque, motion and health", begin, len(addresses), signed=True)
         parts = [
             replace(register, address=begin + addresses.index(register.address))
             for register in registers

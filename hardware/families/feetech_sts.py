@@ -289,11 +289,12 @@ class FeetechSts:
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """From torque to current: 31 bytes.
 
-        Torque, position, load and temperature come in every cycle.
+        Torque, velocity, position, load and temperature come in every cycle.
         """
         names = (
             "torque_enable",
             "goal_velocity",
+            "present_velocity",
             "present_position",
             "present_load",
             "present_current",

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image as Pictures
 
 from benchmarks.figure.motion import MotionMeasure, measure_motion
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import FigureFrame, FigureSession
