@@ -3,8 +3,8 @@
     python examples/07_moving_figure.py                  three balls, one after the other
     python examples/07_moving_figure.py 0.5 -0.2 0.3     a ball of your own
 
-It prints the decision for each ball with its reason, the time of the motion, and the distance
-between hand and ball at the end, measured by MuJoCo.
+Prints the decision for each ball with its reason, the time of the motion, and the distance between
+hand and ball at the end, measured by MuJoCo.
 """
 
 import sys
