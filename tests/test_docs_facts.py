@@ -148,7 +148,7 @@ def test_the_page_states_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "summary.json").read_text())
     measured = 1e3 * summary["by_camera"]["position_m"]
     page = (ROOT / "docs" / "reference" / "reach.md").read_text(encoding="utf-8")
-    (line,) = [row for row in page.splitlines() if "zero-offset joint2=2" in row]
+    (line,) = [row for row in page.splitlines() if "zero-offset:joint2=2" in row]
     assert float(re.findall(r"(\d+) mm", line)[-1]) == pytest.approx(measured, abs=1.0), line
 
 
