@@ -46,9 +46,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "plan": ("plan", "a motion around obstacles, proven free"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
-    "bench figure": (
-        "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
-    ),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
     "poses record": ("key_poses", "a pose into a file: from joints, from a recorded frame, by reaching"),
