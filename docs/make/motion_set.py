@@ -120,7 +120,7 @@ def on_floor(robot: rik.Robot, q: Array) -> Array:
 
 
 def walk_by_norms(robot: rik.Robot, size: float) -> list[Array]:
-    """Return eleven keys of a cycle. The right foot strikes first, the other foot does not slide."""
+    """Return eleven keys of a cycle. The right foot strikes first. A standing foot rests."""
     keys: list[Array] = []
     for k in range(11):
         angles = {"torso_yaw": 4.0 * size * np.cos(0.2 * np.pi * k)}
@@ -203,7 +203,7 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
 def solve_poses(
     robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]
 ) -> tuple[Array, float, float]:
-    """Solve for a pose of which only feet and right hand are known. Return error (m) and seconds."""
+    """Solve for a pose of which feet and right hand are known. Return error (m) and seconds."""
     goals: list[rik.Goal] = [
         rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES
     ]

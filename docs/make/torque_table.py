@@ -1,10 +1,10 @@
 """Write the torque table of models/tabletop_puma/README.md: `python docs/make/torque_table.py`.
 
 The table has the torque that the joints of the desk arm need, by the inverse dynamics of MuJoCo,
-and the torque that its servos give. The poses are random (seeded) in the joint ranges, with a payload
-between the fingers. There are two loads: at rest, and all joints at the speed and acceleration of
-robot.toml [motion], each with a random sign, friction included. The tests fail if the README is out
-of date.
+and the torque that its servos give. The poses are random (seeded) in the joint ranges, with a
+payload between the fingers. There are two loads: at rest, and all joints at the speed and
+acceleration of robot.toml [motion], each with a random sign, friction included. The tests fail if
+the README is out of date.
 """
 
 from __future__ import annotations
