@@ -1,6 +1,6 @@
 """Measure the numbers of performance.md and comparison.md in docs/reference.
 
-    python -m robot_ik.bench.peers install ENVIRONMENTS
+    python -m benchmarks.peers install ENVIRONMENTS
     python docs/make/measure_performance.py ENVIRONMENTS RESULTS
     python docs/make/performance.py RESULTS
 
@@ -37,7 +37,7 @@ def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
     out.mkdir(parents=True, exist_ok=True)
     code = call(
         "-m",
-        "robot_ik.bench.peers",
+        "benchmarks.peers",
         "run",
         "--environments",
         environments,

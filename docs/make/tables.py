@@ -28,7 +28,7 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def solvers() -> str:
     """One row for each method."""
-    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.commands.solvers import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
@@ -48,7 +48,7 @@ def solvers() -> str:
 
 def method(name: str) -> str:
     """What one method is: title, goals, source."""
-    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.commands.solvers import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = solver_facts(name, SOLVERS[name])
@@ -58,7 +58,7 @@ def method(name: str) -> str:
 
 def options(name: str) -> str:
     """All options of one method."""
-    from robot_ik.cli.listing import solver_facts
+    from robot_ik.commands.solvers import solver_facts
     from robot_ik.solvers import SOLVERS
 
     rows = []
