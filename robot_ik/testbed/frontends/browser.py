@@ -38,6 +38,7 @@ from robot_ik.testbed.commands import (
     command_from,
 )
 from robot_ik.testbed.frontends import actions
+from robot_ik.testbed.frontends.ar_pictures import ArPictures
 from robot_ik.testbed.frontends.camera_pictures import CameraPictures
 from robot_ik.testbed.frontends.channel import ChannelPage
 from robot_ik.testbed.frontends.obstacle_scene import ObstacleScene
@@ -110,10 +111,12 @@ class Page(Closing):
         self._shows_turn_handles = False
         self._shows_tool_frames = False
         self._shows_reach = False
+        self._shows_wire = False
         self._film = film
         self._view_due = 0.0
         self._addresses: list[int] = []
         self.camera = None if camera is None else CameraPictures(camera, self.channel)
+        self.ar = ArPictures(session, self.channel)
         with self.server.atomic():
             self._add_gizmo()
             self._obstacles = ObstacleScene(self.server, self._move_obstacle)
@@ -134,9 +137,10 @@ class Page(Closing):
         self.gate.driver.on_leave = self._driver_left
 
     def close(self) -> None:
-        """Stop camera and server."""
+        """Stop cameras and server."""
         if self.camera is not None:
             self.camera.close()
+        self.ar.close()
         self.page_server.close()
 
     # Messages of pages, on the server's thread
@@ -179,6 +183,7 @@ class Page(Closing):
                 self.page_server.theme(dark)
             case actions.ShowOverlay(on):
                 self._shows_overlay = on
+                self.ar.write_captions(on)
                 self._scene.show_trails(on)
             case actions.ShowHandles(on):
                 self._shows_handles = on
@@ -192,9 +197,13 @@ class Page(Closing):
             case actions.ShowReach(on):
                 self._shows_reach = on
                 self._scene.show_reach(on)
+            case actions.ShowWire(on):
+                self._shows_wire = on
+                self._scene.show_wire(on)
             case actions.ShowCamera(on):
-                if self.camera is not None:
-                    self.camera.switch(on)
+                self._switch_camera(on)
+            case actions.ShowAr(on):
+                self.switch_ar(on)
             case actions.HandOver():
                 self.gate.driver.hand_over()
             case actions.ReportGraphics(software):
@@ -203,8 +212,28 @@ class Page(Closing):
                 client = self.page_server.client_of(page)
                 if client is not None:
                     self._fit_camera(self._scene, client)
+            case actions.DragArBall():
+                command = self.ar.dragged(action)
+                if command is not None:
+                    self.session.send(command)
+                return
             case _:
+                self.ar.act(action)
                 self._give_file(page, action)
+        self._tell_settings()
+
+    def _switch_camera(self, on: bool) -> None:
+        """Show the camera of the robot's scene, or not. One camera is shown at a time."""
+        if self.camera is not None:
+            self.camera.switch(on)
+            if on:
+                self.ar.switch(False)
+
+    def switch_ar(self, on: bool) -> None:
+        """Show augmented reality, or not. One camera is shown at a time."""
+        self.ar.switch(on)
+        if on and self.camera is not None:
+            self.camera.switch(False)
         self._tell_settings()
 
     def _tell_settings(self) -> None:
@@ -216,6 +245,8 @@ class Page(Closing):
             "turn_handles": self._shows_turn_handles,
             "tool_frames": self._shows_tool_frames,
             "reach": self._shows_reach,
+            "wire": self._shows_wire,
+            "ar": self.ar.settings(),
             "camera": self.camera is not None and self.camera.is_on,
         }
         self.channel.greet("settings", settings)
@@ -305,6 +336,7 @@ class Page(Closing):
         scene.show_trails(self._shows_overlay)
         scene.show_axes(self._shows_tool_frames)
         scene.show_reach(self._shows_reach)
+        scene.show_wire(self._shows_wire)
         self._gizmo.scale = _GIZMO_SIZE * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
@@ -404,6 +436,7 @@ class Page(Closing):
         is there, and does not take turns with this thread.
         """
         self._view = view
+        self.ar.show_view(view)
         with self.server.atomic():
             try:
                 self._draw_scene(view)

@@ -31,6 +31,7 @@ from robot_ik.testbed.arrangement import (
     arranged,
     linear,
 )
+from robot_ik.testbed.frontends.wire import Wire
 from robot_ik.testbed.view import View
 
 Floats = NDArray[np.float32]
@@ -299,6 +300,7 @@ class BrowserScene:
         self._slides = slide_numbers(robot)
         self._cloud: Any = None
         self._axes: Any = None
+        self._wire: Wire | None = None
         self._trails_shown = True
         self._drawn = np.full((count, robot.model.nbody, 7), np.nan, np.float32)
         with server.atomic():
@@ -390,6 +392,17 @@ class BrowserScene:
         if self._axes is not None:
             self._axes.visible = on
 
+    def show_wire(self, on: bool) -> None:
+        """Draw the robots as wire, or solid."""
+        if self._wire is not None:
+            self._wire.remove()
+            self._wire = None
+        if on:
+            self._wire = Wire(self._server, self.robot, self.count)
+            self._drawn[:] = np.nan  # all lines are drawn with the next view
+        for _, handle in self.bodies:
+            handle.visible = not on
+
     def show_reach(self, on: bool) -> None:
         """Show positions of the tool at random joint angles within the limits, or none."""
         if self._cloud is not None:
@@ -423,6 +436,8 @@ class BrowserScene:
                     positions = xpos[:, body].copy()
                     wxyzs = xquat[:, body].copy()
                     assign(handle, batched_positions=positions, batched_wxyzs=wxyzs)
+            if self._wire is not None and any(moved):
+                self._wire.draw(xpos, xquat)
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)

@@ -12,6 +12,16 @@ const KIND_WORDS = {
   timeline: "at the tool",
 };
 
+/** The keys of the ball. Those of the first thesis are along the axes, else they are as seen. */
+function ballKeys(isAlongAxes) {
+  if (!isAlongAxes) return [["↑ ↓ ← → W S", "ball"]];
+  return [
+    ["← →", "ball x"],
+    ["↑ ↓", "y"],
+    ["W S", "z"],
+  ];
+}
+
 export class Overlay {
   constructor() {
     this.isShown = true;
@@ -74,7 +84,7 @@ export class Overlay {
     ]);
   }
 
-  show(view, keysMoveCamera) {
+  show(view, keysMoveCamera, isArOn) {
     view.ball.forEach((value, k) => {
       this.numbers[k].textContent = value.toFixed(3);
     });
@@ -82,7 +92,7 @@ export class Overlay {
     if (view.message && view.message !== this.lastMessage) this.notice(view.message);
     this.lastMessage = view.message;
     this.showDecision(view.figure);
-    this.showHint(view, keysMoveCamera);
+    this.showHint(view, keysMoveCamera, isArOn);
   }
 
   modeText({ figure, kind, motion }) {
@@ -107,7 +117,7 @@ export class Overlay {
     this.phase.style.width = `${100 * figure.phase}%`;
   }
 
-  showHint(view, keysMoveCamera) {
+  showHint(view, keysMoveCamera, isArOn) {
     const space = view.figure?.mode === "passive" ? "act" : "pause";
     const pairs = keysMoveCamera
       ? [
@@ -115,7 +125,8 @@ export class Overlay {
           ["C", "keys move the ball"],
         ]
       : [
-          ["↑ ↓ ← → W S", "ball"],
+          ...ballKeys(view.figure || isArOn),
+          ...(view.figure ? [["I", "active, passive"]] : []),
           ["Space", view.running ? space : "start"],
           ["R", "reset"],
           ["C", "keys move the camera"],
