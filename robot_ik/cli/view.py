@@ -157,7 +157,8 @@ def _view(options: ViewOptions, viewer: str) -> int:
     if viewer == "recorder":
         from robot_ik.jobs.testbed import film
 
-        out, log = Path("testbed.mp4"), CommandLog(start, ())
+        first = chosen.commands if chosen else ()
+        out, log = Path("testbed.mp4"), CommandLog(start, tuple((0, command) for command in first))
         with console.kept(out):
             view = film(log, out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
         console.say(f"filmed: {out}")

@@ -23,7 +23,15 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import RATE, DragLink
-from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, restarting, retarget
+from robot_ik.testbed.limb import Limb
+from robot_ik.testbed.setup import (
+    BUDGET,
+    NATURAL_POSE,
+    RobotGoals,
+    gaze_axis,
+    restarting,
+    retarget,
+)
 
 TRAIL = 120
 """Positions of the tool that a trail has."""
@@ -80,7 +88,7 @@ class Statistics:
         return cls(len(solves), mean, p99, iterations, solved, float(solves[:, 3].max()))
 
 
-_ALWAYS_MISSED = ("ball", "posture")
+_ALWAYS_MISSED = ("ball", "posture", NATURAL_POSE)
 """Goals that explain no status: the ball is met, and a posture is only approached."""
 
 
@@ -187,6 +195,7 @@ class Instance:
         self._local = frame.local
         self.refused = ""
         self.note = ""
+        self._limb: Limb | None = None
         self.budget = BUDGET
         self.distance = _TOLERANCE.position
         self._restarts = False
@@ -213,14 +222,26 @@ class Instance:
         self._solves = np.empty((0, 4))
         self._statistics = Statistics()
 
-    def take(self, robot: Robot, solver: Solver, refused: str, note: str) -> None:
-        """Go on with another method, options or limits. A changed method begins new statistics."""
+    def take(
+        self, robot: Robot, solver: Solver, refused: str, note: str, limb: Limb | None = None
+    ) -> None:
+        """Go on with another method, options or limits. A changed method begins new statistics.
+
+        Args:
+            robot: The robot.
+            solver: Its method.
+            refused: Why the method cannot serve the goals. Empty: it can.
+            note: How its goals differ from those of others.
+            limb: The limb that the method moves alone, towards the ball. None: all goals are served
+                with all joints.
+        """
         if self.solver != solver or self.robot is not robot:
             self._begin_statistics()
         self.robot = robot
         self.solver = solver
         self.refused = refused
         self.note = note
+        self._limb = limb
         self._problem = None
         self._drag = None
         self._unmet_ticks = 0
@@ -269,10 +290,11 @@ class Instance:
         self._status = self.refused
         before = self.q
         if not self.refused:
-            wanted = goals.all(ball, self.solver)
+            wanted = self._wanted(goals, ball, self.solver)
             if self._problem is None:
                 budget = restarting(self.budget, self.robot) if restarts else self.budget
-                self._problem = Problem(self.robot, wanted, solver=self.solver, budget=budget)
+                robot = self.robot if self._limb is None else self._limb.robot
+                self._problem = Problem(robot, wanted, solver=self.solver, budget=budget)
             solution = self._solved(self._problem, wanted)
         self._measure(goals, ball)
         if solution is not None:
@@ -281,6 +303,12 @@ class Instance:
             change = float(np.abs(self.q - before).max(initial=0.0))
             row = (self._seconds, solution.iterations, met, change)
             self._solves = appended(self._solves, row, WINDOW)
+
+    def _wanted(self, goals: RobotGoals, ball: Pose, solver: Solver) -> list[Goal]:
+        """Return the goals that the method serves."""
+        if self._limb is None:
+            return goals.all(ball, solver)
+        return [dataclasses.replace(goals.main(ball), priority=0)]
 
     def _is_met(self) -> bool:
         return self.error <= self.distance and self.angle <= _TOLERANCE.angle
@@ -321,7 +349,8 @@ class Instance:
         try:
             retarget(problem, wanted)
             begin = time.thread_time()
-            solution = problem.solve(self.q)
+            start = self.q if self._limb is None else self._limb.own(self.q)
+            solution = problem.solve(start)
             self._seconds = time.thread_time() - begin
         except RobotIkError as error:
             self._status = str(error).splitlines()[0]
@@ -329,7 +358,7 @@ class Instance:
         self._status = solution.status.name.lower().replace("_", " ")
         self._iterations = solution.iterations
         if np.isfinite(solution.q).all():
-            self.move_to(solution.q)
+            self.move_to(solution.q if self._limb is None else self._limb.whole(solution.q))
         return solution
 
     def _measure(self, goals: RobotGoals, ball: Pose) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from robot_ik.errors import ConfigError, did_you_mean
-from robot_ik.testbed.commands import Command, SetFigure, Start
+from robot_ik.testbed.commands import Command, SetFigure
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,6 @@ class Preset:
     robot: str
     commands: tuple[Command, ...] = ()
     ar: bool = False
-
-    def start(self, seed: int = 1) -> Start:
-        """Return what the session begins with. ``seed`` is that of the ball's random positions."""
-        return Start(self.robot, seed=seed)
 
 
 PRESETS: dict[str, Preset] = {

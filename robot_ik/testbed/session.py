@@ -513,9 +513,13 @@ class Session(Closing):
         self.robot = ready.robot
         self._branches = ()
         self._set_figure(before, ready)
-        for one, solver, refused in zip(self.instances, ready.solvers, ready.refused, strict=True):
-            flat = ready.goals.flattened(solver)
-            one.take(ready.robot, solver, refused, "all goals at one priority" if flat else "")
+        for k, one in enumerate(self.instances):
+            solver = ready.solvers[k]
+            limb = ready.limbs[k]
+            note = "all goals at one priority" if ready.goals.flattened(solver) else ""
+            if limb is not None:
+                note = f"moves {len(limb.robot.joints)} joints towards the ball, no other goal"
+            one.take(ready.robot, solver, ready.refused[k], note, limb)
         self._begin_random()
         if before is None:
             self._ball = self._moving_ball(ready)

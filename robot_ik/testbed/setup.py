@@ -17,7 +17,7 @@ import numpy as np
 
 from robot_ik.branches import solve_all
 from robot_ik.budget import Budget
-from robot_ik.errors import ConfigError, RobotIkError
+from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
 from robot_ik.figure.motion.drag import Drag
@@ -30,6 +30,7 @@ from robot_ik.goals import (
     OrientationGoal,
     PlaneGoal,
     PoseGoal,
+    PosePriorGoal,
     PositionGoal,
     PostureGoal,
 )
@@ -37,6 +38,7 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
+from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
@@ -45,6 +47,7 @@ from robot_ik.solvers.base import Solver
 from robot_ik.support import supported_frames
 from robot_ik.testbed import commands
 from robot_ik.testbed.gallery_scene import gallery_scene
+from robot_ik.testbed.limb import Limb
 
 BUDGET = Budget(iterations=200, restarts=0)
 """Of one solve. Iterations instead of seconds, so that a replay gives the same bits. Without
@@ -87,6 +90,9 @@ _HOLD_GOALS = 6
 """Frames beside the tool that are offered to be held."""
 
 _GAZE = "gaze"
+
+NATURAL_POSE = "natural pose"
+"""Name of the goal that prefers poses like the learned ones."""
 
 
 @dataclass(frozen=True)
@@ -235,12 +241,12 @@ class RobotGoals:
     def all(self, ball: Pose, solver: Solver) -> list[Goal]:
         """Return the ball's goal, then the others.
 
-        A method that cannot order goals gets them at one priority, without the posture.
+        A method that cannot order goals gets them at one priority, without posture and prior.
         """
         goals = [goal for _, goal in self.named(ball)]
         if "priorities" in solver.capabilities:
             return goals
-        ranked = [goal for goal in goals if not isinstance(goal, PostureGoal)]
+        ranked = [goal for goal in goals if not isinstance(goal, PostureGoal | PosePriorGoal)]
         return [replace(goal, priority=0) for goal in ranked]
 
     def named(self, ball: Pose) -> list[tuple[str, Goal]]:
@@ -282,6 +288,8 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
         kinds = zip(robot.joints, robot.tree.kind.tolist(), strict=True)
         free = [joint for joint, kind in kinds if kind == FREE]
         return PostureGoal(q=home, joints=dict.fromkeys(free, 0.0), priority=extra.priority)
+    if extra.name == NATURAL_POSE:
+        return PosePriorGoal(prior=PosePrior.of(robot), priority=extra.priority)
     return None
 
 
@@ -316,6 +324,10 @@ def _figure_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
     for name in others[:_HOLD_GOALS]:
         extras.append(ExtraGoal(f"hold {name}", False, 3, f"{name} stays at its position"))
     extras.append(ExtraGoal("posture", True, 4, "joints as near to home as possible"))
+    with contextlib.suppress(ModelError):
+        PosePrior.of(robot)
+        about = "a pose like those of motions that were learned; for methods with priorities"
+        extras.append(ExtraGoal(NATURAL_POSE, False, 3, about))
     return tuple(extras)
 
 
@@ -331,6 +343,8 @@ class Ready:
         loaded: The robot within the limits of its model.
         curve: The ball's path. The tool can follow it.
         refused: Why each instance's method cannot serve these goals. Empty if it can.
+        limbs: For each instance of a figure, the limb that its method moves alone. None: its method
+            moves the whole robot.
         abilities: Of a figure that decides by itself. None: it does not.
     """
 
@@ -341,6 +355,7 @@ class Ready:
     loaded: Robot
     curve: CurveSource
     refused: tuple[str, ...]
+    limbs: tuple[Limb | None, ...]
     abilities: Abilities | None
 
 
@@ -387,12 +402,16 @@ def prepare(
     goals = RobotGoals(used, setup.kind, setup.extras)
     home = first_ball(loaded)
     refused = []
+    limbs: list[Limb | None] = []
     solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
     if first is not None:
         first(setup, used, goals, solvers)
     for solver in solvers:
         say(f"preparing {solver.name} …")
-        refused.append(_tried(used, goals, solver, home))
+        reason = _tried(used, goals, solver, home)
+        limb = _limb(used, goals, solver, home) if reason and is_figure(loaded) else None
+        refused.append("" if limb else reason)
+        limbs.append(limb)
     if setup.branches:
         with contextlib.suppress(RobotIkError):
             branches_of(used, goals.main(home), used.home)
@@ -408,7 +427,9 @@ def prepare(
         if before is not None and before.loaded is loaded:
             abilities = before.abilities
         abilities = abilities or _abilities(loaded, say)
-    return Ready(setup, used, goals, solvers, loaded, curve, tuple(refused), abilities)
+    return Ready(
+        setup, used, goals, solvers, loaded, curve, tuple(refused), tuple(limbs), abilities
+    )
 
 
 def _abilities(robot: Robot, say: Callable[[str], None]) -> Abilities:
@@ -443,10 +464,21 @@ def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
     return ""
 
 
+def _limb(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> Limb | None:
+    """Return the limb of the tool, if the method can serve the ball's goal with it alone."""
+    with contextlib.suppress(RobotIkError):
+        limb = Limb(robot)
+        goal = replace(goals.main(ball), priority=0)
+        Problem(limb.robot, [goal], solver=solver, budget=BUDGET).solve(limb.robot.home)
+        return limb
+    return None
+
+
 def retarget(problem: Problem, goals: list[Goal]) -> None:
     """Move the targets of a problem that was made for such goals."""
     for index, goal in enumerate(goals):
-        if not isinstance(goal, PostureGoal | CenterOfMassGoal):  # these stay where they are
+        # The others stay where they are.
+        if not isinstance(goal, PostureGoal | CenterOfMassGoal | PosePriorGoal):
             problem.retarget(goal, index)
 
 

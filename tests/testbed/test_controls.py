@@ -84,6 +84,7 @@ SWITCHES = {
     "show_turn_handles": "turn_handles",
     "show_tool_frames": "tool_frames",
     "show_reach": "reach",
+    "show_wire": "wire",
     "show_camera": "camera",
 }
 FILES = {
@@ -94,11 +95,20 @@ FILES = {
     "film_session": ({}, "testbed.mp4"),
 }
 OTHERS = {"press_key", "hand_over", "fit_camera", "report_graphics", "save_recording"}
-"""These have own tests."""
+AR = {
+    "begin_preset",
+    "drag_ar_ball",
+    "place_ar",
+    "set_ar_ball",
+    "set_ar_camera",
+    "set_ar_delay",
+    "show_ar",
+}
+"""These and those of ``OTHERS`` have own tests."""
 
 
 def test_every_action_is_tried_by_a_test() -> None:
-    assert {*SWITCHES, *FILES, *OTHERS} == set(ACTIONS)
+    assert {*SWITCHES, *FILES, *OTHERS, *AR} == set(ACTIONS)
 
 
 @pytest.mark.parametrize(("action", "setting"), SWITCHES.items())

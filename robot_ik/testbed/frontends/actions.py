@@ -95,6 +95,12 @@ class ShowWire(Action):
     on: bool
 
 
+class BeginPreset(Action):
+    """Begin a preset: the program of a thesis."""
+
+    name: Annotated[str, Field(max_length=40)]
+
+
 class ShowAr(Action):
     """Draw robot 1 into the pictures of a camera, or take no pictures."""
 

@@ -40,6 +40,7 @@ class ArPictures(Closing):
         self._channel = channel
         self._lock = threading.Lock()
         self._live: LiveAr | None = None
+        self._view: View | None = None
         self._is_on = False
         self._writes = True
         self._place: actions.ArPlace = "whole"
@@ -75,6 +76,8 @@ class ArPictures(Closing):
                 self._live.writes = self._writes
                 self._live.set_setup(self._setup)
                 self._live.set_delay(self._delay)
+                if self._view is not None:
+                    self._live.show_view(self._view)
                 self._live.switch(True)
 
     def write_captions(self, on: bool) -> None:
@@ -86,6 +89,7 @@ class ArPictures(Closing):
 
     def show_view(self, view: View) -> None:
         """Take the view that is drawn from now on."""
+        self._view = view
         if self._live is not None:
             self._live.show_view(view)
 

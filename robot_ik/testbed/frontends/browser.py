@@ -34,6 +34,7 @@ from robot_ik.testbed.commands import (
     PlayTimeline,
     Release,
     SetArm,
+    SetRobot,
     SetRunning,
     command_from,
 )
@@ -52,6 +53,7 @@ from robot_ik.testbed.frontends.view_rows import (
     view_row,
 )
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.presets import Preset, preset
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 
@@ -204,6 +206,8 @@ class Page(Closing):
                 self._switch_camera(on)
             case actions.ShowAr(on):
                 self.switch_ar(on)
+            case actions.BeginPreset(name):
+                self._begin(preset(name))
             case actions.HandOver():
                 self.gate.driver.hand_over()
             case actions.ReportGraphics(software):
@@ -213,9 +217,9 @@ class Page(Closing):
                 if client is not None:
                     self._fit_camera(self._scene, client)
             case actions.DragArBall():
-                command = self.ar.dragged(action)
-                if command is not None:
-                    self.session.send(command)
+                moved = self.ar.dragged(action)
+                if moved is not None:
+                    self.session.send(moved)
                 return
             case _:
                 self.ar.act(action)
@@ -228,6 +232,14 @@ class Page(Closing):
             self.camera.switch(on)
             if on:
                 self.ar.switch(False)
+
+    def _begin(self, chosen: Preset) -> None:
+        """Show the robot of a preset, and do what it does at first."""
+        if self._view.robot != chosen.robot:
+            self.session.send(SetRobot(chosen.robot))
+        for command in chosen.commands:
+            self.session.send(command)
+        self.switch_ar(chosen.ar)
 
     def switch_ar(self, on: bool) -> None:
         """Show augmented reality, or not. One camera is shown at a time."""

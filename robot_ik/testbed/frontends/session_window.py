@@ -137,29 +137,30 @@ class SessionWindow(ViewerWindow):
             self._data.qpos[: robot.model.nq] = robot.qpos(view.instances[0].q)
             mujoco.mj_forward(self._model, self._data)
             self._draw_others(view)
-        self._viewer.set_texts(self._texts(view))
-        self._draw_ar(view)
+        covered = self._draw_ar(view)
+        self._viewer.set_texts(self._texts(view, covered))
         self._viewer.sync()
         self._take_drag()
         return True
 
-    def _texts(self, view: View) -> list[Any]:
+    def _texts(self, view: View, covered: int) -> list[Any]:
         window = self._viewer.viewport
         if not self._overlay or window is None:
             return []
-        return window_texts(view, window.width, window.height)
+        return window_texts(view, window.width, window.height, covered)
 
-    def _draw_ar(self, view: View) -> None:
-        """Show the camera's picture if it is wanted. Its thread begins the first time."""
+    def _draw_ar(self, view: View) -> int:
+        """Show the camera's picture if it is wanted, and return its width in pixels."""
         if self._is_ar_wanted and self._ar is None:
             self._ar = WindowAr(self.session)
-        if self._ar is not None:
-            if self._ar.is_on != self._is_ar_wanted:
-                self._ar.switch(self._is_ar_wanted)
-            self._ar.draw(self._viewer, view)
-            if self._ar.problem:
-                self._is_ar_wanted = False
-                self.session.report(f"no picture: {self._ar.problem}")
+        if self._ar is None:
+            return 0
+        if self._ar.is_on != self._is_ar_wanted:
+            self._ar.switch(self._is_ar_wanted)
+        if self._ar.problem:
+            self._is_ar_wanted = False
+            self.session.report(f"no picture: {self._ar.problem}")
+        return self._ar.draw(self._viewer, view)
 
     def close(self) -> None:
         """Close the window, end the camera, and wait for their threads."""

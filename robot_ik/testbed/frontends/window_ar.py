@@ -41,20 +41,21 @@ class WindowAr(Closing):
         self._picture = None
         self._live.switch(on)
 
-    def draw(self, viewer: Any, view: View) -> None:
-        """Show the last picture in a viewer, or none."""
+    def draw(self, viewer: Any, view: View) -> int:
+        """Show the last picture in a viewer, or none. Return its width, pixels."""
         self._live.show_view(view)
         picture = self._picture
         window = viewer.viewport
         if picture is None or not self.is_on or window is None:
             viewer.clear_images()
-            return
+            return 0
         height, width = picture.image.shape[:2]
         scale = min(_SHARE * window.width / width, _SHARE * window.height / height, 1.0)
         size = (max(1, round(scale * width)), max(1, round(scale * height)))
         small = cv2.resize(picture.image, size, interpolation=cv2.INTER_AREA)
         place = mujoco.MjrRect(window.width - size[0], 0, *size)
         viewer.set_images((place, np.ascontiguousarray(small[:, :, ::-1])))
+        return size[0]
 
     @property
     def problem(self) -> str:

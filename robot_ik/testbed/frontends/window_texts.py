@@ -29,17 +29,17 @@ _SMALLEST_COLUMN = 20
 Rows = list[tuple[str, str]]
 
 
-def window_texts(view: View, width: int, height: int) -> list[Any]:
+def window_texts(view: View, width: int, height: int, covered: int = 0) -> list[Any]:
     """Return the tables for ``Handle.set_texts``. They do not overlap.
 
     Args:
         view: What is shown.
         width: Of the window, pixels.
         height: Of the window, pixels.
+        covered: Pixels of the lower right that a picture covers.
     """
-    letters = max(width // _LETTER_WIDTH - _FIRST_COLUMN, _SMALLEST_COLUMN)
-    status = _broken(_status_rows(view), letters)
-    keys = _broken(_key_rows(), letters)
+    status = _broken(_status_rows(view), _letters(width))
+    keys = _broken(_key_rows(), _letters(width - covered))
     font = mujoco.mjtFontScale.mjFONTSCALE_100
     corner = mujoco.mjtGridPos
     room = (height - 2 * _FRAME) // _ROW_HEIGHT
@@ -48,6 +48,11 @@ def window_texts(view: View, width: int, height: int) -> list[Any]:
     if len(status) + len(keys) <= room:
         texts.append((font, corner.mjGRID_BOTTOMLEFT, *_columns(keys)))
     return texts
+
+
+def _letters(width: int) -> int:
+    """Return the letters of the second column of a table that is so many pixels wide."""
+    return max(width // _LETTER_WIDTH - _FIRST_COLUMN, _SMALLEST_COLUMN)
 
 
 def _status_rows(view: View) -> Rows:

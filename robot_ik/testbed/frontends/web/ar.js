@@ -228,6 +228,9 @@ export class ArTab {
     this.element = make(
       "div",
       { class: "rk-ar-tab" },
+      button("film", "ARKineMan", () => channel.action("begin_preset", { name: "arkineman" }), {
+        title: "Thesis P11: a figure that decides, a virtual ball, in the picture of a camera",
+      }),
       this.on.element,
       make("div", { class: "rk-row" }, make("label", {}, "Picture"), this.place.element),
       this.note,
