@@ -150,7 +150,7 @@ def test_the_ball_is_drawn_where_opencv_projects_it(film: Any, scene: ArScene) -
     registrar.take(frame)
     done = registrar.composed(frame, scene.qpos(scene.robot.home, ball))
     image = done.image.astype(int)
-    orange = (image[:, :, 2] - image[:, :, 0] > 130).astype(np.uint8)  # red without blue
+    orange = (image[:, :, 2] - image[:, :, 0] > 60).astype(np.uint8)  # red without blue
     _, _, boxes, _ = cv2.connectedComponentsWithStats(orange)
     x, y, width, height, _ = max(boxes[1:], key=lambda box: box[4])
     middle = np.array((x + 0.5 * (width - 1), y + 0.5 * (height - 1)))
