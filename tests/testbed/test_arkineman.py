@@ -19,8 +19,8 @@ from robot_ik.testbed.commands import (
     Start,
 )
 from robot_ik.testbed.loop import run
+from robot_ik.testbed.robot_goals import NATURAL_POSE
 from robot_ik.testbed.session import Session
-from robot_ik.testbed.setup import NATURAL_POSE
 from robot_ik.testbed.view import View
 from tests.testbed.conftest import Bed
 from tests.testbed.test_browser import Window, chromium, open_tab, open_window, wrong

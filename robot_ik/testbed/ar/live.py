@@ -243,7 +243,7 @@ class LiveAr(Closing):
         else:
             camera = before.camera
             tracker = before.tracker
-        is_same = before is not None and before.scene.robot.model is robot.model
+        is_same = before is not None and before.scene.robot is robot
         scene = before.scene if before is not None and is_same else ArScene(robot)
         if before is not None and before.camera is camera and is_same and before.delay == delay:
             return before

@@ -48,6 +48,7 @@ class Page {
         pane.showPicture(value);
       },
       ar: (value) => this.showArStatus(value),
+      cases: (value) => this.showCases(value),
       notice: (value) => this.overlay.notice(value),
       file: ({ name, base64 }) => {
         download(name, Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
@@ -141,6 +142,7 @@ class Page {
       Scene: new SceneTab(this.channel),
       Record: new RecordTab(program, this.channel),
     };
+    this.dialogs.push(this.tabs.Methods.theses.table);
     this.buildSide();
     this.root.prepend(this.labels.element);
     this.root.append(...this.dialogs.map(({ element }) => element));
@@ -150,6 +152,7 @@ class Page {
     if (this.settings) this.showSettings(this.settings);
     if (this.role) this.showRole(this.role);
     if (this.arStatus) this.showArStatus(this.arStatus);
+    if (this.cases) this.showCases(this.cases);
     if (this.view) this.draw();
   }
 
@@ -209,6 +212,7 @@ class Page {
     this.overlay.showRobot(robot);
     this.top.showRobot(robot);
     this.tabs?.Joints.showRobot(robot);
+    this.tabs?.Goals.showRobot(robot);
     this.gallery?.showRobot(robot);
   }
 
@@ -220,9 +224,15 @@ class Page {
     this.top.showSettings(settings);
     this.tabs?.AR.showSettings(settings.ar);
     this.tabs?.Scene.showSettings(settings);
+    this.tabs?.Goals.showSettings(settings);
     document.documentElement.classList.toggle("rk-dark", settings.dark);
     document.body.toggleAttribute("data-rk-camera", settings.camera);
     document.body.dataset.rkAr = settings.ar.on ? settings.ar.place : "off";
+  }
+
+  showCases(cases) {
+    this.cases = cases;
+    this.tabs?.Methods.theses.showCases(cases);
   }
 
   showRole(role) {
