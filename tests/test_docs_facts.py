@@ -134,7 +134,7 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
 def test_the_page_states_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     assert (
         cli.main(
-            ["reach", "--bus", "sim", "--rehearse.zero-offset", "joint2=2", "--out", str(tmp_path)]
+            ["reach", "--bus", "sim", "--fault", "zero-offset:joint2=2", "--out", str(tmp_path)]
         )
         == 1
     )

@@ -42,7 +42,6 @@ class CommandRow:
 # Name -> file of ``robot_ik/cli/`` and one line of help, in the order of ``robot-ik --help``.
 ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
-    "reach": ("reach", "detect a marker, reach it, and verify the result with a camera"),
     "reachability": ("reachability", "where an arm can reach: a map, slices and a point cloud"),
     "plan": ("plan", "a motion around obstacles, proven free"),
     "robots": ("listing", "the bundled robots, or one in detail"),
