@@ -48,9 +48,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
-    "bench figure": (
-        "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
-    ),
     "run": ("run", "a scripted test run on simulated or real servos, faults included"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
