@@ -205,7 +205,9 @@ def test_a_ball_out_of_reach_leaves_the_arm_calm(window: Window, bench: Bed) -> 
     shown(bench, "seven_segment", 1)
     bench.session.send(SetGoalKind("position"))
     bench.session.send(MoveGoal((9.0, 9.0, 3.0)))
-    window.page.get_by_text("unreachable").first.wait_for()
+    bench.until(lambda view: view.instances[0].status == "unreachable", "it is not proven")
+    open_tab(window, "Methods")
+    window.page.locator(".rk-word").first.get_by_text("unreachable").wait_for()
     now = bench.view.now
     q = bench.until(lambda view: view.now > now + 4.0).instances[0].q
     now = bench.view.now
