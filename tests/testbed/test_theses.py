@@ -185,8 +185,10 @@ def test_statistics_show_time_attempts_solved_and_the_largest_jump(
     bench.session.send(SetMotion("curve"))
     view = bench.until(lambda view: view.instances[0].statistics.count > 60)
     card = window.page.locator(".rk-method").first
-    cells = {label: card.locator(f".rk-stats div:has(small:text-is('{label}')) b") for label in
-             ("steps", "time", "jump", "solved")}  # fmt: skip
+    cells = {
+        label: card.locator(f".rk-stats div:has(small:text-is('{label}')) b")
+        for label in ("steps", "time", "jump", "solved")
+    }
     wait_for(lambda: cells["jump"].inner_text().endswith("°"))
     jump = float(cells["jump"].inner_text().removesuffix("°"))
     assert 0.0 < jump < 90.0 and cells["time"].inner_text().endswith("µs")
