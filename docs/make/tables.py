@@ -1,7 +1,7 @@
-"""Writes the tables of the documentation that come from the program: `python docs/make/tables.py`.
+"""Write the tables of the pages that come from the program: `python docs/make/tables.py`.
 
-A table stands between `<!-- table: NAME -->` and `<!-- end -->`; some are of one method, and have its name
-after theirs: `<!-- table: options lm -->`.  The tests fail where one is out of date.
+A table stands between `<!-- table: NAME -->` and `<!-- end -->`. Tables of one method have its name
+after theirs: `<!-- table: options lm -->`. The tests fail if a table is out of date.
 """
 
 from __future__ import annotations
