@@ -41,7 +41,9 @@ def main():
         env,
         replay_buffer_class=HerReplayBuffer,
         replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
-        learning_starts=1000,
+        learning_starts=500,
+        learning_rate=1e-3,
+        gamma=0.95,  # an episode has 50 steps
         seed=0,
     )
     rows = ["steps,success"]
