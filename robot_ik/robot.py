@@ -34,7 +34,7 @@ from robot_ik.errors import (
 )
 from robot_ik.geometry import Array, Pose, is_real, vector
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import HINGE, SLIDE, Tree
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, Tree
 from robot_ik.robot_file import CHAIN, RobotFile, chain_links, find_robot
 
 LIMIT_SLACK = 1e-9
@@ -42,6 +42,9 @@ LIMIT_SLACK = 1e-9
 
 NAMES_SHOWN = 8
 """Joint names in the ``repr`` of a robot."""
+
+_KINDS = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
+"""Name of each kind of joint."""
 
 LARGEST_STIFFNESS = 1e6
 """Ratio to a joint of stiffness 1. A joint that is stiffer hardly moves at all."""
@@ -118,6 +121,11 @@ class Robot:
             f"Robot({self.name!r}, {len(self.joints)} joints: {names}; tool {self.tool!r}, "
             f"{len(self._frames)} frames; {self.path.name})"
         )
+
+    @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """Kind of each active joint: hinge, slide, ball or free."""
+        return tuple(_KINDS[int(kind)] for kind in self.tree.kind)
 
     @property
     def lower(self) -> Array:

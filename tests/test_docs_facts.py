@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli import main as cli
+from robot_ik.commands import main as cli
 from tests.doc_pages import PAGES, ROOT, blocks, named, prose, script
 
 #: Files in which an install line could stand.
@@ -61,7 +61,7 @@ def test_the_tagline_is_the_same_everywhere(capsys: pytest.CaptureFixture[str]) 
         "README.md": (ROOT / "README.md").read_text(encoding="utf-8").splitlines()[2],
         "docs/index.md": (ROOT / "docs" / "index.md").read_text(encoding="utf-8").splitlines()[2],
         "pyproject.toml": project["description"],
-        "robot-ik --help": capsys.readouterr().out.splitlines()[1],
+        "robot-ik --help": capsys.readouterr().out.splitlines()[2],
         "robot_ik": (rik.__doc__ or "").splitlines()[0],
     }
     assert set(described.values()) == {TAGLINE}, described
@@ -134,7 +134,7 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
 def test_the_page_states_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     assert (
         cli.main(
-            ["reach", "--bus", "sim", "--rehearse.zero-offset", "joint2=2", "--out", str(tmp_path)]
+            ["reach", "--bus", "sim", "--fault", "zero-offset:joint2=2", "--out", str(tmp_path)]
         )
         == 1
     )
@@ -265,7 +265,7 @@ def test_the_api_page_lists_every_public_name() -> None:
 @pytest.mark.parametrize(
     ("contract_id", "package", "first"),
     [
-        ("layers", "", "cli"),
+        ("layers", "", "commands"),
         ("camera-layers", "robot_ik.camera.", "synthetic.sources"),
         ("hardware-layers", "robot_ik.hardware.", "health"),
     ],

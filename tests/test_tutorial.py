@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus, home_of
 from robot_ik.hardware.virtual.sts3215 import VirtualSts3215

@@ -16,8 +16,6 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-import robot_ik.gym  # registers the environments
-
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "five_joint_arms.md"
 BEGIN = "<!-- gym throughput -->"
 END = "<!-- end -->"

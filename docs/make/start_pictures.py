@@ -174,7 +174,7 @@ def solution() -> Image:
 
 def offset() -> Image:
     """Return the picture of a reach with a wrong zero of joint 2."""
-    return reach("--bus sim --rehearse.zero-offset joint2=2", code=1)
+    return reach("--bus sim --fault zero-offset:joint2=2", code=1)
 
 
 def reach(options: str, *, code: int = 0) -> Image:

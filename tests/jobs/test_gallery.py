@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.jobs import gallery
 from robot_ik.jobs.gallery import (

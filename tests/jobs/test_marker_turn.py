@@ -36,9 +36,7 @@ def reachable_marker(robot, rng):
 
 def solved(robot, marker):
     target = marker.compose(IN_FRONT)
-    goal = rik.PoseGoal(
-        robot.tool, target.position, target.wxyz, free_axis="z", orientation="best"
-    )
+    goal = rik.PoseGoal(robot.tool, target.position, target.wxyz, free_axis="z", orientation="best")
     return goal, rik.solve(robot, goal, tolerance=SOLVE_TOLERANCE)
 
 
