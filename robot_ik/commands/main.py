@@ -30,7 +30,6 @@ try:
         refuse_empty,
     )
     from robot_ik.errors import NOT_ACHIEVED_ERRORS, OutputError
-    from robot_ik.signals import raised_signals
 except KeyboardInterrupt:  # a command that prints help spends most of its time here
     sys.stderr.write("interrupted\n")
     raise SystemExit(130) from None
@@ -322,6 +321,8 @@ def print_versions() -> None:
 
 
 def _run(command: Any, name: str, *, debug: bool) -> int:
+    from robot_ik.signals import raised_signals  # ctypes: not for --help
+
     terminal = Terminal(json=getattr(command, "json", False), debug=debug)
     with contextlib.ExitStack() as stack:
         stack.enter_context(show_logs(debug=debug))
