@@ -19,6 +19,7 @@ from robot_ik.geometry import Pose
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import (
+    AddMesh,
     Command,
     CommandLog,
     MoveGoal,
@@ -28,8 +29,10 @@ from robot_ik.testbed.commands import (
     SetRobot,
     Start,
 )
+from robot_ik.testbed.convex_hull import ConvexHull
 from robot_ik.testbed.frontends.actions import ACTIONS
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.contact_scene import thickened
 from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.view_rows import joint_addresses, program_row, view_row
 from robot_ik.testbed.keys import KEYMAP
@@ -93,7 +96,14 @@ FILES = {
     "share_motion": ({}, "motion.html"),
     "film_session": ({}, "testbed.mp4"),
 }
-OTHERS = {"press_key", "hand_over", "fit_camera", "report_graphics", "save_recording"}
+OTHERS = {
+    "press_key",
+    "hand_over",
+    "fit_camera",
+    "report_graphics",
+    "save_recording",
+    "load_mesh",
+}
 """These have own tests."""
 
 
@@ -159,6 +169,46 @@ def test_without_a_recording_the_page_says_how_to_make_one(
     _, client, _ = opened
     client.action("save_recording")
     client.until(lambda one: any("press Teach" in notice for notice in one.notices))
+
+
+TETRAHEDRON = "".join(
+    f"v {x} {y} {z}\n"
+    for x, y, z in ((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0, 0, 0.2), (0.01, 0.01, 0.01))
+)
+"""A mesh file of five points, one of them inside the others."""
+
+
+def test_a_mesh_file_becomes_the_command_of_its_hull(
+    opened: tuple[Page, ChannelClient, queue.SimpleQueue[Command]],
+) -> None:
+    _, client, sent = opened
+    file = (TETRAHEDRON + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\nf 5 2 3\n").encode()
+    client.action("load_mesh", file="cup.obj", base64=base64.b64encode(file).decode())
+    command = sent.get(timeout=LONG)
+    assert isinstance(command, AddMesh) and command.name == "cup"
+    corners = {(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)}
+    assert {tuple(np.round(point, 6) + 0.0) for point in command.vertices} == corners
+    for name, content, problem in (
+        ("cup.dae", "", "not a mesh file"),
+        ("cup.stl", "AAAA", "cannot be an obstacle"),
+        ("cup.stl", "?", "did not arrive whole"),
+    ):
+        client.action("load_mesh", file=name, base64=content)
+        client.until(lambda one, problem=problem: any(problem in text for text in one.notices))
+    assert sent.empty()
+
+
+def test_a_part_that_touches_gets_a_cover_around_it() -> None:
+    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1]), np.float32).reshape(3, -1).T
+    hull = ConvexHull.of_points(corners)
+    # As a drawn mesh has it: each face has corners of its own.
+    vertices = hull.vertices[hull.faces].reshape(-1, 3).astype(np.float32)
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    cover = thickened(vertices, faces, 0.01)
+    outside = np.maximum(-cover, cover - 1.0).max(axis=1)
+    assert (outside > 0.001).all() and (outside < 0.0101).all()
+    places = {tuple(row) for row in cover.round(5).tolist()}
+    assert len(places) == 8, "the corners of neighbouring faces are at different places"
 
 
 def test_every_key_with_a_command_makes_one(

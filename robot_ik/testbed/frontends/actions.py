@@ -13,6 +13,9 @@ from robot_ik.config import shown
 from robot_ik.errors import ConfigError
 from robot_ik.testbed.commands import Checked
 
+LONGEST_MESH = 950_000
+"""Base64 characters of a mesh file: some 700 kB."""
+
 
 @dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
@@ -97,6 +100,13 @@ class ReportGraphics(Action):
 
     for_all = True
     software: bool
+
+
+class LoadMesh(Action):
+    """Add the convex hull of a mesh file as an obstacle. Its lengths are metres."""
+
+    file: Annotated[str, Field(max_length=200)]
+    base64: Annotated[str, Field(max_length=LONGEST_MESH)]
 
 
 class SaveLog(Action):

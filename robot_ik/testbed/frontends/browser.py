@@ -31,6 +31,7 @@ from robot_ik.testbed.commands import (
     DragLink,
     MoveGoal,
     MoveObstacle,
+    PlayPlan,
     PlayTimeline,
     Release,
     SetArm,
@@ -40,8 +41,11 @@ from robot_ik.testbed.commands import (
 from robot_ik.testbed.frontends import actions
 from robot_ik.testbed.frontends.camera_pictures import CameraPictures
 from robot_ik.testbed.frontends.channel import ChannelPage
+from robot_ik.testbed.frontends.contact_scene import ContactScene
+from robot_ik.testbed.frontends.mesh_upload import uploaded_mesh
 from robot_ik.testbed.frontends.obstacle_scene import ObstacleScene
 from robot_ik.testbed.frontends.page_server import PageServer
+from robot_ik.testbed.frontends.plan_scene import PlanScene
 from robot_ik.testbed.frontends.scene import BrowserScene
 from robot_ik.testbed.frontends.share import shared_page
 from robot_ik.testbed.frontends.view_rows import (
@@ -117,6 +121,8 @@ class Page(Closing):
         with self.server.atomic():
             self._add_gizmo()
             self._obstacles = ObstacleScene(self.server, self._move_obstacle)
+            self._contacts = ContactScene(self.server)
+            self._plan = PlanScene(self.server)
             self._scene = self._new_scene(self._view)
             self.draw(self._view)
         program = program_row(
@@ -195,6 +201,8 @@ class Page(Closing):
             case actions.ShowCamera(on):
                 if self.camera is not None:
                     self.camera.switch(on)
+            case actions.LoadMesh(file, base64):
+                self.session.send(uploaded_mesh(file, base64))
             case actions.HandOver():
                 self.gate.driver.hand_over()
             case actions.ReportGraphics(software):
@@ -392,6 +400,8 @@ class Page(Closing):
             self._end_drag()
         if self._view.timeline.playing:
             self.session.send(PlayTimeline(False))
+        if self._view.plan.playing:
+            self.session.send(PlayPlan(False))
         if self._view.arm is not None and self._view.arm.mode in ("follow", "replay"):
             self.session.send(SetArm("hold"))
 
@@ -419,6 +429,8 @@ class Page(Closing):
             self._scene = scene
         scene.draw(view)
         self._obstacles.draw(view, scene.arrangement.offsets[0])
+        self._contacts.draw(view, scene)
+        self._plan.draw(view, scene)
         self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
         if view.motion != "hand":
             self._gizmo.wxyz = view.ball.wxyz

@@ -4,6 +4,7 @@ import { ArmTab } from "./arm.js";
 import { CameraPane } from "./camera.js";
 import { Channel } from "./channel.js";
 import { Connection } from "./connection.js";
+import { ContactLabels } from "./contact_labels.js";
 import { Gallery, Intro, KeyList } from "./dialogs.js";
 import { button, download, make } from "./dom.js";
 import { GoalsTab } from "./goals.js";
@@ -111,6 +112,7 @@ class Page {
     this.top.showProgram(program);
     if (this.tabs) return;
     this.labels = new Labels(program.colours);
+    this.contactLabels = new ContactLabels();
     this.gallery = new Gallery(program, this.channel);
     this.intro = new Intro(() => this.gallery.open());
     this.keyList = new KeyList(program.keys);
@@ -120,11 +122,11 @@ class Page {
       Joints: new JointsTab(program, this.channel),
       Goals: new GoalsTab(this.channel),
       Arm: new ArmTab(this.channel),
-      Scene: new SceneTab(this.channel),
+      Scene: new SceneTab(this.channel, (text) => this.overlay.notice(text)),
       Record: new RecordTab(program, this.channel),
     };
     this.buildSide();
-    this.root.prepend(this.labels.element);
+    this.root.prepend(this.labels.element, this.contactLabels.element);
     this.root.append(...this.dialogs.map(({ element }) => element));
     this.listenToKeys(program.keys);
     this.intro.openOnce();
@@ -215,6 +217,7 @@ class Page {
     this.top.show(view);
     this.overlay.show(view, this.keys?.movesCamera ?? false);
     this.labels.show(view, this.settings?.overlay ?? true);
+    this.contactLabels.show(view);
     this.timeline.show(view.timeline);
     for (const [name, tab] of Object.entries(this.tabs)) {
       if (name === "Methods") tab.show(view, this.tab === name);
