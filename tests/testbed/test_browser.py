@@ -475,6 +475,19 @@ def test_a_motion_is_planned_shown_scrubbed_and_played(window: Window, bed: Bed)
     page.wait_for_function("() => !window.__viserMutable.nodeRefFromName['/robot/plan_path']")
 
 
+def test_the_reach_is_a_cloud_or_a_shell_with_its_scale(window: Window, bed: Bed) -> None:
+    page = window.page
+    open_tab(window, "Scene")
+    node = "window.__viserMutable.nodeRefFromName['/robot/reach']"
+    for name in ("Cloud", "Shell"):
+        page.get_by_role("button", name=name, exact=True).click()
+        page.get_by_text(re.compile("% of directions")).wait_for()
+        page.wait_for_function(f"() => {node}")
+    page.get_by_text("proven out of reach").wait_for()
+    page.get_by_role("button", name="None", exact=True).click()
+    page.wait_for_function(f"() => !{node}")
+
+
 def test_a_file_is_saved_by_the_browser(window: Window) -> None:
     open_tab(window, "Record")
     with window.page.expect_download() as download:

@@ -17,6 +17,8 @@ import pytest
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.geometry import Pose
 from robot_ik.motion.key_poses import KeyPoses
+from robot_ik.reachability.reachability_map import map_reachability
+from robot_ik.robot import load_robot
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import (
     AddMesh,
@@ -34,6 +36,8 @@ from robot_ik.testbed.frontends.actions import ACTIONS
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.contact_scene import thickened
 from robot_ik.testbed.frontends.page_server import PageServer
+from robot_ik.testbed.frontends.reach_maps import ReachMaps, ReachState
+from robot_ik.testbed.frontends.reach_scene import shell_faces, shell_glb
 from robot_ik.testbed.frontends.view_rows import joint_addresses, program_row, view_row
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.session import Session
@@ -86,7 +90,6 @@ SWITCHES = {
     "show_handles": "handles",
     "show_turn_handles": "turn_handles",
     "show_tool_frames": "tool_frames",
-    "show_reach": "reach",
     "show_camera": "camera",
 }
 FILES = {
@@ -103,6 +106,7 @@ OTHERS = {
     "report_graphics",
     "save_recording",
     "load_mesh",
+    "show_reach",
 }
 """These have own tests."""
 
@@ -169,6 +173,61 @@ def test_without_a_recording_the_page_says_how_to_make_one(
     _, client, _ = opened
     client.action("save_recording")
     client.until(lambda one: any("press Teach" in notice for notice in one.notices))
+
+
+def test_the_reach_is_shown_as_positions_and_as_a_map(
+    opened: tuple[Page, ChannelClient, Any],
+) -> None:
+    page, client, _ = opened
+    sizes = {}
+    for picture in ("points", "cloud", "shell", "none"):
+        client.action("show_reach", picture=picture)
+        client.until(lambda one, picture=picture: one.latest["settings"]["reach"] == picture)
+        if picture in ("cloud", "shell"):
+            client.until(lambda one: one.latest["reach"]["largest_index"] > 0.0, "no map")
+            assert "without obstacles" in client.latest["reach"]["text"]
+        counter = page.server._websock_server._broadcast_buffer.message_counter
+        page.draw(page.session.view())
+        sizes[picture] = page.server._websock_server._broadcast_buffer.message_counter - counter
+    assert min(sizes.values()) > 0, "a picture did not change the 3D view"
+    client.until(lambda one: one.latest["reach"]["text"] == "")
+
+
+def test_an_arm_without_a_bounded_reach_has_no_map() -> None:
+    states: list[ReachState] = []
+    humanoid = load_robot("humanoid")
+    ReachMaps(states.append).ask(humanoid, ())
+    wait_for(lambda: states and states[-1].text.startswith("no map:"))
+    assert states[-1].reach_map is None
+
+
+def test_only_the_last_map_that_was_asked_for_is_shown() -> None:
+    states: list[ReachState] = []
+    maps = ReachMaps(states.append)
+    maps.ask(load_robot("puma560"), ())
+    maps.ask(load_robot("tabletop_puma"), ())
+    wait_for(lambda: [state for state in states if state.reach_map is not None])
+    last = states[-1].reach_map
+    assert last is not None and last.robot.name == "tabletop_puma"
+    assert sum(state.reach_map is not None for state in states) == 1
+
+
+def test_the_shell_is_the_closed_surface_of_the_reached_cells_behind_the_middle() -> None:
+    reach_map = map_reachability(load_robot("puma560"), cell=0.3, directions=6, rolls=1)
+    away = np.array((0.0, 1.0, 0.0))
+    positions, normals, values = shell_faces(reach_map, away)
+    cell = reach_map.grid.cell
+    assert np.array_equal(normals.sum(axis=0), (0, 0, 0)), "the surface has a hole"
+    for position, normal, value in zip(positions, normals, values, strict=True):
+        inside = position - 0.5 * cell * normal
+        outside = position + 0.5 * cell * normal
+        assert value == pytest.approx(reach_map.index_at(inside)) and value > 0.0
+        middle = reach_map.grid.corner[1] + 0.5 * cell * reach_map.grid.shape[1]
+        assert inside[1] >= middle - 1e-9
+        assert reach_map.index_at(outside) == 0.0 or outside[1] < middle
+    centres = [round(value, 6) for value in np.unique(positions.round(6), axis=0).ravel()]
+    assert len(centres) == 3 * len(positions), "a face is there twice"
+    assert shell_glb(reach_map, away, np.zeros(3)).startswith(b"glTF")
 
 
 TETRAHEDRON = "".join(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, dataclass_transform
+from typing import Annotated, Any, ClassVar, Literal, dataclass_transform
 
 from pydantic import Field
 from pydantic.alias_generators import to_snake
@@ -12,6 +12,8 @@ from pydantic.alias_generators import to_snake
 from robot_ik.config import shown
 from robot_ik.errors import ConfigError
 from robot_ik.testbed.commands import Checked
+
+ReachPicture = Literal["none", "points", "cloud", "shell"]
 
 LONGEST_MESH = 950_000
 """Base64 characters of a mesh file: some 700 kB."""
@@ -74,9 +76,13 @@ class ShowToolFrames(Action):
 
 
 class ShowReach(Action):
-    """Show positions of the tool at random joint angles, or none."""
+    """Show where the tool can be.
 
-    on: bool
+    ``points`` are positions at random joint angles. ``cloud`` and ``shell`` are a reachability map,
+    which is computed among the present obstacles.
+    """
+
+    picture: ReachPicture
 
 
 class ShowCamera(Action):

@@ -46,11 +46,14 @@ from robot_ik.testbed.frontends.mesh_upload import uploaded_mesh
 from robot_ik.testbed.frontends.obstacle_scene import ObstacleScene
 from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.plan_scene import PlanScene
+from robot_ik.testbed.frontends.reach_maps import ReachMaps, ReachState
+from robot_ik.testbed.frontends.reach_scene import ReachScene
 from robot_ik.testbed.frontends.scene import BrowserScene
 from robot_ik.testbed.frontends.share import shared_page
 from robot_ik.testbed.frontends.view_rows import (
     joint_addresses,
     program_row,
+    reach_row,
     robot_row,
     view_row,
 )
@@ -113,7 +116,10 @@ class Page(Closing):
         self._shows_handles = True
         self._shows_turn_handles = False
         self._shows_tool_frames = False
-        self._shows_reach = False
+        self._reach_picture: actions.ReachPicture = "none"
+        self._reach = ReachState()
+        self._reach_changed = False
+        self._reach_maps = ReachMaps(self._show_reach)
         self._film = film
         self._view_due = 0.0
         self._addresses: list[int] = []
@@ -123,6 +129,7 @@ class Page(Closing):
             self._obstacles = ObstacleScene(self.server, self._move_obstacle)
             self._contacts = ContactScene(self.server)
             self._plan = PlanScene(self.server)
+            self._reach_scene = ReachScene(self.server)
             self._scene = self._new_scene(self._view)
             self.draw(self._view)
         program = program_row(
@@ -141,6 +148,7 @@ class Page(Closing):
 
     def close(self) -> None:
         """Stop camera and server."""
+        self._reach_maps.cancel()
         if self.camera is not None:
             self.camera.close()
         self.page_server.close()
@@ -195,9 +203,8 @@ class Page(Closing):
             case actions.ShowToolFrames(on):
                 self._shows_tool_frames = on
                 self._scene.show_axes(on)
-            case actions.ShowReach(on):
-                self._shows_reach = on
-                self._scene.show_reach(on)
+            case actions.ShowReach(picture):
+                self._choose_reach(picture)
             case actions.ShowCamera(on):
                 if self.camera is not None:
                     self.camera.switch(on)
@@ -215,6 +222,26 @@ class Page(Closing):
                 self._give_file(page, action)
         self._tell_settings()
 
+    def _choose_reach(self, picture: actions.ReachPicture) -> None:
+        """Show another picture of where the tool can be."""
+        is_map = picture in ("cloud", "shell")
+        has_map = is_map and self._reach_picture in ("cloud", "shell")
+        self._reach_picture = picture
+        self._reach_changed = True
+        if not is_map:
+            self._reach_maps.cancel()
+            self._reach = ReachState()
+            self.channel.greet("reach", reach_row(self._reach))
+        elif not has_map:
+            obstacles = tuple(one.placed.obstacle() for one in self._view.obstacles)
+            self._reach_maps.ask(self.session.robot, obstacles)
+
+    def _show_reach(self, state: ReachState) -> None:
+        """Take a state of the map. The loop draws it."""
+        self._reach = state
+        self._reach_changed = True
+        self.channel.greet("reach", reach_row(state))
+
     def _tell_settings(self) -> None:
         """Tell all pages what is shown."""
         settings = {
@@ -223,7 +250,7 @@ class Page(Closing):
             "handles": self._shows_handles,
             "turn_handles": self._shows_turn_handles,
             "tool_frames": self._shows_tool_frames,
-            "reach": self._shows_reach,
+            "reach": self._reach_picture,
             "camera": self.camera is not None and self.camera.is_on,
         }
         self.channel.greet("settings", settings)
@@ -312,7 +339,6 @@ class Page(Closing):
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_trails(self._shows_overlay)
         scene.show_axes(self._shows_tool_frames)
-        scene.show_reach(self._shows_reach)
         self._gizmo.scale = _GIZMO_SIZE * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
@@ -425,15 +451,26 @@ class Page(Closing):
         robot = self.session.robot
         if scene.robot.model is not robot.model or scene.count != view.count:
             scene.remove()
+            is_other_robot = scene.robot.model is not robot.model
             scene = self._new_scene(view)
             self._scene = scene
+            self._reach_changed = True
+            if is_other_robot and self._reach_picture in ("cloud", "shell"):
+                self._choose_reach("none")
+                self._tell_settings()
         scene.draw(view)
         self._obstacles.draw(view, scene.arrangement.offsets[0])
         self._contacts.draw(view, scene)
         self._plan.draw(view, scene)
+        self._draw_reach(scene)
         self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
         if view.motion != "hand":
             self._gizmo.wxyz = view.ball.wxyz
+
+    def _draw_reach(self, scene: BrowserScene) -> None:
+        if self._reach_changed:
+            self._reach_changed = False
+            self._reach_scene.draw(self._reach_picture, scene, self._reach.reach_map)
 
     def _send_view(self, view: View) -> None:
         now = time.monotonic()

@@ -44,13 +44,7 @@ GHOSTS = 8
 _BRANCH_COLOUR: Colour = (110, 130, 155)
 _ARM_COLOUR: Colour = (250, 204, 21)
 
-_REACH_COLOUR: Colour = (110, 130, 155)
-"""Differs from the ball's colour, so that the ball stays visible."""
-
 _GHOST_OPACITY = 0.28
-
-_CLOUD_POINTS = 4000
-"""Points of the reach."""
 
 _PLATE_RADIUS = 0.21
 """Of the model's extent."""
@@ -151,7 +145,7 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> B
     unique = rows[first]
     vertices = unique[:, :3].astype(np.float32)
     normals = unique[:, 3:6].astype(np.float32)
-    glb = _glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
+    glb = coloured_glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
     return BodyMesh(vertices, faces, glb)
 
 
@@ -167,7 +161,7 @@ _BYTE = 5121
 _INDEX = 5125
 
 
-def _glb(
+def coloured_glb(
     vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]
 ) -> bytes:
     """Return a mesh with colours as a binary glTF 2.0 file (its specification, 3.6 and 4).
@@ -297,7 +291,6 @@ class BrowserScene:
         self.bodies: list[tuple[int, Any]] = []
         self._ghosts: dict[str, Ghosts] = {}
         self._slides = slide_numbers(robot)
-        self._cloud: Any = None
         self._axes: Any = None
         self._trails_shown = True
         self._drawn = np.full((count, robot.model.nbody, 7), np.nan, np.float32)
@@ -389,23 +382,6 @@ class BrowserScene:
             )
         if self._axes is not None:
             self._axes.visible = on
-
-    def show_reach(self, on: bool) -> None:
-        """Show positions of the tool at random joint angles within the limits, or none."""
-        if self._cloud is not None:
-            self._cloud.remove()
-            self._cloud = None
-        if on:
-            rng = np.random.default_rng(0)
-            robot = self.robot
-            points = [robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)]
-            self._cloud = self._server.scene.add_point_cloud(
-                "/robot/reach",
-                np.array(points, np.float32),
-                colors=_REACH_COLOUR,
-                point_size=0.002 * self.arrangement.extent,
-                point_shape="circle",
-            )
 
     def draw(self, view: View) -> None:
         """Draw one frame. It is sent as one piece, without the bodies that have not moved."""

@@ -14,6 +14,7 @@ from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
 from robot_ik.testbed.arm import ArmView
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, hexadecimal
+from robot_ik.testbed.frontends.reach_maps import ReachState
 from robot_ik.testbed.frontends.site import has_thumbnail
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.keys import KEYMAP
@@ -158,6 +159,15 @@ def view_row(view: View, robot: Robot, addresses: list[int]) -> dict[str, Any]:
             for one in view.contacts
         ],
         "arm": None if view.arm is None else _arm_row(view.arm),
+    }
+
+
+def reach_row(state: ReachState) -> dict[str, Any]:
+    """Return the state of the reachability map."""
+    return {
+        "text": state.text,
+        "smallest_index": round(state.smallest_index, 4),
+        "largest_index": round(state.largest_index, 4),
     }
 
 

@@ -41,6 +41,7 @@ class Page {
       robot: (value) => this.showRobot(value),
       settings: (value) => this.showSettings(value),
       role: (value) => this.showRole(value),
+      reach: (value) => this.showReach(value),
       view: (value) => this.showView(value),
       camera: (value) => this.camera.show(value),
       picture: (value) => this.camera.showPicture(value),
@@ -133,6 +134,7 @@ class Page {
     if (this.robot) this.showRobot(this.robot);
     if (this.settings) this.showSettings(this.settings);
     if (this.role) this.showRole(this.role);
+    if (this.reach) this.showReach(this.reach);
     if (this.view) this.draw();
   }
 
@@ -205,6 +207,11 @@ class Page {
     this.role = role;
     this.overlay.showRole(role);
     this.tabs?.Scene.showRole(role);
+  }
+
+  showReach(reach) {
+    this.reach = reach;
+    this.tabs?.Scene.reach.showReach(reach);
   }
 
   showView(changes) {

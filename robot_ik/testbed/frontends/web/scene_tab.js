@@ -3,18 +3,19 @@
 import { button, heading, make, show, toggle } from "./dom.js";
 import { ObstacleList } from "./obstacle_list.js";
 import { PlanBox } from "./plan_box.js";
+import { ReachBox } from "./reach_box.js";
 
 export class SceneTab {
   constructor(channel, notice) {
     this.obstacles = new ObstacleList(channel, notice);
     this.plan = new PlanBox(channel);
+    this.reach = new ReachBox(channel);
     const switched = (name) => (on) => channel.action(name, { on });
     this.switches = {
       overlay: toggle("Trails and labels", true, switched("show_overlay"), "Over the scene (L)"),
       handles: toggle("Ball handles", true, switched("show_handles"), "Move it along one axis"),
       turn_handles: toggle("Turn handles", false, switched("show_turn_handles"), "Turn the ball"),
       tool_frames: toggle("Tool frames", false, switched("show_tool_frames"), "x red, y green, z blue"),
-      reach: toggle("Reach", false, switched("show_reach"), "Tool positions at random joint angles"),
       dark: toggle("Dark", false, (dark) => channel.action("set_theme", { dark }), "On all pages"),
     };
     this.driving = make("p", { class: "rk-note" });
@@ -26,6 +27,7 @@ export class SceneTab {
       {},
       this.obstacles.element,
       this.plan.element,
+      this.reach.element,
       heading("Show"),
       Object.values(this.switches).map(({ element }) => element),
       button("fit", "Fit the camera", () => channel.action("fit_camera"), {
@@ -39,6 +41,7 @@ export class SceneTab {
 
   showSettings(settings) {
     for (const [name, one] of Object.entries(this.switches)) one.set(settings[name]);
+    this.reach.set(settings.reach);
   }
 
   showRole(role) {
