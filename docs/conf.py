@@ -16,7 +16,7 @@ from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 
 from robot_ik import __version__
-from robot_ik.cli import main as cli
+from robot_ik.commands import main as cli
 
 project = "robot_ik"
 release = version = __version__
@@ -68,14 +68,13 @@ def add_toctrees(app: Sphinx, name: str, source: list[str]) -> None:
 def add_helps(app: Sphinx, name: str, source: list[str]) -> None:
     """The help of every command, as the program prints it."""
     if name == "docs/reference/cli":
-        rows = [((word,), row) for word, row in cli.COMMANDS.items()]
-        rows += [((*words, word), inner) for words, row in rows for word, inner in row.subcommands.items()]
-        for words, row in sorted(rows, key=lambda pair: list(cli.COMMANDS).index(pair[0][0])):
-            if row.options:
-                source[0] += f"\n## {' '.join(words)}\n\n```text\n{help_of(words)}```\n"
+        for rows in cli.GROUPS.values():
+            for row in rows:
+                text = help_of(row.name.split())
+                source[0] += f"\n## {row.name}\n\n```text\n{text}```\n"
 
 
-def help_of(words: tuple[str, ...]) -> str:
+def help_of(words: list[str]) -> str:
     """What `robot-ik WORDS --help` prints, 82 columns wide."""
     with contextlib.redirect_stdout(io.StringIO()) as out:
         os.environ["COLUMNS"] = "82"

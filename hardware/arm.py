@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ArmStateError, HardwareError, StopRequestedError, UnsafeCommandError
 from robot_ik.hardware.arm_exit import ArmExit
-from robot_ik.hardware.arm_registers import read_all
+from robot_ik.hardware.arm_registers import read_motion
 from robot_ik.hardware.arm_state import IN_USE, ArmState, possible, state_after
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.calibration import require_calibrated
@@ -228,8 +228,8 @@ class Arm(Closing):
         if not isinstance(self.clock, VirtualClock):
             self._stop_requests.open(self.bus.port)
             self._heartbeat.start()
-        standing = read_standing(self.bus, self.config)
-        self._cycle.samples.begin(standing, self.clock.now())
+        standing, velocities = read_standing(self.bus, self.config)
+        self._cycle.samples.begin(standing, self.clock.now(), velocities)
         # Before torque: if that fails, no servo is sent to the goals of an earlier motion.
         self._cycle.stand(standing)
         self._obey_stop(look_into_file=True)
@@ -304,7 +304,7 @@ class Arm(Closing):
             return np.array(self._cycle.limits.q)
 
     def read(self) -> JointReading:
-        """Return the measured joint values.
+        """Return the measured joint values and velocities.
 
         If ``send`` has measured in this cycle, its samples are returned and no servo is read.  A
         joint that missed a cycle keeps its last sample, and ``time`` is that of the oldest sample.
@@ -322,15 +322,20 @@ class Arm(Closing):
                     "cannot read: the arm is disconnected", hint="call connect() first"
                 )
             if self.state is ArmState.CONNECTED:
-                ticks = read_all(self.bus, self.config, "present_position")
-                samples.begin(ticks, self.clock.now())
+                ticks, velocities = read_motion(self.bus, self.config)
+                samples.begin(ticks, self.clock.now(), velocities)
             elif self.state is not ArmState.FAULT and self._is_stale():
                 self._latching(self._cycle.measure)
-            return JointReading(samples.q.copy(), float(samples.times.min()))
+            return JointReading(samples.q.copy(), float(samples.times.min()), samples.dq.copy())
 
     def _is_stale(self) -> bool:
         """Return whether every sample is older than this cycle."""
         return bool(self.ages.min() > FRESH_SHARE * self._cycle.period)
+
+    def velocities(self) -> dict[str, float]:
+        """Return joint -> last measured velocity, rad/s or m/s; NaN before the first sample."""
+        with self._lock:
+            return self._cycle.velocities()
 
     def positions(self) -> dict[str, float]:
         """Return joint -> last measured value, rad or m; NaN before the first sample."""

@@ -32,10 +32,12 @@ from robot_ik.hardware.models import BAUD_RATES
 from robot_ik.hardware.registers import IDS, OperatingMode
 from robot_ik.hardware.servo import (
     ARM,
+    GRIPPER,
     Direct,
     Gains,
     Gear,
     Joint,
+    OpenEnd,
     Pinion,
     Servo,
     ServoId,
@@ -154,9 +156,17 @@ class JointTable(Table):
     current_ma: Positive | None = None
     current_limit_ma: Positive | None = None
     group: Word = ARM
+    open_end: OpenEnd | None = None
     twin: TwinTable | None = None
     gains: Annotated[Gains, keys_of(Gains)] = Gains()
     stop_at: Annotated[StopAt, keys_of(StopAt)] = StopAt()
+
+    @model_validator(mode="after")
+    def _only_grippers_open(self) -> JointTable:
+        if self.open_end is not None and self.group != GRIPPER:
+            problem = f"{self.name!r} is of the group {self.group!r} and does not open"
+            raise KeyProblem(problem, "open_end", f'a joint with group = "{GRIPPER}"')
+        return self
 
     def gear(self) -> Gear:
         """Return the gear between servo and joint."""
@@ -166,6 +176,8 @@ class JointTable(Table):
         """Return the joint that the table describes."""
         suffix, unit = _unit_of(self.gear())
         values: dict[str, Any] = {}
+        if self.open_end is not None:
+            values["open_end"] = self.open_end
         for name in SCALED:
             value = getattr(self, f"{name}_{suffix}")
             values[name] = None if value is None else unit * value
@@ -342,6 +354,7 @@ def joint_keys(joint: Joint) -> dict[str, Any]:
         "current_ma": joint.current,
         "current_limit_ma": servo.current_limit,
         "group": None if joint.group == ARM else joint.group,
+        "open_end": joint.open_end if joint.group == GRIPPER else None,
         **_gear_keys(joint.gear),
     }
     for name in SCALED:

@@ -55,6 +55,7 @@ class ArmPart:
         return self.arm.send(dict(zip(self.joints, values.tolist(), strict=True)), now)[self._order]
 
     def read(self) -> JointReading:
-        """Return the measured joint values (n,), rad or m; see ``Arm.read``."""
+        """Return the measured values and velocities (n,) of these joints; see ``Arm.read``."""
         reading = self.arm.read()
-        return JointReading(reading.q[self._order], reading.time)
+        dq = None if reading.dq is None else reading.dq[self._order]
+        return JointReading(reading.q[self._order], reading.time, dq)

@@ -50,7 +50,13 @@ def read_all(
     """
     if absent is not None and name not in config.servos[0].table:
         return dict.fromkeys(config.servo_ids, absent)
-    register = shared_register(config, name)
+    return read_register(bus, config, shared_register(config, name), absent=absent)
+
+
+def read_register(
+    bus: ServoBus, config: ArmConfig, register: Register, *, absent: int | None = None
+) -> dict[int, int]:
+    """Return a register or a block of registers of every servo; see ``read_all``."""
     values: dict[int, int] = {}
     for id, status in bus.sync_read(config.servo_ids, register).items():
         value = status.data
@@ -63,9 +69,37 @@ def read_all(
         if value is None:
             value = absent
         if value is None:
-            raise BusCorruptError(f"the reply of servo id {id} for {name} has no data")
+            raise BusCorruptError(f"the reply of servo id {id} for {register.name} has no data")
         values[id] = value
     return values
+
+
+def read_motion(bus: ServoBus, config: ArmConfig) -> tuple[dict[int, int], dict[int, float]]:
+    """Return positions and velocities of all servos. Those of one servo come in one reply.
+
+    Args:
+        bus: Open bus.
+        config: Arm file.
+
+    Returns:
+        Servo id -> present position, ticks; and servo id -> velocity of the shaft, rad/s, positive
+        if the ticks increase.
+
+    Raises:
+        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
+    """
+    position = shared_register(config, "present_position")
+    velocity = shared_register(config, "present_velocity")
+    address = min(position.address, velocity.address)
+    size = max(position.end, velocity.end) - address
+    block = Register("present position and velocity", address, size)
+    ticks = {}
+    velocities = {}
+    for id, value in read_register(bus, config, block).items():
+        values = block.take_apart(value, (position, velocity))
+        ticks[id] = values["present_position"]
+        velocities[id] = values["present_velocity"] * config.family.velocity_unit
+    return ticks, velocities
 
 
 def require_models(bus: ServoBus, expected: Mapping[int, tuple[str, int]], source: str) -> None:

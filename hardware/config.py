@@ -31,6 +31,7 @@ from robot_ik.hardware.arm_file import (
 from robot_ik.hardware.family import ServoFamily, family_of
 from robot_ik.hardware.servo import ARM, Direct, Drive, Joint, Servo
 from robot_ik.ports import Array
+from robot_ik.robot_file import catalogue
 
 GENERIC_MODEL = "XM430-W350"
 """Servo model of ``ArmConfig.generic``."""
@@ -44,7 +45,8 @@ class ArmConfig:
 
     Attributes:
         name: Name for messages.
-        robot: Catalogue name or path of the robot's model.
+        robot: Catalogue name or path of the robot's model. A relative path counts from the folder
+            of the arm file, or from the working folder if it does not exist there.
         baud: bit/s.
         rate_hz: Control cycles per second.
         watchdog_ms: Bus Watchdog of every servo, ms, a multiple of 20; 0: off.
@@ -304,6 +306,17 @@ class ArmConfig:
     def group(self, name: str) -> tuple[Joint, ...]:
         """Return the joints of a group; empty if there is no such group."""
         return tuple(joint for joint in self.joints if joint.group == name)
+
+    @property
+    def robot_source(self) -> str:
+        """Name or path from which ``load_robot`` loads the robot.
+
+        It is the path beside the arm file if there is one, else ``robot`` as it is written.
+        """
+        if self.file is None or self.robot in catalogue():
+            return self.robot
+        beside = self.file.parent / self.robot
+        return str(beside) if beside.exists() else self.robot
 
     @property
     def chain(self) -> ArmConfig:

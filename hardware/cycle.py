@@ -85,7 +85,7 @@ class Cycle:
         feedback: What is read from every servo.  None: the plain blocks.
 
     Attributes:
-        samples: Measured positions.
+        samples: Measured positions and velocities.
         limits: State of the limiter.
         goals: Servo id -> ticks sent last.
         held: The goals are those of an arm that holds.  Only the next command changes them.
@@ -128,6 +128,10 @@ class Cycle:
     def positions(self) -> dict[str, float]:
         """Return joint -> last measured value, rad or m; NaN before the first sample."""
         return dict(zip(self._config.names, self.samples.q.tolist(), strict=True))
+
+    def velocities(self) -> dict[str, float]:
+        """Return joint -> last measured velocity, rad/s or m/s; NaN before the first sample."""
+        return dict(zip(self._config.names, self.samples.dq.tolist(), strict=True))
 
     def stand(self, goals: Mapping[int, int], *, held: bool = False) -> None:
         """Take the arm as standing at goals: the next command starts from rest there.
@@ -220,7 +224,11 @@ class Cycle:
         self._last_traffic = -math.inf if heard_again else start
         now = self._clock.now()
         measured = {id: self.feedback.measurement(status, now) for id, status in statuses.items()}
-        self.samples.take({id: row.ticks for id, row in measured.items()}, now)
+        self.samples.take(
+            {id: row.ticks for id, row in measured.items()},
+            now,
+            {id: row.velocity for id, row in measured.items()},
+        )
         for drive in self._config.drives:
             id = drive.servo.id
             has_no_torque = measured[id].torque is False

@@ -50,8 +50,8 @@ class CycleBlock(NamedTuple):
 
     Attributes:
         register: Bytes that are read at once.
-        parts: Registers inside it: ``torque_enable``, ``present_position``, and more if the family
-            has more.
+        parts: Registers inside it: ``torque_enable``, ``present_velocity``, ``present_position``,
+            and more if the family has more.
     """
 
     register: Register
@@ -107,6 +107,9 @@ class ServoFamily(Protocol):
     def prepare(self, bus: ServoBus, config: ArmConfig) -> None:
         """Make every servo answer reads and writes."""
         ...
+
+    def watchdog_tripped(self, bus: ServoBus, drive: Drive, /) -> bool:
+        """Return whether the bus watchdog of a servo has run out.  Reads the servo."""
 
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Disarm the bus watchdog of a servo.  Does nothing in a family without one."""
@@ -166,8 +169,9 @@ class ServoFamily(Protocol):
     ) -> CycleBlock:
         """Prepare a servo for a block that is shorter than ``plain_block``, and return the block.
 
-        Its first parts are ``torque_enable`` and ``present_position``, side by side.  Only called
-        in a family with ``indirect_addresses``.
+        Its first parts are ``torque_enable`` (1 byte), ``present_velocity`` (2 bytes) and
+        ``present_position`` (4 bytes), side by side.  Only called in a family with
+        ``indirect_addresses``.
 
         Args:
             bus: Open bus.

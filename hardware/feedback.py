@@ -1,15 +1,13 @@
-"""Feedback of a control cycle: torque and position of every servo, in five bytes.
+"""Feedback of a control cycle: torque, velocity and position of every servo, in seven bytes.
 
-Torque and position are 68 bytes apart. Indirect addresses put them side by side. For one byte more
-than the position, a servo that has lost its torque, by a restart or by another program, shows in
-the same cycle. After a restart the indirect addresses are reset as well and the torque byte reads
-0, so such a reply is not used. A servo without indirect addresses is read plainly: all registers
-from torque to temperature.
+Torque and position are 68 bytes apart. Indirect addresses put them side by side. For one byte more,
+a servo that has lost its torque, by a restart or by another program, shows in the same cycle. After
+a restart the indirect addresses are reset as well and the torque byte reads 0, so such a reply is
+not used. A servo without indirect addresses is read plainly: all registers from torque to
+temperature.
 
 If joints have thresholds (``[joints.stop_at]``), each cycle reads one of their servos in full:
-current or load, temperature and supply as well. The block of that servo is longer by more bytes
-than the lengths by which requests differ (``serial_bus``), so a late reply is still recognised by
-its length.
+current or load, temperature and supply as well.
 """
 
 from __future__ import annotations
@@ -31,8 +29,20 @@ from robot_ik.hardware.servo import Drive, StopAt
 
 log = logging.getLogger(__name__)
 
-_SHORT = "torque and position"
-"""Name of the register that holds torque and position only."""
+_SHORT = "torque, velocity and position"
+"""Name of the register that holds torque, velocity and position only."""
+
+_VELOCITY_SHIFT = 8
+"""Bits below the velocity in the short register: one byte of torque."""
+
+_POSITION_SHIFT = 24
+"""Bits below the position in the short register: torque and two bytes of velocity."""
+
+_VELOCITY_MASK = 0xFFFF
+"""Bits of the velocity in the short register, shifted down."""
+
+_VELOCITY_SIGN = 0x8000
+"""Sign bit of the velocity in the short register, shifted down."""
 
 SUSTAINED = 0.5
 """s for which every sample of a servo must be beyond its threshold.
@@ -54,26 +64,30 @@ class Measurement(NamedTuple):
     Attributes:
         ticks: Present position; None if there is no valid one.
         torque: The servo has torque; None if it did not answer.
+        velocity: Velocity of the shaft, rad/s, positive if the ticks increase; None without
+            ``ticks``.
     """
 
     ticks: int | None
     torque: bool | None
+    velocity: float | None = None
 
 
 class Feedback:
     """Which register is read from each servo, and what its value means.
 
     Attributes:
-        registers: Servo id -> register. A register of ``size`` 5 holds torque in its lowest byte
-            and position above it.
+        registers: Servo id -> register. A register of ``size`` 7 holds torque in its lowest byte,
+            velocity in the two bytes above it, and position in the upper four.
     """
 
     def __init__(self, config: ArmConfig) -> None:
         self._family = config.family
+        self._velocity_unit = config.family.velocity_unit
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
-        # Blocks longer than torque and position.
+        # Blocks longer than the short register.
         self._blocks: dict[int, CycleBlock] = {}
         self._thresholds = {
             drive.id: Thresholds(drive)
@@ -119,7 +133,7 @@ class Feedback:
             log.info("servo %d takes no indirect addresses and is read plainly: %s", id, error)
             self.read_plainly(id)
             return
-        size = sum(part.size for part in block.parts[:2])  # torque and position come first
+        size = sum(part.size for part in block.parts[:3])  # torque, velocity and position
         self.registers[id] = Register(_SHORT, block.register.address, size, signed=True)
         if with_health:
             self._blocks[id] = block
@@ -145,15 +159,20 @@ class Feedback:
         if value is None:
             return Measurement(None, None)
         if self._asked[id].name == _SHORT:
-            torque = bool(value & 0xFF)
-            return Measurement(value >> 8 if torque else None, torque)
+            if not value & 0xFF:
+                return Measurement(None, False)
+            raw = value >> _VELOCITY_SHIFT & _VELOCITY_MASK
+            counts = (raw ^ _VELOCITY_SIGN) - _VELOCITY_SIGN
+            velocity = counts * self._velocity_unit
+            return Measurement(value >> _POSITION_SHIFT, True, velocity)
         block = self._blocks[id]
         values = block.register.take_apart(value, block.parts)
         if not self._family.is_in_control(values):
             return Measurement(None, False)
         if id in self._thresholds:
             self._beyond = self._beyond or self._thresholds[id].take(values, now)
-        return Measurement(values["present_position"], True)
+        velocity = values["present_velocity"] * self._velocity_unit
+        return Measurement(values["present_position"], True, velocity)
 
     def check_thresholds(self) -> None:
         """Raise ``MotorFaultError`` if a servo was beyond a threshold for too long."""

@@ -63,9 +63,9 @@ def model_limits(config: ArmConfig) -> Mapping[str, tuple[float, float]]:
 def _named_robot(config: ArmConfig) -> Robot:
     """Return the robot that an arm file names, with the joints of the arm that it has."""
     try:
-        return load_robot(config.robot, joints=config.names)
+        return load_robot(config.robot_source, joints=config.names)
     except UnknownJointError:  # a joint of the gripper that the model does not have
-        return load_robot(config.robot)
+        return load_robot(config.robot_source)
 
 
 def _limits(robot: Robot) -> dict[str, tuple[float, float]]:

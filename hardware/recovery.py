@@ -20,7 +20,6 @@ from robot_ik.errors import (
 from robot_ik.hardware.arm_registers import read_all
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.families.dynamixel_x_table import TRIPPED
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.registers import TICKS_PER_REVOLUTION
 from robot_ik.hardware.servo import Drive
@@ -35,7 +34,7 @@ RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
 
 WATCHDOG = "bus_watchdog"
-"""Register of the bus watchdog.  If it has tripped, this name is among the hardware errors."""
+"""Name among the hardware errors of a servo whose bus watchdog has tripped."""
 
 POLL_PERIOD = 0.05
 """s between two attempts."""
@@ -113,7 +112,7 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
             log.info("resetting servo %d (%s)", drive.id, drive.name)
             config.family.reset(bus, drive)
         elif row.before:
-            bus.write(drive.id, drive.servo.table[WATCHDOG], 0)
+            config.family.clear_watchdog(bus, config, drive)
     reset = []
     for drive, ticks, row in rows:
         if row.before:
@@ -144,7 +143,7 @@ def _read_state(
         ticks = bus.read(servo.id, servo.table["present_position"]).data or 0
         value = bus.read(servo.id, servo.table["hardware_error_status"]).data or 0
         errors = config.family.error_names(value)
-        if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
+        if config.family.watchdog_tripped(bus, drive):
             errors += (WATCHDOG,)
     except NO_REPLY as error:
         return _ServoState(0, None, error)

@@ -1,4 +1,4 @@
-"""Measured positions of an arm, and the silent, jumping and twisted servos that they show."""
+"""Measured motion of an arm, and the silent, jumping and twisted servos that it shows."""
 
 from __future__ import annotations
 
@@ -24,12 +24,15 @@ SILENT_CYCLES = 3
 They distinguish a silent servo from a program that paused.
 """
 
+NO_VELOCITIES: Mapping[int, float] = {}
+"""Samples whose velocities were not read."""
+
 HALF_REVOLUTION = TICKS_PER_REVOLUTION / 2
 """Ticks.  A reading that changes by more is another revolution, unless the servo moved so far."""
 
 
 class Samples:
-    """Measured positions of an arm.
+    """Measured positions and velocities of an arm.
 
     Args:
         config: Arm file.
@@ -53,6 +56,8 @@ class Samples:
         # Largest speed of each servo, tick/s.
         self._speeds = [drive.joint.velocity * drive.joint.ticks_per_unit for drive in self._drives]
         self._values = np.full(len(self._drives), np.nan)
+        # Joint velocity by each servo, rad/s or m/s.
+        self._velocities = np.full(len(self._drives), np.nan)
         self._times = np.full(len(self._drives), -np.inf)
         self._missed = [0] * len(self._drives)
 
@@ -65,6 +70,14 @@ class Samples:
         return self._values[: self._joint_count]
 
     @property
+    def dq(self) -> Array:
+        """(n,) joint velocities, rad/s or m/s, by the servos that measure the joints.
+
+        NaN before the first sample that has a velocity.
+        """
+        return self._velocities[: self._joint_count]
+
+    @property
     def times(self) -> Array:
         """(n,) time of each sample, s on the arm's clock; of two servos the older one."""
         times = self._times[: self._joint_count]
@@ -74,7 +87,9 @@ class Samples:
                 times[joint] = min(times[joint], self._times[row])
         return times
 
-    def begin(self, ticks: Mapping[int, int], now: float) -> None:
+    def begin(
+        self, ticks: Mapping[int, int], now: float, velocities: Mapping[int, float] = NO_VELOCITIES
+    ) -> None:
         """Take the first samples of an arm without torque.
 
         A hand may have turned the arm since the last sample, so a jump means nothing.
@@ -82,17 +97,25 @@ class Samples:
         Args:
             ticks: Servo id -> present position.
             now: Time of the samples, s.
+            velocities: As of ``take``.
         """
         self.ticks.clear()
         self.jumped.clear()
-        self.take(ticks, now)
+        self.take(ticks, now, velocities)
 
-    def take(self, ticks: Mapping[int, int | None], now: float) -> None:
+    def take(
+        self,
+        ticks: Mapping[int, int | None],
+        now: float,
+        velocities: Mapping[int, float | None] = NO_VELOCITIES,
+    ) -> None:
         """Take the samples of a cycle.  A servo without one keeps its old sample.
 
         Args:
             ticks: Servo id -> present position.
             now: Time of the samples, s.
+            velocities: Servo id -> velocity of the shaft, rad/s, positive if the ticks increase.  A
+                servo without one keeps its old velocity.
         """
         for row, drive in enumerate(self._drives):
             id = drive.servo.id
@@ -106,8 +129,13 @@ class Samples:
             if excess > 0.0 and excess > self._speeds[row] * (now - self._times[row]):
                 self.jumped.setdefault(id, before)
             self.ticks[id] = value
-            self._values[row] = drive.joint.value(value, drive.servo)
+            joint_value = drive.joint.value(value, drive.servo)
+            self._values[row] = joint_value
             self._times[row] = now
+            velocity = velocities.get(id)
+            if velocity is not None:
+                shaft_velocity = drive.servo.direction * velocity
+                self._velocities[row] = shaft_velocity * drive.joint.gear.lever(joint_value)
 
     def age(self, drive: Drive, now: float) -> float:
         """Return the time in s since the last sample of a servo; infinite before the first."""

@@ -32,6 +32,9 @@ ARM = "arm"
 GRIPPER = "gripper"
 """Group of the joints that grip."""
 
+OpenEnd = Literal["lower", "upper"]
+"""End of the range of a gripper's joint at which the gripper is open."""
+
 Sign = Literal[1, -1]
 """Direction in which a servo counts."""
 
@@ -346,6 +349,7 @@ class Joint:
         profile_velocity: Speed of the servos' profile at the joint; None: follows ``velocity``.
         profile_acceleration: The same for the acceleration; None: follows ``acceleration``.
         stop_at: Thresholds at which the arm stops.
+        open_end: End of the range at which a gripper is open. Not used for joints of the arm.
     """
 
     name: str
@@ -360,6 +364,7 @@ class Joint:
     profile_velocity: float | None = None
     profile_acceleration: float | None = None
     stop_at: StopAt = StopAt()
+    open_end: OpenEnd = "upper"
 
     @property
     def servo(self) -> Servo:
@@ -398,6 +403,13 @@ class Joint:
             lower = max(lower, first)
             upper = min(upper, last)
         return lower, upper
+
+    def at_opening(self, opening: float) -> float:
+        """Return the joint value of a gripper at an opening from 0 (closed) to 1 (open)."""
+        lower, upper = self.limits
+        closed, opened = (lower, upper) if self.open_end == "upper" else (upper, lower)
+        # Exact at both ends: a goal outside the limits would be refused.
+        return (1.0 - opening) * closed + opening * opened
 
     @cached_property
     def levers(self) -> tuple[float, float]:

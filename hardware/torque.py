@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from robot_ik.errors import HardwareError, MotorFaultError
-from robot_ik.hardware.arm_registers import read_all
+from robot_ik.hardware.arm_registers import read_all, read_motion
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.register_access import sync_set
@@ -16,23 +16,26 @@ REBASE_TICKS = TICKS_PER_REVOLUTION // 8
 """Ticks.  A shaft moves less while torque comes on, and a lost revolution is more."""
 
 
-def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
-    """Return servo id -> present position, ticks, if every servo may get torque.
+def read_standing(bus: ServoBus, config: ArmConfig) -> tuple[dict[int, int], dict[int, float]]:
+    """Return positions and velocities as ``read_motion``, if every servo may get torque.
 
     Args:
         bus: Open bus.
         config: Arm file.
 
+    Returns:
+        Servo id -> present position, ticks; and servo id -> velocity of the shaft, rad/s.
+
     Raises:
         HardwareError: A servo restarted since it was set up, lost revolutions, or is too weak to
             hold the arm.  No torque was switched on.
     """
-    present = read_all(bus, config, "present_position")
+    present, velocities = read_motion(bus, config)
     _check_set_up(bus, config, "nothing was switched on")
     config.family.check_strength(bus, config)
     _check_revolutions(config, present)
     _check_twins(config, present)
-    return present
+    return present, velocities
 
 
 def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> None:

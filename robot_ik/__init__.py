@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from robot_ik.batch import solve_batch
+    from robot_ik.batch import forward_batch, solve_batch
     from robot_ik.branches import solve_all
     from robot_ik.budget import Budget
     from robot_ik.chain import DHRow, from_dh, make_chain
@@ -54,9 +54,10 @@ if TYPE_CHECKING:
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Deviation, Solution, Status
     from robot_ik.solvers import SOLVERS, make_solver
+    from robot_ik.support import support_goals
 
 _HOME = {
-    "robot_ik.batch": ("solve_batch",),
+    "robot_ik.batch": ("forward_batch", "solve_batch"),
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("DHRow", "from_dh", "make_chain"),
     "robot_ik.collision.avoidance": ("CollisionAvoidance",),
@@ -92,6 +93,7 @@ _HOME = {
     "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Deviation", "Solution", "Status"),
+    "robot_ik.support": ("support_goals",),
     "robot_ik.inverse_kinematics": ("solve", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
@@ -143,6 +145,7 @@ __all__ = [
     "catalogue",
     "execute",
     "follow",
+    "forward_batch",
     "from_dh",
     "joint_move",
     "line_move",
@@ -157,6 +160,7 @@ __all__ = [
     "solve",
     "solve_all",
     "solve_batch",
+    "support_goals",
     "warm_up",
 ]
 

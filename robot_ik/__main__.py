@@ -3,7 +3,7 @@
 import signal
 import sys
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 
 if __name__ == "__main__":
     code = main()

@@ -11,21 +11,17 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
+from robot_ik.chain_model import chain_model
 from robot_ik.errors import InvalidModelError, OptionError
 from robot_ik.geometry import Pose, is_real
 from robot_ik.robot import Robot, load_robot
-
-LINK_THICKNESS = 0.06
-"""Radius of the drawn link of a ball-joint chain, as a share of its length."""
+from robot_ik.robot_file import LONGEST_CHAIN
 
 DH_THICKNESS = 0.04
 """Radius of the drawn links of a DH chain, as a share of the longest link."""
 
 SHORTEST_LINK = 1e-4
 """Metres. Shorter links are not drawn, because MuJoCo refuses capsules of almost no length."""
-
-LONGEST_CHAIN = 500
-"""Links of a chain. MuJoCo's compile time grows with the cube of the links: 10 s for 400."""
 
 LARGEST_LIMIT = 1e10
 """rad or m. MuJoCo has no joints with one limit, so the missing limit is this far away."""
@@ -203,19 +199,4 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
         raise InvalidModelError(f"a chain has 1 to {LONGEST_CHAIN} links, not {n!r}", hint=hint)
     if not (is_real(length, 0.0, sys.float_info.max) and length > 0.0):
         raise InvalidModelError(f"the length of a link is positive and finite, not {length!r}")
-    spec = mujoco.MjSpec()
-    spec.modelname = f"chain{n}"
-    body = spec.worldbody
-    for k in range(1, n + 1):
-        body = body.add_body(name=f"link{k}", pos=[0.0, 0.0, length if k > 1 else 0.0])
-        body.add_joint(name=f"joint{k}", type=mujoco.mjtJoint.mjJNT_BALL)
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
-            size=[LINK_THICKNESS * length, 0.0, 0.0],
-            contype=0,
-            conaffinity=0,
-            rgba=[0.9, 0.55, 0.2, 1.0] if k % 2 else [0.25, 0.35, 0.5, 1.0],
-        )
-    body.add_site(name="tip", pos=[0.0, 0.0, length])
-    return load_robot(spec.compile(), tool="tip")
+    return load_robot(chain_model(n, length).compile(), tool="tip")

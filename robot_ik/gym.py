@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.batch import solve_batch
+from robot_ik.batch import forward_batch, solve_batch
 from robot_ik.budget import Budget
 from robot_ik.errors import MissingExtraError, ModelError, OptionError
 from robot_ik.geometry import Pose, is_real
@@ -132,7 +132,7 @@ class ReachModel:
 
     def positions(self, qs: Array) -> Array:
         """Return the tool positions (n, 3) at ``qs`` (n, nq)."""
-        return np.array(self.robot.forward_many(qs)[:, :3, 3])
+        return forward_batch(self.robot, qs).positions
 
     def draw_goal(self, rng: np.random.Generator) -> tuple[Array, bool]:
         """Return a goal position (3,), and whether the robot reaches it."""

@@ -31,15 +31,17 @@ Goal_co = TypeVar("Goal_co", covariant=True)
 
 @dataclass(frozen=True)
 class JointReading:
-    """Measured joint angles.
+    """Measured joint angles and velocities.
 
     Attributes:
         q: Joint angles (nq,), rad or m, never clipped to limits.
         time: Time of the measurement, seconds on the clock of the run.
+        dq: Joint velocities (nv,), rad/s or m/s. None if the source does not measure them.
     """
 
     q: Array
     time: float
+    dq: Array | None = None
 
 
 @runtime_checkable

@@ -61,7 +61,7 @@ def virtual_robot(virtual_arm_config: ArmConfig, virtual_bus: VirtualBus) -> Ite
     from robot_ik.robot_arm import open_robot
 
     config = virtual_arm_config
-    with open_robot(config.robot, config, "sim", virtual_bus=virtual_bus) as opened:
+    with open_robot(config.robot_source, config, "sim", virtual_bus=virtual_bus) as opened:
         opened.enable()
         yield opened
 

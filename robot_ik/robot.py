@@ -8,6 +8,7 @@ axes, at the origin of the frame.
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import os
 import sys
 import threading
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik import model as mjcf
+from robot_ik.chain_model import chain_model
 from robot_ik.couplings import Coupling, declared_couplings, narrowed, with_couplings
 from robot_ik.errors import (
     ModelError,
@@ -32,14 +34,20 @@ from robot_ik.errors import (
 )
 from robot_ik.geometry import Array, Pose, is_real, vector
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import HINGE, SLIDE, Tree
-from robot_ik.robot_file import RobotFile, find_robot
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, Tree
+from robot_ik.robot_file import CHAIN, RobotFile, chain_links, find_robot
 
 LIMIT_SLACK = 1e-9
 """rad or m. A joint counts as outside its limits only beyond this."""
 
 NAMES_SHOWN = 8
 """Joint names in the ``repr`` of a robot."""
+
+_KINDS = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
+"""Name of each kind of joint."""
+
+LARGEST_STIFFNESS = 1e6
+"""Ratio to a joint of stiffness 1. A joint that is stiffer hardly moves at all."""
 
 _ARRAYS = (
     "velocity_limits",
@@ -113,6 +121,11 @@ class Robot:
             f"Robot({self.name!r}, {len(self.joints)} joints: {names}; tool {self.tool!r}, "
             f"{len(self._frames)} frames; {self.path.name})"
         )
+
+    @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """Kind of each active joint: hinge, slide, ball or free."""
+        return tuple(_KINDS[int(kind)] for kind in self.tree.kind)
 
     @property
     def lower(self) -> Array:
@@ -202,27 +215,24 @@ class Robot:
         kinematics.tree_frame(*self._kernel_arguments(q, frame, row))
         return Pose.from_row(row[0])
 
-    def forward_many(self, qs: ArrayLike, frame: str | None = None) -> Array:
-        """Return the world poses (n, 4, 4) of a frame (default: the tool) at ``qs`` (n, nq).
+    def forward_rows(self, q: Array, frame: str | None, positions: Array, wxyz: Array) -> None:
+        """Write the world poses of a frame (default: the tool) at ``q`` to two arrays.
+
+        It may be called from several threads. See ``forward_batch``, which checks ``q``.
+
+        Args:
+            q: (n, nq) joint positions, contiguous, rad or m.
+            frame: Frame.
+            positions: (n, 3) written, m.
+            wxyz: (n, 4) written, unit quaternions with w >= 0.
 
         Raises:
-            ModelError: ``qs`` has another shape or is not finite.
             UnknownFrameError: As ``frame``.
         """
-        array = np.ascontiguousarray(qs, dtype=float)
-        if array.ndim != 2 or array.shape[1] != self.nq or not np.isfinite(array).all():
-            raise ModelError(
-                f"joint positions of shape {array.shape} for {self.name}",
-                hint=f"give finite numbers (n, {self.nq})",
-            )
-        rows = np.empty((len(array), 12))
-        arguments = self._kernel_arguments(self.home, frame, rows)
+        row = np.empty((1, 12))
+        arguments = self._kernel_arguments(self.home, frame, row)
         address, nodes, node, local, _, world, scratch, _ = arguments
-        kinematics.tree_frames(address, nodes, node, local, array, world, scratch, rows)
-        matrices = np.tile(np.eye(4), (len(array), 1, 1))
-        matrices[:, :3, 3] = rows[:, :3]
-        matrices[:, :3, :3] = rows[:, 3:].reshape(-1, 3, 3)
-        return matrices
+        kinematics.tree_poses(address, nodes, node, local, q, world, scratch, row, positions, wxyz)
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """Return the Jacobian (6, nv) of a frame: linear over angular velocity per unit of dq."""
@@ -391,13 +401,124 @@ class Robot:
                 )
             home[self.tree.qadr[node]] = value
             kept[node] = False
-        joints = [joint for joint, keep in zip(self.tree.joint_ids, kept, strict=True) if keep]
-        if not joints:
+        if not kept.any():
             raise UnsupportedJointError(
                 f"all {len(values)} joints would be fixed",
                 path=self.path,
                 hint="leave at least one joint out of the mapping",
             )
+        return self._with_frozen(kept, home)
+
+    def with_joints(self, joints: Sequence[str]) -> Robot:
+        """Return this robot with only some of its joints active. The others stay at home.
+
+        Args:
+            joints: Names of active joints, in any order.
+
+        Raises:
+            UnknownJointError: There is no such active joint. The message has close names.
+            UnsupportedJointError: No joint is named.
+        """
+        require_joints(joints, self.joints)
+        kept = np.array([joint in set(joints) for joint in self.joints])
+        if not kept.any():
+            hint = f"name some of {', '.join(self.joints)}"
+            raise UnsupportedJointError("no joint would be left", path=self.path, hint=hint)
+        return self if kept.all() else self._with_frozen(kept, self.home)
+
+    def with_base(self, frame: str) -> Robot:
+        """Return this robot with only the joints between a frame and the tool active.
+
+        The body of the frame does not move any more.
+
+        Raises:
+            UnknownFrameError: The robot has no such frame.
+            UnsupportedJointError: No active joint moves the tool relative to the frame.
+        """
+        joints = self.joints_between(frame)
+        if not joints:
+            raise UnsupportedJointError(
+                f"no joint moves {self.tool!r} relative to {frame!r}",
+                path=self.path,
+                hint="choose a base that carries the tool",
+            )
+        return self.with_joints(joints)
+
+    def joints_between(self, base: str, frame: str | None = None) -> tuple[str, ...]:
+        """Return the active joints that move a frame (default: the tool) relative to its base.
+
+        Args:
+            base: A frame whose body carries the frame. Its own joints are not among the result.
+            frame: The frame that moves.
+
+        Returns:
+            Names, root first. Empty if ``base`` does not carry the frame.
+
+        Raises:
+            UnknownFrameError: The robot has no such frame.
+        """
+        base_body = self.frame(base).body
+        body = self.frame(frame).body
+        names: list[str] = []
+        while body not in (0, base_body):
+            first = int(self.model.body_jntadr[body])
+            count = int(self.model.body_jntnum[body])
+            names[:0] = [self.model.joint(j).name for j in range(first, first + count)]
+            body = int(self.model.body_parentid[body])
+        if body != base_body:
+            return ()
+        return tuple(name for name in names if name in self.joints)
+
+    def with_tool(self, frame: str) -> Robot:
+        """Return this robot with another default frame.
+
+        Raises:
+            UnknownFrameError: The robot has no such frame. The message has close names.
+        """
+        self.frame(frame)
+        return dataclasses.replace(self, tool=frame)
+
+    def with_stiffness(self, values: Mapping[str, float]) -> Robot:
+        """Return this robot with other stiffness of some joints.
+
+        Args:
+            values: Joint name -> positive cost of moving it, compared with the other joints.
+
+        Raises:
+            UnknownJointError: There is no such active joint. The message has close names.
+            ModelError: A value is not a positive number.
+        """
+        require_joints(values, self.joints)
+        stiffness = self.stiffness.copy()
+        for joint, value in values.items():
+            if not (is_real(value, 0.0, LARGEST_STIFFNESS) and value > 0.0):
+                raise ModelError(
+                    f"the stiffness of joint {joint!r} cannot be {value!r}",
+                    hint=f"give a number above 0, at most {LARGEST_STIFFNESS:g}",
+                )
+            stiffness[self.tree.dof_node == self.joints.index(joint)] = value
+        return dataclasses.replace(self, stiffness=stiffness)
+
+    def with_optional_limits(self) -> Robot:
+        """Return this robot within the optional limits of ``robot.toml``, if it has some."""
+        limits = self.file.optional_limits
+        if not limits:
+            return self
+        widths = np.full(self.nv, np.inf)
+        for node, joint in enumerate(self.joints):
+            for pattern, width in limits.items():
+                if fnmatch.fnmatchcase(joint, pattern):
+                    widths[self.tree.dof_node == node] = width
+        return self.with_limits(-widths, widths)
+
+    def _with_frozen(self, kept: NDArray[np.bool_], home: Array) -> Robot:
+        """Return this robot with some of its joints frozen at ``home`` (nq,).
+
+        Args:
+            kept: (joints,) whether a joint stays active.
+            home: (nq,) home of all joints.
+        """
+        joints = [joint for joint, keep in zip(self.tree.joint_ids, kept, strict=True) if keep]
         frozen_qpos = self.qpos(home)
         tree, bodies = mjcf.build_tree(self.model, joints, frozen_qpos)
         dofs = kept[self.tree.dof_node]
@@ -487,8 +608,9 @@ def load_robot(
 
     Args:
         name: A catalogue name, ``"puma560"``; the path of a model file or of a folder with a
-            ``robot.toml``; a name of the package robot_descriptions,
-            ``"robot_descriptions:panda_mj_description"``; the text of an MJCF or URDF,
+            ``robot.toml``; ``"chain:5"``, a chain of five ball joints; a name of the package
+            robot_descriptions, ``"robot_descriptions:panda_mj_description"``; the text of an MJCF
+            or URDF,
             ``"<mujoco>…"``; an ``MjSpec``, which is copied; or an ``MjModel``, which must not be
             changed afterwards. A robot of the last three kinds has the name of the model, and its
             ``path`` is not a file.
@@ -545,6 +667,9 @@ def _read_model(
     name: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
 ) -> tuple[Path, RobotFile, mujoco.MjModel, dict[str, float], tuple[str, ...]]:
     """Return path, content of robot.toml, model, and speed limits and missing meshes of a URDF."""
+    if isinstance(name, str) and name.startswith(CHAIN):
+        path, file = find_robot(name)
+        return path, file, *mjcf.read_model(chain_model(chain_links(name)), path)
     is_text = isinstance(name, str) and name.lstrip().startswith("<")
     if not (is_text or isinstance(name, mujoco.MjSpec | mujoco.MjModel)):
         path, file = find_robot(name)

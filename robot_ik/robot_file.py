@@ -25,8 +25,20 @@ SHOWN_ROBOT = "puma560"
 SERVO_ROBOT = "tabletop_puma"
 """Default robot of the commands with servos: X servos move it. A real PUMA 560 has no servo bus."""
 
+CHAIN = "chain:"
+"""Prefix of the name of a chain of ball joints; the number of links follows."""
+
+LONGEST_CHAIN = 500
+"""Links of a chain. MuJoCo's compile time grows with the cube of the links: 10 s for 400."""
+
 DESCRIPTIONS = "robot_descriptions:"
 """Prefix of the name of a robot in the package robot_descriptions."""
+
+_CHAIN_SIDE = 0.45
+"""Horizontal distance of the first ball of a chain, as a share of its length: it can be reached."""
+
+_CHAIN_HEIGHT = 0.45
+"""Height of that ball, likewise."""
 
 _MODEL_SUFFIXES = {".xml", ".mjcf", ".urdf", "robot.toml"}
 _EXPECTED = (
@@ -73,6 +85,7 @@ class _Keys(Table):
     groups: dict[str, Several[str]] = Field(default={})
     stiffness: dict[str, Positive] = Field(default={})
     couplings: dict[str, Coupled] = Field(default={})
+    keep: Several[str] = ()
     figure: dict[str, Any] | None = None  # figure/parts.py checks it
     reach: dict[str, Any] | None = None  # jobs/scene.py checks it
     gallery: dict[str, Any] | None = None  # testbed/gallery_scene.py checks it
@@ -84,6 +97,7 @@ class _RobotTable(_Keys):
     model: str
     motion: _MotionTable = _MotionTable()
     speed_deg: dict[str, dict[str, Positive]] = Field(default={})
+    optional_limits_deg: dict[str, Positive] = Field(default={})
     provenance: _Provenance = _Provenance()
 
 
@@ -102,6 +116,9 @@ class RobotFile(_Keys):
         sources: Sources of the numbers.
         stiffness: Stiffness by joint. A joint of stiffness 4 moves half as far as a joint of
             stiffness 1 where both have the same effect.
+        keep: Frames that stay at their home poses unless other goals are given: the feet.
+        optional_limits: Limits in radians to both sides of zero, by patterns of joint names, that
+            hold only on request.
     """
 
     name: str
@@ -112,6 +129,7 @@ class RobotFile(_Keys):
     hinges: tuple[str, ...] = ()
     speeds: dict[str, dict[str, float]] = Field(default={})
     sources: tuple[str, ...] = ()
+    optional_limits: dict[str, float] = Field(default={})
 
     def __repr__(self) -> str:
         return f"RobotFile({self.name!r}, {self.title!r}, {self.path})"
@@ -163,6 +181,9 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
         slides=slides,
         hinges=hinges if motion.velocity_deg or motion.acceleration_deg else (),
         speeds=speeds,
+        optional_limits={
+            pattern: math.radians(width) for pattern, width in table.optional_limits_deg.items()
+        },
         sources=table.provenance.sources,
     )
     return model, file
@@ -197,13 +218,15 @@ def _models_in(folder: Path) -> list[str]:
 def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     """Return the model file and ``robot.toml`` of a robot.
 
-    A ``robot.toml`` beside a model file counts if it names this file.
+    A ``robot.toml`` beside a model file counts if it names this file. The path of a chain is not a
+    file.
 
     Args:
-        name: A catalogue name, a path, or a name of the package robot_descriptions.
+        name: A catalogue name, a path, ``chain:5``, or a name of the package robot_descriptions.
 
     Raises:
         UnknownRobotError: There is no such robot.
+        InvalidModelError: A chain cannot have so many links.
         ModelError: There is no such file.
         ConfigError: A key of robot.toml is wrong.
         MissingExtraError: The package robot_descriptions is not installed.
@@ -212,6 +235,9 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     given: object = name
     if not isinstance(given, str | os.PathLike):
         raise InvalidModelError(f"{given!r} is not a robot", hint=_EXPECTED)
+    if str(name).startswith(CHAIN):
+        links = chain_links(str(name))
+        return Path(f"<memory>/chain{links}"), _chain_file(links)
     if str(name).startswith(DESCRIPTIONS):
         from robot_ik.urdf import described_model  # here: it costs 6 ms, which few programs need
 
@@ -231,6 +257,32 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
         if model.resolve() == path:
             return path, file
     return path, RobotFile(name=path.stem)
+
+
+def chain_links(name: str) -> int:
+    """Return the number of links of ``chain:5``.
+
+    Raises:
+        InvalidModelError: It is not a number from 1 to ``LONGEST_CHAIN``.
+    """
+    text = name.removeprefix(CHAIN)
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= LONGEST_CHAIN):
+        raise InvalidModelError(
+            f"a chain has 1 to {LONGEST_CHAIN} links, not {text!r}",
+            hint=f"for example {CHAIN}5",
+        )
+    return int(text)
+
+
+def _chain_file(links: int) -> RobotFile:
+    """Return what a ``robot.toml`` of a chain of links of 1 m would say."""
+    ball = [_CHAIN_SIDE * links, 0.0, _CHAIN_HEIGHT * links]
+    return RobotFile(
+        name=f"chain{links}",
+        title=f"Chain of {links} ball joints, links of 1 m",
+        tool="tip",
+        gallery={"about": "bent to one side", "goals": {"tip": ball}},
+    )
 
 
 def _refuse_missing_file(path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import InvalidGoalError
+from robot_ik.errors import InvalidGoalError, ModelError, OptionError, UnknownFrameError
 from robot_ik.goals import PoseGoal
 from robot_ik.problem import Problem
 from robot_ik.solution import Status
@@ -80,3 +80,47 @@ def test_other_wrong_arguments_are_refused(puma):
 
 def test_an_empty_batch_has_no_results(puma):
     assert len(rik.solve_batch(puma, np.zeros((0, 4, 4)))) == 0
+
+
+@pytest.mark.parametrize("name", sorted(rik.catalogue()))
+def test_forward_batch_gives_the_poses_of_mujoco(name):
+    robot = rik.load_robot(name)
+    rng = np.random.default_rng(6)
+    q = np.array([robot.sample(rng) for _ in range(20)])
+    positions, wxyz = rik.forward_batch(robot, q)
+    assert (wxyz[:, 0] >= 0.0).all()
+    for row in range(len(q)):
+        pose = robot.measure(q[row])  # MuJoCo's mj_kinematics
+        np.testing.assert_allclose(positions[row], pose.position, atol=1e-12)
+        assert abs(wxyz[row] @ pose.wxyz) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_forward_batch_is_the_same_on_several_threads(puma):
+    rng = np.random.default_rng(7)
+    q = rng.uniform(-3.0, 3.0, (25_000, puma.nq))  # enough for three threads
+    q.flags.writeable = False
+    alone = rik.forward_batch(puma, q, frame="link3", threads=1)
+    several = rik.forward_batch(puma, q, frame="link3", threads=3)
+    np.testing.assert_array_equal(alone.positions, several.positions)
+    np.testing.assert_array_equal(alone.wxyz, several.wxyz)
+    last = puma.measure(q[-1], "link3")
+    np.testing.assert_allclose(several.positions[-1], last.position, atol=1e-12)
+
+
+def test_forward_batch_of_no_row_is_empty(puma):
+    positions, wxyz = rik.forward_batch(puma, np.zeros((0, puma.nq)))
+    assert positions.shape == (0, 3)
+    assert wxyz.shape == (0, 4)
+
+
+def test_forward_batch_refuses_wrong_arguments(puma):
+    with pytest.raises(ModelError, match=r"\(n, 6\)"):
+        rik.forward_batch(puma, puma.home)
+    with pytest.raises(ModelError, match="finite"):
+        rik.forward_batch(puma, np.full((1, 6), np.nan))
+    with pytest.raises(UnknownFrameError):
+        rik.forward_batch(puma, puma.home[None], frame="griper")
+    with pytest.raises(OptionError, match="threads"):
+        rik.forward_batch(puma, puma.home[None], threads=0)
+    with pytest.raises(ModelError, match="load_robot"):
+        rik.forward_batch("puma560", puma.home[None])

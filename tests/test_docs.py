@@ -30,10 +30,12 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli import main as cli
 from robot_ik.cli.main import find_command
+from robot_ik.commands import main as cli
 from tests.doc_pages import OTHERS, PAGES, ROOT, SHOWN, blocks, named, prose
 
+#: Page with the files of the desk arm, which other pages use.
+OWN_ROBOT = ROOT / "docs" / "start" / "own_robot.md"
 FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
 
 
@@ -64,6 +66,7 @@ def test_the_blocks_of_a_page_run(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, real_time: None
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)  # a block may import the file of an earlier block
     give(page, tmp_path)
     module = types.ModuleType(f"docs_{page.stem}")
     monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look it up
@@ -106,13 +109,14 @@ def give(page: Path, folder: Path) -> None:
             (ROOT / "models" / "puma560" / "arm.toml").read_bytes()
         )
     if "path/to/arm.xml" in text:
-        (model,) = [
-            block
-            for block in blocks(ROOT / "docs" / "how-to" / "own_robot.md")
-            if block.file.endswith("desk_arm.xml")
-        ]
+        (model,) = [block for block in blocks(OWN_ROBOT) if block.file.endswith("desk_arm.xml")]
         (folder / "path" / "to").mkdir(parents=True)
         (folder / "path" / "to" / "arm.xml").write_text(model.text, encoding="utf-8")
+    if "desk_arm/arm.toml" in text and page != OWN_ROBOT:
+        (folder / "desk_arm").mkdir()
+        for block in blocks(OWN_ROBOT):
+            if block.file:
+                (folder / block.file).write_text(block.text, encoding="utf-8")
     if re.search(r'"photo\.png"|detect photo\.png|locate photo\.png', text) and page != FIRST_PHOTO:
         for name, content in photograph().items():
             (folder / name).write_bytes(content)
@@ -161,13 +165,15 @@ def run_line(
 
 def check_options(words: list[str], where: str) -> None:
     from robot_ik.cli.arguments import parse
-    from robot_ik.errors import ConfigError
+    from robot_ik.errors import ConfigError, OptionError
 
-    name, command, rest = find_command(words)
-    kind = getattr(importlib.import_module(command.module), command.options)
     try:
-        parse(kind, name, rest)
-    except ConfigError as error:
+        if cli.former_command(words):
+            name, command, rest = find_command(words)
+            parse(getattr(importlib.import_module(command.module), command.options), name, rest)
+        else:
+            cli.parse_command(words)
+    except (ConfigError, OptionError) as error:
         pytest.fail(f"{where}: {error}")
 
 
@@ -197,8 +203,9 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)
 def test_files_named_in_the_text_exist(page: Path) -> None:
     suffix = re.compile(r"\.(py|toml|md|xml|txt|png|jpg|urdf|yaml|run)$|/$")
+    written = {block.file for block in blocks(page)}
     for name in re.findall(r"(?<!`)`([\w.\-/]+)`(?!`)", prose(page)):
-        is_created = name.startswith(("runs/", "/")) or "/" not in name
+        is_created = name.startswith(("runs/", "/")) or "/" not in name or name in written
         if is_created or not suffix.search(name):
             continue
         assert (ROOT / name).exists() or (page.parent / name).exists(), f"{named(page)}: {name}"
@@ -213,10 +220,10 @@ def helps() -> dict[str, str]:
             cli.main([*words, "--help"])
         return stream.getvalue()
 
-    texts = {}
-    for name, command in cli.COMMANDS.items():
-        parts = [help_of(name), *(help_of(name, word) for word in command.subcommands)]
-        texts[name] = " ".join(parts)
+    texts: dict[str, str] = {}
+    for name in cli.command_names():
+        first = name.split()[0]
+        texts[first] = texts.get(first, "") + help_of(*name.split())
     return texts
 
 

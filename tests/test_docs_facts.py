@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli import main as cli
+from robot_ik.commands import main as cli
 from tests.doc_pages import PAGES, ROOT, blocks, named, prose, script
 
 #: Files in which an install line could stand.
@@ -61,7 +61,7 @@ def test_the_tagline_is_the_same_everywhere(capsys: pytest.CaptureFixture[str]) 
         "README.md": (ROOT / "README.md").read_text(encoding="utf-8").splitlines()[2],
         "docs/index.md": (ROOT / "docs" / "index.md").read_text(encoding="utf-8").splitlines()[2],
         "pyproject.toml": project["description"],
-        "robot-ik --help": capsys.readouterr().out.splitlines()[1],
+        "robot-ik --help": capsys.readouterr().out.splitlines()[2],
         "robot_ik": (rik.__doc__ or "").splitlines()[0],
     }
     assert set(described.values()) == {TAGLINE}, described
@@ -88,7 +88,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables() -> None:
 def test_make_reach_prints_what_the_page_shows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page = ROOT / "docs" / "start" / "reach.md"
+    page = ROOT / "docs" / "reference" / "reach.md"
     (shown,) = [block for block in blocks(page) if block.text.startswith("reach ")]
     assert cli.main(["reach", "--out", str(tmp_path / "run")]) == 0
     printed = capsys.readouterr().out
@@ -116,7 +116,7 @@ def test_the_keys_of_the_summary_are_those_of_the_page(tmp_path: Path) -> None:
     """Every key, and every key of a table in it unless the page refers to another table."""
     assert cli.main(["reach", "--bus", "sim", "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    page = prose(ROOT / "docs" / "start" / "reach.md")
+    page = prose(ROOT / "docs" / "reference" / "reach.md")
     cells = re.findall(r"^\| (`[^|]*`) \|", page[page.index("## summary.json") :], re.MULTILINE)
     reported: dict[str, set[str]] = {}
     for cell in cells:
@@ -140,14 +140,14 @@ def test_the_page_states_the_miss_of_a_slipped_horn(tmp_path: Path) -> None:
     )
     summary = json.loads((tmp_path / "summary.json").read_text())
     measured = 1e3 * summary["by_camera"]["position_m"]
-    page = (ROOT / "docs" / "start" / "reach.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "reach.md").read_text(encoding="utf-8")
     (line,) = [row for row in page.splitlines() if "zero-offset joint2=2" in row]
     assert float(re.findall(r"(\d+) mm", line)[-1]) == pytest.approx(measured, abs=1.0), line
 
 
 def test_the_extras_on_the_page_are_those_of_the_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    page = (ROOT / "docs" / "start" / "install.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "how-to" / "install.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
     assert set(listed) == set(project["optional-dependencies"]) - {"dev", "docs"}
 
@@ -157,7 +157,7 @@ def test_every_page_names_the_same_versions_of_python() -> None:
     oldest, newest = (
         int(minor) for minor in re.findall(r"(?:oldest|newest)='\(3, (\d+)\)'", make_venv)
     )
-    for page in ("README.md", "CONTRIBUTING.md", "docs/start/install.md"):
+    for page in ("README.md", "CONTRIBUTING.md", "docs/how-to/install.md"):
         stated = re.findall(
             r"Python 3\.(\d+) to 3\.(\d+)", (ROOT / page).read_text(encoding="utf-8")
         )
@@ -191,7 +191,7 @@ def test_no_install_line_names_the_distribution_of_another_project() -> None:
 
 def test_the_arms_with_an_arm_file_are_counted_and_named() -> None:
     arms = {file.parent.name for file in (ROOT / "models").glob("*/arm.toml")}
-    start = (ROOT / "docs" / "start" / "servo.md").read_text(encoding="utf-8")
+    start = (ROOT / "docs" / "start" / "own_robot.md").read_text(encoding="utf-8")
     numbers = ("four", "five", "six", "seven", "eight", "nine", "ten")
     assert f"{numbers[len(arms) - 4].capitalize()} bundled robots have one" in start
     page = (ROOT / "docs" / "reference" / "arms.md").read_text(encoding="utf-8")
@@ -265,7 +265,7 @@ def test_the_api_page_lists_every_public_name() -> None:
 @pytest.mark.parametrize(
     ("contract_id", "package", "first"),
     [
-        ("layers", "", "cli"),
+        ("layers", "", "commands"),
         ("camera-layers", "robot_ik.camera.", "synthetic.sources"),
         ("hardware-layers", "robot_ik.hardware.", "health"),
     ],

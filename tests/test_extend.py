@@ -1,4 +1,4 @@
-"""The recipes of docs/how-to/extend.md for a solver and for a goal, in a copy of the package."""
+"""The recipes of docs/how-to/extend.md for a solver, a goal and a command, in a copy."""
 
 from __future__ import annotations
 
@@ -121,10 +121,11 @@ def indented(text: str) -> str:
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
-    """Return a copy of the package, with the bundled models."""
+    """Return a copy of the package, with the bundled models and the hardware."""
     copy = tmp_path / "robot_ik"
     shutil.copytree(ROOT / "robot_ik", copy, ignore=shutil.ignore_patterns("__pycache__"))
     (copy / "models").symlink_to(ROOT / "models")
+    (copy / "hardware").symlink_to(ROOT / "hardware")
     return copy
 
 
@@ -163,3 +164,27 @@ def test_a_goal_is_one_class_and_one_pair_of_kernel_functions(package: Path) -> 
     insert(goals, "GOALS: tuple[type[Goal], ...]", code + "\n\n")
     insert(goals, ")\n\n\n# Checks and conversions", "    PerpendicularGoal,\n")
     run(package, GOAL)
+
+
+COMMAND = """
+import contextlib, io, json
+from robot_ik.commands.main import main
+from robot_ik.commands.reachable import Reachable, ReachableReport
+
+# The solves of ``run`` would compile the kernels of the copy, which takes 40 s.
+Reachable.run = lambda command, terminal: ReachableReport(1, command.count)
+with contextlib.redirect_stdout(io.StringIO()) as out:
+    assert main(["reachable", "--count", "3", "--json"]) == 0
+assert json.loads(out.getvalue()) == {"schema": 1, "reached": 1, "count": 3}
+with contextlib.redirect_stdout(io.StringIO()) as out:
+    assert main(["reachable", "--help"]) == 0
+assert "Number of random points" in out.getvalue()
+assert main(["reachable", "--count", "0"]) == 2
+"""
+
+
+def test_a_command_is_one_file_and_one_row(package: Path) -> None:
+    commands = package / "commands"
+    (commands / "reachable.py").write_text(block("python", "class Reachable(JsonOption)"), "utf-8")
+    insert(commands / "main.py", '        Row("reach", ', f"        {block('text', 'Row(')}")
+    run(package, COMMAND)

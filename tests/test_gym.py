@@ -147,14 +147,3 @@ def test_wrong_options_are_refused():
 def test_the_package_does_not_import_gymnasium():
     code = "import sys, robot_ik as rik; rik.solve; assert 'gymnasium' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_positions_of_many_joint_angles_are_those_of_single_ones():
-    robot = rik.load_robot("puma560")
-    rng = np.random.default_rng(6)
-    qs = np.array([robot.sample(rng) for _ in range(10)])
-    poses = robot.forward_many(qs, "gripper")
-    for q, pose in zip(qs, poses, strict=True):
-        np.testing.assert_allclose(pose, robot.measure(q, "gripper").matrix, atol=1e-12)
-    with pytest.raises(ModelError, match=r"\(n, 6\)"):
-        robot.forward_many(qs[0])

@@ -41,7 +41,7 @@ IDS = tuple(range(1, 7))
 TABLE = X_TABLES["XM430-W350"]
 GOAL = TABLE["goal_position"]
 PRESENT = TABLE["present_position"]
-BLOCK = Register("torque and position", TABLE["indirect_data_1"].address, 5, signed=True)
+BLOCK = Register("torque, velocity and position", TABLE["indirect_data_1"].address, 7, signed=True)
 RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 BITS_PER_BYTE = 10
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
@@ -106,7 +106,7 @@ def canned() -> dict[bytes, bytes]:
     """Every request the contestants make -> the reply of six servos."""
     replies = {}
     value = (2048).to_bytes(4, "little")
-    for register, known in ((PRESENT, value), (BLOCK, b"\x01" + value)):
+    for register, known in ((PRESENT, value), (BLOCK, b"\x01\x00\x00" + value)):
         for extra in range(LENGTHS):  # after a miss the bus asks for a byte more
             register = replace(register, size=len(known) + extra)
             asked = dict.fromkeys(IDS, register)
@@ -150,7 +150,7 @@ def our_cycle(
     bus.open()
     bus.use_fast_reads(IDS if fast else ())
     reads = dict.fromkeys(IDS, register)
-    right = 2048 if register is PRESENT else 2048 << 8 | 1
+    right = 2048 if register is PRESENT else 2048 << 24 | 1
 
     def cycle(goal: int) -> None:
         statuses = bus.exchange(GOAL, dict.fromkeys(IDS, goal), reads)
@@ -164,7 +164,9 @@ CONTESTANTS: dict[str, Callable[[str], tuple[Callable[[int], None], Callable[[],
     "Dynamixel SDK, group write and fast read": lambda path: sdk_cycle(path, fast=True),
     "`exchange`, position": lambda path: our_cycle(path, PRESENT, fast=False),
     "`exchange`, position, fast": lambda path: our_cycle(path, PRESENT, fast=True),
-    "`exchange`, torque and position, fast (what `Arm` does)": lambda path: our_cycle(path, BLOCK, fast=True),
+    "`exchange`, with torque and velocity, fast (what `Arm` does)": lambda path: our_cycle(
+        path, BLOCK, fast=True
+    ),
 }
 
 

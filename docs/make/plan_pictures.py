@@ -134,7 +134,7 @@ class View:
         points = [surface_points(model, robot.qpos(q)) for q in rows]
         optics = lens(*size)
         camera = fitted_camera(np.concatenate(points), VIEW_DEG, optics)
-        tools = robot.forward_many(trajectory.q)[:, :3, 3]
+        tools = rik.forward_batch(robot, trajectory.q).positions
         return cls(scene, model, optics, camera, tools)
 
     def picture(self, q: NDArray[np.float64]) -> Image:

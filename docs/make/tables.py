@@ -122,9 +122,10 @@ def faults() -> str:
 
 def commands() -> str:
     """One row for each command of `robot-ik`."""
-    from robot_ik.cli.main import COMMANDS
+    from robot_ik.commands.main import GROUPS
 
-    return markdown(("command", "what it does"), ((f"`{n}`", c.about) for n, c in COMMANDS.items()))
+    rows = [row for rows in GROUPS.values() for row in rows]
+    return markdown(("command", "what it does"), ((f"`{row.name}`", row.help) for row in rows))
 
 
 def keys() -> str:

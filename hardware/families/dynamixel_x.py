@@ -20,6 +20,7 @@ from robot_ik.hardware.families.dynamixel_x_table import (
     POSITION_MODE_HOMING,
     RETURN_ALL,
     REVERSE,
+    TRIPPED,
     VELOCITY_UNIT,
     X_SERIES,
     hardware_error_names,
@@ -62,8 +63,14 @@ ROBOTIS-GIT/emanual _includes/en/dxl/x/position_pid_gain.md: the gain is the reg
 LARGEST_PROFILE = 32767
 """Largest value of both profile registers."""
 
-CYCLE_REGISTERS = ("torque_enable", "present_position")
+CYCLE_REGISTERS = ("torque_enable", "present_velocity", "present_position")
 """Registers that every control cycle reads."""
+
+SHORT_VELOCITY_SIZE = 2
+"""Bytes of Present Velocity that a control cycle reads: the lower two of four.
+
+They hold 32767 counts in both directions. The largest Velocity Limit of a model is 2047.
+"""
 
 
 class DynamixelX:
@@ -103,6 +110,13 @@ class DynamixelX:
             raise HardwareError(
                 f"servo id {servo.id} (joint {drive.name!r}) keeps its status return level"
             )
+
+    def watchdog_tripped(self, bus: ServoBus, drive: Drive, /) -> bool:
+        """Return whether Bus Watchdog has run out.  Firmware before 38 has none."""
+        servo = drive.servo
+        return "bus_watchdog" in servo.table and (
+            bus.read(servo.id, servo.table["bus_watchdog"]).data == TRIPPED
+        )
 
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Clear a bus watchdog that is armed or has tripped.
@@ -326,9 +340,14 @@ class DynamixelX:
     def short_block(
         self, bus: ServoBus, id: int, table: ControlTable, *, with_health: bool
     ) -> CycleBlock:
-        """Point the indirect addresses at torque and position: 5 bytes, with health 10."""
+        """Point the indirect addresses at torque, velocity and position.
+
+        The block has 7 bytes, with health 12.
+        """
         names = (*CYCLE_REGISTERS, *_health_registers(table)) if with_health else CYCLE_REGISTERS
         registers = [table[name] for name in names]
+        velocity = names.index("present_velocity")
+        registers[velocity] = replace(registers[velocity], size=SHORT_VELOCITY_SIZE)
         addresses = [a for register in registers for a in range(register.address, register.end)]
         first = table["indirect_address_1"].address
         pointers = Register("indirect addresses", first, 2 * len(addresses), writable=True)
@@ -340,7 +359,7 @@ class DynamixelX:
                 raise HardwareError("the indirect addresses read back with other values")
 
         begin = table["indirect_data_1"].address
-        block = Register("torque, position and health", begin, len(addresses), signed=True)
+        block = Register("torque, motion and health", begin, len(addresses), signed=True)
         parts = [
             replace(register, address=begin + addresses.index(register.address))
             for register in registers

@@ -136,6 +136,10 @@ class FeetechSts:
                     f"servo id {servo.id} (joint {drive.name!r}) keeps its response level"
                 )
 
+    def watchdog_tripped(self, _bus: ServoBus, _drive: Drive, /) -> bool:
+        """Return False: STS servos have no bus watchdog."""
+        return False
+
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Do nothing: STS servos have no bus watchdog."""
 
@@ -285,11 +289,12 @@ class FeetechSts:
     def plain_block(self, table: ControlTable) -> CycleBlock:
         """From torque to current: 31 bytes.
 
-        Torque, position, load and temperature come in every cycle.
+        Torque, velocity, position, load and temperature come in every cycle.
         """
         names = (
             "torque_enable",
             "goal_velocity",
+            "present_velocity",
             "present_position",
             "present_load",
             "present_current",

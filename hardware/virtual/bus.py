@@ -267,7 +267,7 @@ def robot_of(config: ArmConfig) -> Robot | None:
     from robot_ik.robot import load_robot
 
     try:
-        return load_robot(config.robot, joints=config.chain.names)
+        return load_robot(config.robot_source, joints=config.chain.names)
     except RobotIkError:
         return None
 

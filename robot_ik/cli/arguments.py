@@ -26,6 +26,7 @@ from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
+    from robot_ik.goals import PoseGoal, PositionGoal
 
 Request = TypeVar("Request")
 #: What tyro writes for programs to read: no line of it is folded.
@@ -163,6 +164,22 @@ def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) 
         right = math.isfinite(found[joint]) and abs(found[joint]) <= largest
         require(right, option, repr(item), "JOINT=DEGREES, e.g. joint2=2")
     return found
+
+
+def make_goal(numbers: Sequence[float], frame: str | None = None) -> PositionGoal | PoseGoal:
+    """The goal of three numbers (position, metres) or seven (position, then quaternion wxyz).
+
+    No ``frame`` means the robot's tool.
+
+    Raises:
+        ConfigError, InvalidGoalError: Another count, a number that is not finite, or a zero quaternion.
+    """
+    from robot_ik.goals import PoseGoal, PositionGoal
+
+    given = f"{len(numbers)} numbers" if numbers else "no goal is given"
+    allowed, example = "3: x y z in metres, or 7: then w x y z", "for example: --goal -0.4 -0.1 0.7"
+    require(len(numbers) in (3, 7), "--goal", given, allowed, example)
+    return PositionGoal(frame, numbers) if len(numbers) == 3 else PoseGoal(frame, numbers[:3], numbers[3:])
 
 
 def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:

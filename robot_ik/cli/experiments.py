@@ -16,7 +16,8 @@ from robot_ik.cli.arguments import Overwrite, Range, require, several, single
 
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
-    from robot_ik.bench.theses.s12 import ArmCase, S12Report
+    from robot_ik.bench.theses.s12 import S12Report
+    from robot_ik.theses.table_4_1 import ArmCase
 
 
 @dataclass(frozen=True)
@@ -103,12 +104,12 @@ def _result(complete: bool, passed: bool, why: str) -> Text:
 
 def print_a00(report: A00Report) -> None:
     """Courses, methods × courses, and whether what has to pass does."""
-    from robot_ik.bench.theses import a00
+    from robot_ik.theses.courses import THESIS_RESULTS
 
     rows = [
         (
             number, len(course.robot.joints), course.goal.name.removesuffix(" goal"), course.moves,
-            len(course.at), a00.HIS[number],
+            len(course.at), THESIS_RESULTS[number],
         )
         for number, course in report.courses.items()
     ]  # fmt: skip
@@ -167,8 +168,9 @@ def _share(report: A00Report, name: str, number: int) -> Text:
 def print_s12(report: S12Report) -> None:
     """His table and ours, what differs, and whether what has to pass does."""
     from robot_ik.bench.theses import s12
+    from robot_ik.theses.table_4_1 import CASES
 
-    for case in s12.CASES:
+    for case in CASES:
         console.show(_case_table(report, case), "")
     console.show("t: mean time of a solve, ms.  N: mean number of steps.  η: % of the frames solved.", "")
     if report.failures:

@@ -131,7 +131,7 @@ def robot_facts(robot: Robot) -> dict[str, Any]:
         "tool": robot.tool,
         "frames": {name: about_frame(robot, name) for name in robot.frames},
         "joints": robot.joints,
-        "kinds": joint_kinds(robot),
+        "kinds": robot.joint_kinds,
         "lower": robot.lower,
         "upper": robot.upper,
         "home": robot.home,
@@ -147,14 +147,6 @@ def about_frame(robot: Robot, name: str) -> str:
     return tool.about if tool else ""
 
 
-def joint_kinds(robot: Robot) -> list[str]:
-    """``free``, ``ball``, ``slide`` or ``hinge`` for each active joint."""
-    from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
-
-    names = {FREE: "free", BALL: "ball", SLIDE: "slide", HINGE: "hinge"}
-    return [names[int(kind)] for kind in robot.tree.kind]
-
-
 def _print_robot(robot: Robot) -> None:
     shown_as = {name: f"{name} (default)" if name == robot.tool else name for name in robot.frames}
     others = [name for name in robot.frames if name not in robot.file.tools]
@@ -165,7 +157,7 @@ def _print_robot(robot: Robot) -> None:
         ("frames", ", ".join(shown_as[name] for name in others)),
     ]
     rows, tree = [], robot.tree
-    for name, kind, at_q, at_v in zip(robot.joints, joint_kinds(robot), tree.qadr, tree.vadr, strict=True):
+    for name, kind, at_q, at_v in zip(robot.joints, robot.joint_kinds, tree.qadr, tree.vadr, strict=True):
         rotary = kind in ("hinge", "ball")
         limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
         motion = (robot.velocity_limits, robot.acceleration_limits)

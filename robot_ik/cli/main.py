@@ -1,23 +1,18 @@
-"""``robot-ik``: finds the command in one table, imports only its module, turns errors into exit codes."""
+"""Former commands of ``robot-ik``: finds the command in one table and imports only its module.
+
+``robot_ik/commands/main.py`` calls ``dispatch`` for the commands that its own table does not have yet.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import importlib
-import os
 import signal
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-try:
-    from robot_ik.cli import console
-    from robot_ik.errors import OutputError, RobotIkError, close_matches, unknown_name_text
-    from robot_ik.signals import raised_signals
-except KeyboardInterrupt:  # most of the first half second is spent here
-    sys.stderr.write("interrupted\n")
-    raise SystemExit(130) from None
+from robot_ik.cli import console
+from robot_ik.signals import raised_signals
 
 # ------------------------------------------------------------------------------------------
 # The table of commands and of their subcommands: names, where each lives, one line about it.
@@ -48,7 +43,6 @@ class CommandRow:
 ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
     "reach": ("reach", "detect a marker, reach it, and verify the result with a camera"),
-    "solve": ("solve", "a goal in, joint angles out (JSON on stdout)"),
     "reachability": ("reachability", "where an arm can reach: a map, slices and a point cloud"),
     "plan": ("plan", "a motion around obstacles, proven free"),
     "robots": ("listing", "the bundled robots, or one in detail"),
@@ -68,11 +62,9 @@ ROWS: dict[str, tuple[str, str]] = {
     "sim-bus": ("sim_bus", "serve simulated servos on a port that any client can open"),
     "servo": ("", "servos by hand: find, set up, calibrate, watch, move, record, save"),
     "servo ports": ("servo_bus", "serial ports, the adapter behind each, who uses it"),
-    "servo scan": ("servo_bus", "which servos answer, at every rate; doubled ids"),
     "servo setup": ("servo_bus", "id and baud rate of the one servo connected"),
     "servo calibrate": ("servo_hand", "ranges, zeros and directions by hand"),
     "servo monitor": ("servo_bus", "position, current, supply, heat, errors, live"),
-    "servo move": ("servo_motion", "joints to angles, slowly, within limits"),
     "servo torque": ("servo_motion", "on: hold where it stands; off: let go"),
     "servo reset-fault": ("servo_motion", "restart servos that have shut down"),
     "servo teach": ("servo_hand", "record the arm while a hand guides it"),
@@ -135,84 +127,10 @@ def find_command(arguments: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
     return name, command, rest
 
 
-_VERSION_FLAGS = ("--version", "-V", "version")
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command line (of the process if ``None``) and returns its exit code, see ``console``."""
-    # Before a command imports NumPy: its matrices are small, OpenBLAS's threads would wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    debug = os.environ.get("ROBOT_IK_DEBUG", "") not in ("", "0")
-    if "--debug" in arguments:
-        arguments.remove("--debug")
-        debug = True
-    try:
-        if not console.prepare_streams():
-            raise OutputError("standard output is closed, so results have nowhere to go")
-        code = _dispatch(arguments, debug=debug)
-        sys.stdout.flush()
-        return code
-    except BrokenPipeError:
-        # The reader (head, less) went away: nothing to say, and nothing to say it to at exit either.
-        _silence_stdout()
-        return 128 + signal.SIGPIPE if hasattr(signal, "SIGPIPE") else 1
-    except SystemExit as stop:
-        if stop.code == console.TERMINATED:
-            console.say("terminated", "yellow")
-        return stop.code if isinstance(stop.code, int) else (0 if stop.code is None else 2)
-    except KeyboardInterrupt:
-        console.say("interrupted", "yellow")
-        return console.INTERRUPTED
-    except Exception as error:  # the last place where an error can become an exit code
-        if _was_interrupted(error):
-            console.say("interrupted", "yellow")
-            return console.INTERRUPTED
-        return console.show_error(error, debug=debug)
-
-
-def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C came while a package was loaded: pybind11 makes an ``ImportError`` of it."""
-    while error is not None:
-        if isinstance(error, ImportError) and isinstance(error.__cause__, KeyboardInterrupt):
-            return True
-        error = error.__cause__
-    return False
-
-
-def _dispatch(arguments: list[str], *, debug: bool) -> int:
-    if arguments and arguments[0] == "help":  # robot-ik help servo scan
-        arguments = [*arguments[1:], "--help"]
-    if not arguments or arguments[0] in console.HELP_FLAGS:
-        _print_help()
-        return 0 if arguments else 2
-    if arguments[0] in _VERSION_FLAGS:
-        _print_versions()
-        return 0
-    if arguments[0] not in COMMANDS:
-        raise _unknown(arguments[0])
+def dispatch(arguments: list[str], *, debug: bool) -> int:
+    """Runs one command line that begins with a name of ``COMMANDS``, and returns its exit code."""
     name, command, rest = find_command(arguments)
-    misspelt = command.subcommands and rest and not rest[0].startswith("-")
-    if command.options and not misspelt:
-        return _run(name, command, rest, debug=debug)
-    return _group(name, command, rest)
-
-
-def _group(name: str, command: CommandRow, rest: list[str]) -> int:
-    """A command that is only the name of its subcommands: its help, or which of them was meant."""
-    if any(argument in console.HELP_FLAGS for argument in rest):
-        _print_group(name, command)
-        return 0
-    what = f"subcommand of {name}"
-    inner = next((argument for argument in rest if argument in command.subcommands), None)
-    if not rest:
-        text = f"which {what}? There are: {', '.join(command.subcommands)}."
-    elif inner:
-        text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
-    else:
-        asked = next((argument for argument in rest if not argument.startswith("-")), rest[0])
-        text = unknown_name_text(what, asked, list(command.subcommands))
-    raise RobotIkError(text, hint=f"see all commands with: robot-ik {name} --help")
+    return _run(name, command, rest, debug=debug)
 
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
@@ -226,56 +144,3 @@ def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -
     with console.logs_shown(debug=debug), raised_signals(signal.SIGTERM):
         code: int = getattr(module, command.run)(options)
     return code
-
-
-def _silence_stdout() -> None:
-    with contextlib.suppress(OSError, ValueError):
-        sink = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(sink, sys.stdout.fileno())
-        os.close(sink)
-
-
-def _unknown(name: str) -> RobotIkError:
-    if not name.startswith("-"):
-        text = unknown_name_text("command", name, list(COMMANDS))
-    else:
-        close = close_matches(name, ["--help", "--version", "--debug"])
-        meant = f"; did you mean {close[0]!r}?" if close else ""
-        text = f"unknown option {name!r} before the command{meant}"
-    return RobotIkError(text, hint="see all commands with: robot-ik --help")
-
-
-def _print_group(name: str, command: CommandRow) -> None:
-    rows = [(subcommand, row.about) for subcommand, row in command.subcommands.items()]
-    console.show(
-        f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]",
-        f"\n{command.about[0].upper()}{command.about[1:]}.\n",
-        console.table("subcommand", "what it does", rows=rows),
-        f"\nEach explains itself:  robot-ik {name} {rows[0][0]} --help",
-    )
-
-
-def _print_help() -> None:
-    rows = [(name, command.about) for name, command in COMMANDS.items()]
-    console.show(
-        "usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help",
-        "Inverse kinematics for robot arms in Python, from camera to servo.\n",
-        console.table("command", "what it does", rows=rows),
-        console.facts(
-            ("--version", "versions of robot_ik and of what it stands on"),
-            ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
-        ),
-        "Start with:  robot-ik reach, or robot-ik view",
-        "Exit codes:  0 done; 1 not achieved; 2 wrong input or environment; 130 Ctrl-C",
-    )
-
-
-def _print_versions() -> None:
-    from robot_ik.jobs.environment import installed_versions
-
-    rows = [(name, version or "not installed") for name, version in installed_versions().items()]
-    console.show(console.table("package", "version", rows=[*rows, ("python", sys.version.split()[0])]))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -17,6 +17,7 @@ from robot_ik.cli.arguments import (
     Overwrite,
     Range,
     Speed,
+    make_goal,
     positive,
     require,
     robot_argument,
@@ -24,8 +25,6 @@ from robot_ik.cli.arguments import (
     single,
     wrong,
 )
-from robot_ik.cli.listing import joint_kinds
-from robot_ik.cli.solve import make_goal
 
 if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
@@ -213,7 +212,7 @@ def _print_tables(robot: Robot, result: Plan, options: PlanOptions) -> None:
 def _corner_table(robot: Robot, corners: Array) -> Any:
     """Return the table of the corners (k, nq): a row for each joint, a column for each corner."""
     rows = []
-    for k, (name, kind) in enumerate(zip(robot.joints, joint_kinds(robot), strict=True)):
+    for k, (name, kind) in enumerate(zip(robot.joints, robot.joint_kinds, strict=True)):
         scale = math.degrees(1.0) if kind == "hinge" else 1e3
         values = [f"{scale * row[k]:z8.1f}" for row in corners]
         rows.append((name, *values, "deg" if kind == "hinge" else "mm"))

@@ -21,6 +21,7 @@ from robot_ik.cli.arguments import (
     RecordFile,
     Speed,
     joint_degrees,
+    make_goal,
     pose_option,
     positive,
     request_of,
@@ -31,7 +32,6 @@ from robot_ik.cli.arguments import (
     wrong,
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
-from robot_ik.cli.solve import make_goal
 from robot_ik.errors import distinct_texts
 from robot_ik.jobs.results import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT

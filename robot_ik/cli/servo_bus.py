@@ -58,38 +58,6 @@ def run_ports(options: ServoPortsOptions) -> int:
     return console.DONE if rows else console.NOT_ACHIEVED
 
 
-@dataclass(frozen=True)
-class ServoScanOptions(BusOptions):
-    """Lists the servos at every baud rate: id, model, firmware, supply, errors.
-
-    Writes nothing. All rates take some seconds. Also finds ids that two servos share. Exit code 1
-    if no servo answers.
-    """
-
-    baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
-    """Only these rates, bits/s."""
-    json: Json = False
-
-
-def run_scan(options: ServoScanOptions) -> int:
-    """Print the servos that answer; 1 if there is none."""
-    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, scan, scan_notes
-
-    bauds = checked_rates(options.baud) or LIKELY
-    with served_or_serial_port(options.bus, options.arm) as port, console.progress() as bar:
-        servos = scan(port, bauds, progress=console.shares_on(bar, "scan"))
-    if options.json:
-        rows = [{"model": servo.model, **asdict(servo)} for servo in servos]
-        console.print_json({"schema": 1, "port": port, "bauds": list(bauds), "servos": rows})
-    elif servos:
-        print_found(servos)
-    if not servos:
-        console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
-    for note in scan_notes(servos):
-        console.say(note, "yellow")
-    return console.DONE if servos else console.NOT_ACHIEVED
-
-
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
     """Return the rates of a command line, each once.
 

@@ -5,80 +5,25 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, positive, require, several, single, wrong
+from robot_ik.cli.arguments import require, several, single, wrong
 from robot_ik.cli.connection import BusOptions, arm_on, driving, load_arm, open_servo_bus
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.config import is_number
-from robot_ik.errors import distinct_texts
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.recovery import ServoReset
     from robot_ik.hardware.servo import Joint
 
 LIMIT_SLACK = 1e-9
 """rad (m) by which a value may be outside its limits: rounding of degrees."""
-
-
-@dataclass(frozen=True)
-class ServoMoveOptions(BusOptions):
-    """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps.
-
-        robot-ik servo move joint1=30 joint3=-45
-        robot-ik servo move 0 90 -90 0 0 0       (all joints in order)
-
-    With [collisions] in the arm file all joints move together on a straight path, and a path that
-    would touch is refused.
-    At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
-    """
-
-    to: Positional[Annotated[tuple[str, ...], several("JOINT=DEG …|DEG")]]
-    """Target of each joint."""
-    by: bool = False
-    """The angles are relative to the present ones."""
-    speed: Annotated[
-        float, arg(metavar="SHARE"), positive(1.0, " is no share of the speed caps")
-    ] = 0.25
-    """Share of the speed caps, above 0 and up to 1."""
-    on_exit: OnExit = ""
-
-
-def run_move(options: ServoMoveOptions) -> int:
-    """Move the joints; 1 if a joint did not arrive, or the path is blocked."""
-    from robot_ik.workcell.arm_guard import guard_of
-
-    config = load_arm(options.arm).slowed(options.speed)
-    angles = parse_angles(options.to, config)
-    if not options.by:
-        require_inside(angles, config)
-    guard = guard_of(config)
-    arm = arm_on(options, config, options.on_exit)
-    with driving(arm):
-        if guard is None:
-            arm.enable()
-        arm.read()
-        start = arm.positions()
-        goal = angles
-        if options.by:
-            goal = {name: start[name] + q for name, q in angles.items()}
-        require_inside(goal, config)
-        if guard is not None:
-            from robot_ik.jobs.hand_guiding import play_straight
-
-            play_straight(arm, goal, guard, console.busy)
-        times = [abs(q - start[name]) / config.joint(name).velocity for name, q in goal.items()]
-        with console.busy("moving", max(times, default=0.0)):
-            arm.move_to(goal)
-        _show(arm, start, goal)
-    return console.DONE
 
 
 def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float]:
@@ -112,35 +57,6 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
         require(name not in angles, name, "named twice", "every joint once")
         angles[name] = value * joint.per_unit
     return angles
-
-
-def require_inside(angles: Mapping[str, float], config: ArmConfig) -> None:
-    """Check that joint values, rad (m), are inside the limits of arm file and servo mode.
-
-    Raises:
-        ConfigError: A value is outside.
-    """
-    for name, q in angles.items():
-        joint = config.joint(name)
-        lower, upper = joint.limits
-        if not lower - LIMIT_SLACK <= q <= upper + LIMIT_SLACK:
-            values = (value / joint.per_unit for value in (q, lower, upper))
-            given, lowest, highest = distinct_texts(*values)
-            unit = joint.unit
-            raise wrong(
-                name, f"{given} {unit} is outside its limits", f"{lowest} to {highest} {unit}"
-            )
-
-
-def _show(arm: Arm, start: Mapping[str, float], goal: Mapping[str, float]) -> None:
-    """Print where every joint was, should be and is."""
-    arm.read()
-    rows = []
-    for name, q in arm.positions().items():
-        joint = arm.config.joint(name)
-        target = shown_value(joint, goal[name]) if name in goal else "-"
-        rows.append((name, shown_value(joint, start[name]), target, shown_value(joint, q)))
-    console.show(console.table("joint", "was", "asked", "is", rows=rows))
 
 
 def shown_value(joint: Joint, q: float) -> str:

@@ -24,6 +24,7 @@ from robot_ik.jobs import Progress
 from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution
+from robot_ik.support import support_goals, supported_frames
 from robot_ik.testbed.gallery_scene import GalleryScene, gallery_scene
 
 # Focal length in picture heights: a long lens, so that limbs near to it do not look swollen.
@@ -99,7 +100,7 @@ def pose_at_work(robot: Robot, scene: GalleryScene, floor: float, seed: int) -> 
     """
     if not scene.goals:
         return solve(robot, _random_goal(robot, floor, np.random.default_rng(seed)), seed=seed)
-    goals: list[Goal] = [PoseGoal.at(frame, robot.forward(robot.home, frame)) for frame in scene.keep]
+    goals = support_goals(robot, scene.goals)
     for frame, numbers in scene.goals.items():
         position = numbers[:3]
         goals.append(
@@ -149,7 +150,7 @@ def _with_goals(photo: Photo, solution: Solution) -> Image:
     image = photo.image.copy()
     radius = max(2.5, photo.image.shape[0] / 110)
     moved = [goal for goal in solution.goals if isinstance(goal, PositionGoal | PoseGoal)]
-    kept = gallery_scene(solution.robot).keep
+    kept = supported_frames(solution.robot, gallery_scene(solution.robot).goals)
     positions = [goal.target.position for goal in moved if goal.frame not in kept]
     for position in positions:
         seen = photo.camera.inverse().apply(position)

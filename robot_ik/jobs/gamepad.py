@@ -133,6 +133,8 @@ class Gamepad(Jog):
             self.move_hand(SPEED * axes[:3], ANGULAR_SPEED * axes[3:])
         grip = passed * (("up" in state.pressed) - ("down" in state.pressed))
         for number in self._grippers[:1]:
+            if self.joints[number].open_end == "lower":
+                grip = -grip
             self.move_joint(number, grip * ANGULAR_SPEED, grip * SPEED)
         return dict(self.angles)
 

@@ -383,11 +383,11 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
 def robot_named_in(config: ArmConfig) -> str:
     """The robot that an arm file names: name or path; raises ``ConfigError`` where there is none."""
     try:
-        find_robot(config.robot)
+        find_robot(config.robot_source)
     except ModelError as error:
         file, problem = config.file or config.name, str(error.args[0])
         raise ConfigError(problem, file=file, key="robot", hint=error.hint) from error
-    return config.robot
+    return config.robot_source
 
 
 def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, ArmConfig]:

@@ -357,12 +357,20 @@ def tree_frame(tree, nodes, node, local, q, world, scratch, out):
 
 
 @kernel
-def tree_frames(tree, nodes, node, local, qs, world, scratch, out):
-    """Write the pose of one frame for each row of qs (n, nq) to out (n, 12)."""
+def tree_poses(tree, nodes, node, local, q, world, scratch, out, positions, wxyz):
+    """Write the poses of a frame at ``q`` (n, nq) to ``positions`` (n, 3) and ``wxyz`` (n, 4).
+
+    ``world``, ``scratch`` and ``out`` (1, 12) are overwritten.
+    """
     opened = open_tree(tree)
-    for row in range(qs.shape[0]):
-        forward(opened, nodes, qs[row], world, scratch)
-        frame_pose(world, node, local, types.int64(0), out[row : row + 1])
+    for row in range(q.shape[0]):
+        forward(opened, nodes, q[row], world, scratch)
+        frame_pose(world, node, local, types.int64(0), out)
+        for i in range(3):
+            positions[row, i] = out[0, i]
+        quaternion = so3.from_rotation(so3.read_rotation(out, types.int64(0)))
+        for i in range(4):
+            wxyz[row, i] = quaternion[i]
 
 
 @kernel

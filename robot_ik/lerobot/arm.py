@@ -95,9 +95,10 @@ class RobotIkArm(Robot):
     @cached_property
     def observation_features(self) -> dict[str, Any]:
         """Keys of ``get_observation``: floats, and the shapes of pictures."""
+        velocities = self._units.velocity_features if self.config.observe_velocity else {}
         tool = dict.fromkeys(TOOL_KEYS, float) if self.config.observe_tool else {}
         pictures = {name: (camera.height, camera.width, 3) for name, camera in self.cameras.items()}
-        return {**self._units.features, **tool, **pictures}
+        return {**self._units.features, **velocities, **tool, **pictures}
 
     @cached_property
     def action_features(self) -> dict[str, type]:
@@ -165,8 +166,13 @@ class RobotIkArm(Robot):
 
     @check_if_not_connected
     def get_observation(self) -> dict[str, Any]:
-        """Return the measured positions, the tool pose on request, and one picture per camera."""
+        """Return the measured positions and one picture per camera.
+
+        The velocities and the tool pose are added on request.
+        """
         observation: dict[str, Any] = self._positions()
+        if self.config.observe_velocity:
+            observation |= self._units.rates(self._require_arm().velocities())
         if self.config.observe_tool:
             observation |= self._tool_pose(self._require_arm().positions())
         for name, camera in self.cameras.items():

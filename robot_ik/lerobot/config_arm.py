@@ -22,6 +22,8 @@ class RobotIkArmConfig(RobotConfig):
         control: ``joints``: actions are ``<joint>.pos``; ``tool``: actions are the tool pose,
             ``ee.x`` to ``ee.wz``, and ``ee.gripper_pos``.
         observe_tool: Add the measured tool pose ``ee.x`` to ``ee.wz`` to the observation.
+        observe_velocity: Add the measured joint velocities, ``<joint>.vel``, to the observation.
+            The unit is that of ``<joint>.pos`` a second: deg/s, mm/s or %/s.
         fps: Rate of LeRobot's loop, Hz. The limiter needs it: one command moves the arm by at most
             two periods of its speed limit.
         disable_torque_on_disconnect: True: apply the exit policy of the arm file. False: hold the
@@ -33,6 +35,7 @@ class RobotIkArmConfig(RobotConfig):
     port: str = "sim"
     control: str = "joints"
     observe_tool: bool = False
+    observe_velocity: bool = False
     fps: float = 30.0
     disable_torque_on_disconnect: bool = True
     cameras: dict[str, CameraConfig] = field(default_factory=dict)

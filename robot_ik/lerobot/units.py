@@ -15,6 +15,9 @@ from robot_ik.hardware.servo import GRIPPER, Joint
 POSITION = ".pos"
 """End of the key of a joint position in observations and actions."""
 
+VELOCITY = ".vel"
+"""End of the key of a joint velocity in observations."""
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -36,22 +39,17 @@ class Scale:
         """Return the joint value of LeRobot's number."""
         return self.zero + number * self.per_unit
 
+    def rate(self, velocity: float) -> float:
+        """Return LeRobot's number a second of a joint velocity."""
+        return velocity / self.per_unit
+
     @classmethod
     def of(cls, joint: Joint) -> Scale:
         """Return the scale of a joint: percent for a gripper, otherwise degrees or millimetres."""
         if joint.group != GRIPPER:
             return cls(0.0, joint.per_unit)
-        closed, opened = _closed_and_open(joint)
-        return cls(closed, (opened - closed) / 100.0)
-
-
-def _closed_and_open(joint: Joint) -> tuple[float, float]:
-    """Return the values of a closed and of an open gripper: open is the end farther from 0.
-
-    This holds for every arm file of the catalogue.
-    """
-    lower, upper = joint.limits
-    return (lower, upper) if abs(upper) >= abs(lower) else (upper, lower)
+        closed = joint.at_opening(0.0)
+        return cls(closed, (joint.at_opening(1.0) - closed) / 100.0)
 
 
 class Units:
@@ -64,6 +62,7 @@ class Units:
         joints: Names in the order of the arm file.
         grippers: Names of the joints that grip.
         features: LeRobot's description of the joint positions: key -> type.
+        velocity_features: The same of the joint velocities.
     """
 
     def __init__(self, config: ArmConfig) -> None:
@@ -71,10 +70,19 @@ class Units:
         self.joints = config.names
         self.grippers = tuple(joint.name for joint in config.group(GRIPPER))
         self.features: dict[str, type] = {name + POSITION: float for name in self.joints}
+        self.velocity_features: dict[str, type] = {name + VELOCITY: float for name in self.joints}
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return key -> LeRobot's number, in the order of ``joints``."""
         return {name + POSITION: self.number(name, values[name]) for name in self.joints}
+
+    def rates(self, velocities: Mapping[str, float]) -> dict[str, float]:
+        """Return key -> LeRobot's number a second, in the order of ``joints``.
+
+        Args:
+            velocities: Joint -> rad/s or m/s.
+        """
+        return {name + VELOCITY: self._scales[name].rate(velocities[name]) for name in self.joints}
 
     def values(self, action: Mapping[str, float]) -> dict[str, float]:
         """Return joint -> rad or m, of the keys that end in ``.pos``.

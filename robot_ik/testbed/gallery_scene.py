@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from robot_ik.config import Pair, Position, Several, Table, check_table
+from robot_ik.config import Pair, Position, Table, check_table
 from robot_ik.robot import Robot
 
 _PositionAndWxyz = Annotated[
@@ -17,13 +17,12 @@ _PositionAndWxyz = Annotated[
 class GalleryScene(Table):
     """The pose that ``robot-ik robots --gallery`` draws beside the home pose.
 
-    A goal is a position, or a position and a quaternion wxyz, in the world. The frames of ``keep``
-    stay at their home poses. ``view_deg`` is azimuth (from x to y) and elevation of the view.
+    A goal is a position, or a position and a quaternion wxyz, in the world. ``view_deg`` is azimuth
+    (from x to y) and elevation of the view.
     """
 
     about: str = "reaching"
     goals: dict[str, Position | _PositionAndWxyz] = Field(default={})
-    keep: Several[str] = ()
     view_deg: Pair = (-55.0, 16.0)
 
 

@@ -42,6 +42,7 @@ from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.analytic.branch import Branch
 from robot_ik.solvers.base import Solver
+from robot_ik.support import supported_frames
 from robot_ik.testbed import commands
 from robot_ik.testbed.gallery_scene import gallery_scene
 
@@ -286,7 +287,7 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
 
 def is_figure(robot: Robot) -> bool:
     """Return whether a robot stands on feet: it has a floating base and frames to keep."""
-    return robot.nq > robot.nv and bool(gallery_scene(robot).keep)
+    return robot.nq > robot.nv and bool(robot.file.keep)
 
 
 def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
@@ -304,7 +305,7 @@ def _arm_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
 
 
 def _figure_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
-    keep = gallery_scene(robot).keep
+    keep = supported_frames(robot, (robot.tool,))
     tools = robot.file.tools
     extras = [ExtraGoal(f"keep {frame}", True, 0, f"{frame} stays at home") for frame in keep]
     extras.append(ExtraGoal("balance", True, 1, "centre of mass above its position at home"))

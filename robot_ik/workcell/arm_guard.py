@@ -43,7 +43,7 @@ class ArmGuard:
         from robot_ik.motion.guard import MotionGuard
         from robot_ik.motion.guarded_stream import GuardedStream
 
-        self._robot = robot_with_followers(robot or config.robot, config.names)
+        self._robot = robot_with_followers(robot or config.robot_source, config.names)
         collisions = arm_collisions(config, self._robot)
         if collisions is None:
             raise ValueError(f"{config.name} has no table [collisions]")

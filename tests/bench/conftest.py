@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from robot_ik.bench.methods.results import Results
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ import pytest
 
 from robot_ik.bench.methods import growth
 from robot_ik.bench.methods.results import Results
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.jobs.ar import self_test

@@ -52,7 +52,7 @@ def test_report_on_this_machine(robot_ik: Any) -> None:
 def test_the_terminal_is_seen_behind_a_progress_bar() -> None:
     """Which stands in for ``sys.stdout`` while the checks run."""
     master, slave = pty.openpty()
-    code = "import sys; from robot_ik.cli.main import main; sys.exit(main(['doctor']))"
+    code = "import sys; from robot_ik.commands.main import main; sys.exit(main(['doctor']))"
     environ = os.environ | {"TERM": "xterm", "PYTHONIOENCODING": "latin-1"}
     with open(master, "rb", buffering=0) as screen:
         child = subprocess.Popen(

@@ -45,7 +45,8 @@ def test_the_list_as_json(robot_ik: Any) -> None:
 
 def test_the_list_loads_no_model() -> None:
     code = (
-        "import sys; from robot_ik.cli.main import main; main(['robots']); sys.exit('mujoco' in sys.modules)"
+        "import sys; from robot_ik.commands.main import main; main(['robots']); "
+        "sys.exit('mujoco' in sys.modules)"
     )
 
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

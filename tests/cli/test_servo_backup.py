@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 

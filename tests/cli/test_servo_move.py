@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
 from typing import Any
 
@@ -14,7 +11,6 @@ import numpy as np
 import pytest
 
 from robot_ik.hardware.virtual.faults import Fault
-from tests.waiting import wait_for
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -65,87 +61,6 @@ def test_monitor_as_a_table_and_a_silent_servo(robot_ik: Any, desk: Any) -> None
 @pytest.mark.parametrize("options", [("--rate", 0), ("--rate", "nan"), ("--rate", 1e9), ("--count", -1)])
 def test_monitor_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -> None:
     robot_ik("servo", "monitor", *desk.at, *options).assert_one_screen_error()
-
-
-# ------------------------------------------------------------------------------------------ move
-
-
-def test_move_one_joint(robot_ik: Any, desk: Any) -> None:
-    run = robot_ik("servo", "move", "joint2=20", *desk.at)
-    assert run.code == 0, run.err
-    assert degrees(desk) == pytest.approx([0.0, 20.0, 0.0], abs=0.3)
-    assert desk.torque() == [False] * 3 and "torque is off" in run.err
-
-
-def test_move_all_joints_then_by_some(robot_ik: Any, desk: Any) -> None:
-    run = robot_ik("servo", "move", 10, -20, 5.5, *desk.at, "--speed", 1, "--on-exit", "hold")
-    assert run.code == 0, run.err
-    assert desk.torque() == [True] * 3 and "torque ON" in run.err
-    assert [s.memory.values["bus_watchdog"] for s in desk.bus.servos] == [0] * 3
-    run = robot_ik("servo", "move", "joint1=-15", "--by", *desk.at, "--speed", 1)
-    assert run.code == 0, run.err
-    assert degrees(desk) == pytest.approx([-5.0, -20.0, 5.5], abs=0.3)
-
-
-def test_a_joint_that_is_held_fast_is_reported(
-    robot_ik: Any, desk: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from robot_ik.hardware import cycle
-
-    monkeypatch.setattr(cycle, "GRACE", 0.1)
-    desk.servo(2).stuck = True
-    run = robot_ik("servo", "move", "joint2=5", *desk.at, "--speed", 1)
-    assert run.code == 1 and "joint2" in run.err and desk.torque() == [False] * 3
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (("joint1=101",), "-100.0 to 100.0"),
-        (("joint1=nan",), "joint1"),
-        (("joint1=",), "joint1"),
-        (("joitn1=3",), "joint1"),
-        (("joint1=3", "joint1=4"), "twice"),
-        ((1, 2), "3 numbers"),
-        ((1, 2, 3, 4), "3 numbers"),
-        (("joint1=3", 4), "3 numbers"),
-        (("joint1=3", "--speed", 0), "--speed"),
-        (("joint1=3", "--on-exit", "fly"), "command line: --on-exit"),
-        (("joint1=3", "--on-exit", "holt"), "did you mean 'hold'?"),
-    ],
-)
-def test_move_wrong_input(words: tuple[Any, ...], named: str, robot_ik: Any, desk: Any) -> None:
-    run = robot_ik("servo", "move", *words, *desk.at)
-    run.assert_one_screen_error()
-    assert named in run.err and desk.torque() == [False] * 3
-
-
-def test_move_by_too_far(robot_ik: Any, desk: Any) -> None:
-    desk.turn("joint1", 90.0)
-    run = robot_ik("servo", "move", "joint1=20", "--by", *desk.at)
-    run.assert_one_screen_error()
-    assert degrees(desk)[0] == pytest.approx(90.0, abs=0.1) and desk.torque() == [False] * 3
-
-
-def test_move_on_the_wrong_arm(robot_ik: Any, desk: Any) -> None:
-    desk.servo(3).memory.set("model_number", 1060)
-    run = robot_ik("servo", "move", "joint1=3", *desk.at)
-    run.assert_one_screen_error()
-    assert "joint3: XL330-M288" in run.err and "XL430-W250" in run.err
-
-
-def test_ctrl_c_leaves_the_arm_as_asked(desk: Any) -> None:
-    command = [sys.executable, "-m", "robot_ik", "servo", "move", "joint1=90", *desk.at, "--speed", "0.02"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        wait_for(lambda: desk.servo(1).shaft.reading > 2050)  # it is on its way
-        child.send_signal(signal.SIGINT)
-        _, err = child.communicate()
-    finally:
-        child.kill()
-    assert child.returncode == 130 and "Traceback" not in err and "torque is off" in err
-    assert desk.torque() == [False] * 3
-    assert degrees(desk)[0] < 45.0
 
 
 # ---------------------------------------------------------------------------------------- torque
@@ -239,14 +154,6 @@ def test_reset_fault_of_the_silent(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "reset-fault", *desk.at)
     assert run.code == 1 and "no answer" in run.out and "joint3" in run.out
     robot_ik("servo", "reset-fault", "joitn2", *desk.at).assert_one_screen_error()
-
-
-def test_a_value_just_outside_shows_the_digits_that_differ(robot_ik: Any, desk: Any) -> None:
-    upper = float(np.degrees(desk.config.upper[0]))
-    run = robot_ik("servo", "move", *desk.at, f"joint1={upper + 0.01!r}")
-    asked, allowed = run.err.partition(" deg is outside its limits; allowed: ")[::2]
-    assert run.code == 2 and asked.split()[-1] not in allowed.partition(" deg")[0], run
-    assert float(asked.split()[-1]) == pytest.approx(upper + 0.01, abs=0.006)
 
 
 # ------------------------------------------------------------------------------------------ stop

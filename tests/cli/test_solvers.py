@@ -65,7 +65,7 @@ def test_choices_are_shown_and_taken(robot_ik: Any) -> None:
     }
     assert rows["aim"]["choices"] == ["none", "rest", "limits"] and rows["clamp"]["choices"] == []
     goal = ("--goal", "-0.4", "-0.1", "0.7", "--solver", "pseudoinverse", "--set")
-    solved = robot_ik("solve", *goal, "aim=rest", "alternative=true")
+    solved = robot_ik("solve", "--json", *goal, "aim=rest", "alternative=true")
     assert solved.code == 0 and json.loads(solved.out)["solver"] == "pseudoinverse"
     refused = robot_ik("solve", *goal, "aim=clever")
     refused.assert_one_screen_error()

@@ -93,9 +93,9 @@ def test_a_narrow_table_breaks_no_word(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["solve", "--goal", "0", "0", "0", "--frame", ""], "--frame: nothing is given"),
-        (["solve", "--goal", "0", "0", "0", "--robot="], "--robot: nothing is given"),
-        (["robots", ""], "nothing is given"),
+        (["solve", "--goal", "0", "0", "0", "--frame", ""], "--frame: the value is empty"),
+        (["solve", "--goal", "0", "0", "0", "--robot="], "--robot: the value is empty"),
+        (["robots", ""], "the value is empty"),
         (["reach", "--seconds", "0"], "--seconds: 0 s"),
         (["reach", "--film", "--follow"], "--film"),
         (["reach", "--seconds", "inf"], "--seconds: inf s"),

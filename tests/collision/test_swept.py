@@ -94,7 +94,7 @@ def test_a_free_start_at_the_goal_is_kept_and_a_touching_one_is_not(avoid):
 def test_batches_and_budgets_hold(avoid):
     robot = avoid.scene.robot
     postures = free_postures(avoid, 20, 7)
-    poses = robot.forward_many(postures)
+    poses = [robot.forward(q) for q in postures]
     batch = rik.solve_batch(robot, poses, collisions=avoid)
     for pose, q in zip(poses, batch.q, strict=True):
         single = rik.solve(robot, pose, collisions=avoid)

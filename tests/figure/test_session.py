@@ -13,7 +13,7 @@ import pytest
 from PIL import Image as Pictures
 
 from robot_ik.bench.figure import measure_motion
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import HalfSpace

@@ -54,6 +54,7 @@ id = 9
 model = "XL430-W250"
 mode = "position"
 group = "gripper"
+open_end = "lower"
 horn_mm = 14.0
 rod_mm = 24.0
 lower_mm = 15.0
@@ -93,6 +94,7 @@ def test_all_keys_are_read_and_written_back() -> None:
     assert shoulder.servo.current_limit == 1000.0 and finger.servo.current_limit is None
     assert shoulder.stop_at == StopAt(current_ma=800.0, temperature_c=70.0)
     assert finger.stop_at == StopAt(load_percent=60.0)
+    assert finger.open_end == "lower"
     assert isinstance(finger.gear, SwingArm) and finger.unit == "mm"
     assert (finger.gear.horn, finger.gear.rod) == pytest.approx((0.014, 0.024))
     again = ArmConfig.parse(arm.to_toml())
@@ -104,13 +106,15 @@ def test_all_keys_are_read_and_written_back() -> None:
 
 def test_a_file_that_names_none_of_them_writes_none_of_them(arm_config: ArmConfig) -> None:
     text = arm_config.to_toml()
-    for key in ("reverse", "gains", "profile", "current", "stop_at", "horn", "rod"):
+    for key in ("reverse", "gains", "profile", "current", "stop_at", "horn", "rod", "open_end"):
         assert key not in text
 
 
 # old text, new text, key, words that must be in the message
 WRONG = [
     ("reverse = true", "reverse = 1", "joints[0].reverse", "true or false"),
+    ('open_end = "lower"', 'open_end = "left"', "joints[1].open_end", "lower"),
+    ("reverse = true", 'open_end = "upper"', "joints[0].open_end", 'group = "gripper"'),
     ("position_p = 900", "position_p = 16384", "joints[0].gains.position_p", "0..16383"),
     ("position_p = 900", "position_p = 9.5", "joints[0].gains.position_p", "0..16383"),
     ("position_p = 900", "postion_p = 900", "joints[0].gains.postion_p", "did you mean position_p"),

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import (
     BusTimeoutError,
     ConfigError,

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError, OutputError, UnknownJointError
+from robot_ik.hardware.calibration import calibrated
 from robot_ik.hardware.calibration_file import (
     Calibration,
     JointCalibration,
@@ -181,3 +182,21 @@ def test_an_unknown_joint_is_reported(twins: Path) -> None:
 
 def _refused(*names: object) -> None:
     raise PermissionError(13, "Permission denied")
+
+
+def test_a_calibrated_arm_keeps_the_open_end_of_its_gripper_in_its_file(tmp_path: Path) -> None:
+    config = ArmConfig.load("koch_v11")
+    rows = []
+    for joint in config.joints:
+        first, last = joint.ticks_range()
+        lower, upper = (limit / joint.per_unit for limit in joint.limits)
+        servo = joint.servo
+        moved = (first + 10, last + 10, servo.direction, servo.zero_ticks + 10)
+        rows.append(JointCalibration(joint.name, servo.id, servo.model, 0, 0, *moved, lower, upper))
+    measured = Calibration(config.name, config.robot, "2026-11-27T12:00:00", tuple(rows))
+    path = tmp_path / "mine.toml"
+    calibrated(config, measured).save(path)
+    gripper = ArmConfig.load(path).joint("gripper")
+    assert gripper.servo.zero_ticks == config.joint("gripper").servo.zero_ticks + 10
+    assert gripper.open_end == "lower"
+    assert gripper.at_opening(1.0) == pytest.approx(gripper.lower, abs=0.002)

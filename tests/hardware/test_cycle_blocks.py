@@ -13,10 +13,10 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.servo import StopAt
 
-TORQUE_AND_POSITION = 5
-"""Bytes of Torque Enable and Present Position of Dynamixel X."""
+SHORT = 7
+"""Bytes of Torque Enable, Present Velocity (lower two) and Present Position of Dynamixel X."""
 
-WITH_HEALTH = 10
+WITH_HEALTH = 12
 """The same with current, temperature and supply."""
 
 
@@ -42,12 +42,12 @@ def move(arm: Arm) -> None:
         arm.send(arm.read().q, arm.clock.now())
 
 
-def test_a_family_with_indirect_addresses_is_read_in_five_bytes(arm_config):
+def test_a_family_with_indirect_addresses_is_read_in_seven_bytes(arm_config):
     with read_sizes(arm_config) as (arm, sizes):
         move(arm)
     assert arm_config.family.capabilities.indirect_addresses
     assert sizes
-    assert set.union(*sizes) == {TORQUE_AND_POSITION}
+    assert set.union(*sizes) == {SHORT}
 
 
 def test_one_servo_a_cycle_is_read_with_its_health_if_joints_have_thresholds(arm_config):
@@ -55,7 +55,7 @@ def test_one_servo_a_cycle_is_read_with_its_health_if_joints_have_thresholds(arm
     config = replace(arm_config, joints=(first, *arm_config.joints[1:]))
     with read_sizes(config) as (arm, sizes):
         move(arm)
-    assert set.union(*sizes) == {TORQUE_AND_POSITION, WITH_HEALTH}
+    assert set.union(*sizes) == {SHORT, WITH_HEALTH}
 
 
 def test_a_family_without_indirect_addresses_is_never_asked_for_them(monkeypatch):

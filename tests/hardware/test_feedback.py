@@ -1,4 +1,4 @@
-"""Torque and position of every servo in one read, and servos that are read plainly."""
+"""Torque, velocity and position of every servo in one read, and servos that are read plainly."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def test_a_restart_at_rest_is_seen_in_the_same_cycle_and_its_zeros_are_not_belie
     assert (arm.read().q == before).all()
 
 
-def test_a_cycle_brings_one_byte_more_than_the_position(arm, stream, start):
+def test_a_cycle_brings_seven_bytes_of_every_servo(arm, stream, start):
     arm.enable()
     stream(arm, [start] * 2)
     counters = arm.bus.counters
     sent = counters.bytes_sent
     received = counters.bytes_received
     stream(arm, [start])
-    assert counters.bytes_received - received == 8 + 6 * (4 + 5)  # one fast status
+    assert counters.bytes_received - received == 8 + 6 * (4 + 7)  # one fast status
     assert counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)
 
 
@@ -104,7 +104,7 @@ def test_servos_read_plainly_are_all_seen_in_every_cycle(arm, stream, start):
     stream(arm, [start] * 10)
     received = arm.bus.counters.bytes_received
     stream(arm, [start])
-    assert arm.bus.counters.bytes_received - received == 8 + 6 * 4 + 3 * 5 + 3 * 83
+    assert arm.bus.counters.bytes_received - received == 8 + 6 * 4 + 3 * 7 + 3 * 83
     arm.bus.virtual_bus.servo(4).memory.set("torque_enable", 0)
     with pytest.raises(MotorFaultError, match="joint4") as caught:
         stream(arm, [start])

@@ -36,7 +36,7 @@ PROGRAM = (
     PRIVATE
     + """
 import sys
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 sys.exit(main())
 """
 )

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ArmStateError, ConfigError
 from robot_ik.hardware.discovery import scan
 from robot_ik.hardware.servo_setup import set_up

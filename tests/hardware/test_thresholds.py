@@ -118,7 +118,7 @@ def test_one_servo_a_cycle_is_asked_and_only_those_with_thresholds(arm_config, s
         exchange = arm.bus.exchange
 
         def recorded(register, values, reads, within=None):
-            full_reads.append([id for id, read in reads.items() if read.size == 10])
+            full_reads.append([id for id, read in reads.items() if read.size == 12])
             return exchange(register, values, reads, within)
 
         arm.bus.exchange = recorded
@@ -127,7 +127,7 @@ def test_one_servo_a_cycle_is_asked_and_only_those_with_thresholds(arm_config, s
             cycles = counters.cycles
             stream(arm, [start])
             assert counters.cycles - cycles == 1  # the same exchange
-            assert counters.bytes_received - received == 8 + 6 * (4 + 5) + 5
+            assert counters.bytes_received - received == 8 + 6 * (4 + 7) + 5
         assert sorted(full_reads[:3]) == [[2], [5], [6]]
         assert full_reads[:3] == full_reads[3:]
 
@@ -137,12 +137,12 @@ def test_without_thresholds_nothing_changes_on_the_wire(arm_config, stream, star
         arm.enable()
         stream(arm, [start] * 2)
         # The indirect address still has its factory value.
-        assert arm.bus.virtual_bus.servo(1).memory.values["indirect_address_6"] == 229
+        assert arm.bus.virtual_bus.servo(1).memory.values["indirect_address_8"] == 231
         sent = arm.bus.counters.bytes_sent
         received = arm.bus.counters.bytes_received
         stream(arm, [start])
         assert arm.bus.counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)
-        assert arm.bus.counters.bytes_received - received == 8 + 6 * (4 + 5)
+        assert arm.bus.counters.bytes_received - received == 8 + 6 * (4 + 7)
 
 
 @pytest.mark.parametrize("firmware", [44, None])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.calibration import CalibrationMismatchError
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside

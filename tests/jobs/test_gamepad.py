@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import HardwareError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import open_arm

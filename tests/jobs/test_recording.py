@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, OutputError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.recording import Moment, open_recording

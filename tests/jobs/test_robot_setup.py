@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, UnsupportedJointError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.jog import KeyboardJog

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 
 BUSES = ("sim", pytest.param("pty", marks=pytest.mark.skipif(os.name != "posix", reason="no pty")))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm, ports
 from robot_ik.hardware.arm import Arm, ArmState

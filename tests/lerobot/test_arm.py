@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -93,6 +94,35 @@ def test_joint_actions_arrive_at_the_servos(make_arm: MakeArm, arm: str) -> None
         robot.send_action({joint: target})
         robot.arm.clock.sleep_until(robot.arm.clock.now() + PERIOD)
     assert robot.get_observation()[joint] == pytest.approx(target, abs=0.3)
+
+
+@pytest.mark.parametrize("arm", ["so101", "koch_v11"])
+def test_velocities_are_observed_on_request_in_the_units_of_the_positions(
+    make_arm: MakeArm, arm: str
+) -> None:
+    robot = make_arm(arm=arm, observe_velocity=True)
+    assert "gripper.vel" not in make_arm(arm=arm).observation_features
+    names = [key.removesuffix(".pos") for key in robot.action_features]
+    assert list(robot.observation_features)[len(names) :] == [f"{name}.vel" for name in names]
+    robot.connect()
+    before = robot.get_observation()
+    assert all(before[f"{name}.vel"] == 0.0 for name in names)
+    joint = names[0]
+    opens = before["gripper.pos"] < 50.0
+    goals = {f"{joint}.pos": before[f"{joint}.pos"] + 60.0, "gripper.pos": 100.0 * opens}
+    positive = set()
+    for _ in range(60):
+        robot.send_action(goals)
+        robot.arm.clock.sleep_until(robot.arm.clock.now() + 0.5 * PERIOD)
+        after = robot.get_observation()
+        velocities = robot.arm.velocities()
+        assert after.keys() == robot.observation_features.keys()
+        assert after[f"{joint}.vel"] == pytest.approx(math.degrees(velocities[joint]))
+        positive |= {name for name in names if after[f"{name}.vel"] > 1.0}
+        if (after["gripper.vel"] > 1.0) == opens and joint in positive:
+            break
+    assert joint in positive
+    assert ("gripper" in positive) == opens
 
 
 def test_tool_actions_move_the_tool(make_arm: MakeArm) -> None:

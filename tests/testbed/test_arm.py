@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_ik.cli import view as view_command
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, MissingExtraError
 from robot_ik.jobs.testbed import film, film_in_process
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS

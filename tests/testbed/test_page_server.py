@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("viser", reason="needs the extra web")
 import viser
 
-from robot_ik.cli.main import main
+from robot_ik.commands.main import main
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.frontends import page_server
 from robot_ik.testbed.frontends.browser import Page

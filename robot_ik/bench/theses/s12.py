@@ -13,56 +13,38 @@ import numpy as np
 
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
 from robot_ik.budget import Budget
-from robot_ik.compiled_goals import length_scale
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
-from robot_ik.robot import Robot, load_robot
+from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
+from robot_ik.theses.table_4_1 import (
+    ALPHA,
+    CASES,
+    DISTANCE,
+    ITERATIONS,
+    METHODS,
+    SEGMENTS,
+    THESIS_CELLS,
+    ArmCase,
+    iterations_of,
+    make_arm,
+    method_options,
+)
 
-TOLERANCE = Tolerance(position=0.05, angle=1e-3)
-SEGMENTS = 7
+TOLERANCE = Tolerance(position=DISTANCE, angle=1e-3)
 FRAMES = 1000
 LAP = 1000  # frames for once round the curve
 BEND, WAVE, WAVES = 20.0, 10.0, 3  # of joints 2 … 7 along the curve, degrees
-LIMIT = 45.0  # degrees, about x and z
 
-ITERATIONS, ALPHA, LAMBDA, MAX_STEP = 100, 0.01, 1.1, math.pi / 16.0
 IN_DEGREES = ALPHA * 180.0 / math.pi
 """α as a share of a step if his steps come out in radians and are converted to degrees nowhere else."""
 
 MUST_PASS = ("lm", "auto")
-METHODS = ("ccd", "transpose", "pseudoinverse", "dls")
 BEST_METHODS = (*METHODS, *MUST_PASS)
-
-HIS: dict[str, tuple[tuple[float, int, int], ...]] = {
-    "ccd": ((1.1, 20, 99), (5.0, 210, 75), (5.0, 83, 92), (16.7, 232, 74)),
-    "transpose": ((5.0, 28, 78), (15.4, 92, 15), (45.6, 93, 8), (47.8, 99, 3)),
-    "pseudoinverse": ((7.0, 25, 96), (21.8, 79, 47), (23.8, 40, 81), (51.9, 88, 29)),
-    "dls": ((3.5, 18, 100), (19.0, 100, 0), (27.8, 55, 69), (50.0, 99, 2)),
-}
-"""Table 4.1: (t in ms, N, η in %) of cases 1 … 4."""
-
-
-@dataclass(frozen=True)
-class ArmCase:
-    """One of the four: where the targets come from, and whether joints are limited."""
-
-    number: int
-    curve: bool
-    limited: bool
-
-    @property
-    def title(self) -> str:
-        """Such as ``curve, ±45°``."""
-        return f"{'curve' if self.curve else 'random'}, {f'±{LIMIT:g}°' if self.limited else 'no limits'}"
-
-
-CASES = (ArmCase(1, True, False), ArmCase(2, False, False), ArmCase(3, True, True), ArmCase(4, False, True))
-
 
 VARIANTS = {"same": METHODS, "degrees": METHODS[1:], "best": BEST_METHODS}
 """Ways of choosing the parameters, and the methods that are run with them."""
@@ -101,15 +83,6 @@ class S12Report:
         return self.complete and not self.failures
 
 
-def make_arm(limited: bool) -> Robot:
-    """The arm, with his limits or without: ±45° about x and z, the twist free."""
-    arm = load_robot("seven_segment")
-    if not limited:
-        return arm
-    bounds = np.array([np.inf if name.endswith("twist") else math.radians(LIMIT) for name in arm.joints])
-    return arm.with_limits(-bounds, bounds)
-
-
 def make_witnesses(arm: Robot, case: ArmCase, frames: int, seed: int) -> Array:
     """(frames, nq) joint angles inside the limits of ±45°; where they put the tip are the targets."""
     if case.curve:
@@ -127,25 +100,11 @@ def _curve(arm: Robot, lap: float) -> Array:
     return np.array([q[name] for name in arm.joints])
 
 
-def make_method(variant: str, name: str, length: float) -> Solver:
-    """A method with the parameters of a variant (``VARIANTS``); ``length``: metres a radian."""
+def make_method(variant: str, name: str) -> Solver:
+    """A method with the parameters of a variant (``VARIANTS``)."""
     if variant == "best":
         return make_solver(name)
-    # 100 steps, whatever they do.
-    options: dict[str, Any] = {"patience": 1000, "progress": 0.0}
-    if name != "ccd":
-        free = 1e6  # no clamping, no longest step: he states none
-        gain = ALPHA if variant == "same" else IN_DEGREES
-        options |= {"gain": gain, "alternative": True, "clamp": free, "max_step": free}
-    if name == "dls":
-        # Our rows are lengths divided by ``length``, so that λ, which is a length here, is too.
-        options |= {"damping": LAMBDA / length, "max_step": MAX_STEP}
-    return make_solver(name, **options)
-
-
-def steps_of(name: str, track: Track) -> float:
-    """N as he counts: iterations, but of ``ccd`` rotations of single bones, of which a sweep has seven."""
-    return track.iterations * (SEGMENTS if name == "ccd" else 1)
+    return make_solver(name, **method_options(name, ALPHA if variant == "same" else IN_DEGREES))
 
 
 def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
@@ -163,7 +122,7 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
                 problem = Problem(
                     arm,
                     goal,
-                    solver=make_method(variant, name, length_scale(arm, goal)),
+                    solver=make_method(variant, name),
                     tolerance=TOLERANCE,
                     budget=budget,
                     seed=report.seed,
@@ -197,11 +156,15 @@ def s12_cells(report: S12Report) -> dict[tuple[str, str, int], dict[str, float]]
     """His numbers, then ours, by (column, method, case): t (ms), N, η (share)."""
     his = {
         ("S12", name, number): {"milliseconds": t, "n": n, "solved": eta / 100.0}
-        for name, cells in HIS.items()
+        for name, cells in THESIS_CELLS.items()
         for number, (t, n, eta) in enumerate(cells, 1)
     }
     return his | {
-        key: {"milliseconds": found.milliseconds, "n": steps_of(key[1], found), "solved": found.share}
+        key: {
+            "milliseconds": found.milliseconds,
+            "n": iterations_of(key[1], found.iterations),
+            "solved": found.share,
+        }
         for key, found in report.tracks.items()
     }
 
@@ -244,7 +207,9 @@ def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
         for k, name in enumerate(methods):
             cell = cells.get((kind, name, case.number))
             if cell is not None:
-                at.append(k + 0.27 * (index - 1) if name in HIS else k)  # one bar alone: in the middle
+                at.append(
+                    k + 0.27 * (index - 1) if name in THESIS_CELLS else k
+                )  # one bar alone: in the middle
                 solved.append(100.0 * cell["solved"])
                 times.append(cell["milliseconds"])
         style = {"width": 0.25, "color": _COLOURS[kind], "label": COLUMNS[kind]}

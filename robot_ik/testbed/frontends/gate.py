@@ -49,15 +49,32 @@ _LONGEST_NAME = 1000
 _PAGE_KEY_BYTES = 16
 """Random bytes of a page's key. Other pages cannot guess it."""
 
-# viser's page evaluates its own code in workers and from blobs. Nothing outside is ever needed.
-HEADERS: Mapping[str, str] = {
-    "Content-Security-Policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
-    "connect-src 'self' data: blob:; frame-ancestors 'none'; form-action 'none'; base-uri 'none'",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cache-Control": "no-store",
-}
+LOOPBACK_PAGES = ("http://localhost:*", "http://127.0.0.1:*")
+"""Origins of the pages that servers on this machine serve, a notebook server among them."""
+
+
+def response_headers(framed_by: tuple[str, ...] = ()) -> dict[str, str]:
+    """Return the headers of every response.
+
+    viser's page evaluates its own code in workers and from blobs. It needs nothing from outside.
+
+    Args:
+        framed_by: Origins whose pages may show this page in a frame. A foreign page with such a
+            frame could lead clicks to it, so by default there is none.
+    """
+    ancestors = " ".join(framed_by) or "'none'"
+    headers = {
+        "Content-Security-Policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+        f"connect-src 'self' data: blob:; frame-ancestors {ancestors}; form-action 'none'; "
+        "base-uri 'none'",
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+        "Cache-Control": "no-store",
+    }
+    if not framed_by:
+        headers["X-Frame-Options"] = "DENY"
+    return headers
+
 
 _NO_TOKEN = "open the address with its token, as printed at the start"
 _WRONG_NAME = (
@@ -83,8 +100,10 @@ class Gate:
     Args:
         token: Asked of every browser; None: of none.
         names: Further names under which this server may be called.
+        framed_by: Origins whose pages may show the page in a frame.
 
     Attributes:
+        headers: Of every response.
         driver: Which page may change the session.
         dropped: How many messages of each kind did not pass.
         pages: Keys of the pages that are connected to viser.
@@ -92,7 +111,10 @@ class Gate:
         on_close: Called with the key of a page whose connection to viser has ended.
     """
 
-    def __init__(self, token: str | None, names: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, token: str | None, names: tuple[str, ...] = (), framed_by: tuple[str, ...] = ()
+    ) -> None:
+        self.headers = response_headers(framed_by)
         self.token = token
         self.names = names
         self.driver = Driver()
@@ -358,5 +380,5 @@ def _plain(
     """Return a short text that closes the connection."""
     body = (text + "\n").encode()
     fields = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
-    fields |= {"Connection": "close", **HEADERS, **(headers or {})}
+    fields |= {"Connection": "close", **response_headers(), **(headers or {})}
     return Response(status.value, status.phrase, Headers(fields), body)

@@ -38,6 +38,7 @@ class PageServer(Closing):
         names: Further names of this machine.
         dark: Begin with dark colours.
         shadows: Draw shadows in browsers that have a GPU.
+        framed_by: Origins whose pages may show the page in a frame.
 
     Attributes:
         server: viser's server.
@@ -61,8 +62,9 @@ class PageServer(Closing):
         names: tuple[str, ...] = (),
         dark: bool = False,
         shadows: bool = True,
+        framed_by: tuple[str, ...] = (),
     ) -> None:
-        opened = open_server(host, port, token, names)
+        opened = open_server(host, port, token, names, framed_by)
         self.server = opened.viser
         self.gate = opened.gate
         self.channel = opened.channel

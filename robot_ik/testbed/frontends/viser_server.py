@@ -24,7 +24,7 @@ from websockets.http11 import Response
 
 from robot_ik.errors import ViewerError, install_command
 from robot_ik.testbed.frontends.channel import Channel
-from robot_ik.testbed.frontends.gate import HEADERS, Gate, is_loopback
+from robot_ik.testbed.frontends.gate import Gate, is_loopback
 from robot_ik.testbed.frontends.site import CHANNEL, path_of, site_answer
 
 MAX_MESSAGE = 1 << 20
@@ -107,7 +107,7 @@ def in_front_of_serve(gate: Gate, channel: Channel) -> Iterator[None]:
             if response is None and path_of(request) != CHANNEL:
                 response = process_request(connection, request)
             if response is not None:
-                for name, value in HEADERS.items():
+                for name, value in gate.headers.items():
                     if name not in response.headers:
                         response.headers[name] = value
             return response
@@ -152,7 +152,9 @@ def _require_address(host: str, port: int) -> None:
             ) from error
 
 
-def open_server(host: str, port: int, token: bool, names: tuple[str, ...]) -> OpenedServer:
+def open_server(
+    host: str, port: int, token: bool, names: tuple[str, ...], framed_by: tuple[str, ...]
+) -> OpenedServer:
     """Open a viser server behind a gate. Arguments and errors as for ``PageServer``."""
     if not viser.__version__.startswith(_VISER):
         raise ViewerError(
@@ -160,7 +162,8 @@ def open_server(host: str, port: int, token: bool, names: tuple[str, ...]) -> Op
             hint=install_command("web"),
         )
     _require_address(host, port)
-    gate = Gate(secrets.token_urlsafe(24) if token or not is_loopback(host) else None, names)
+    is_asked = token or not is_loopback(host)
+    gate = Gate(secrets.token_urlsafe(24) if is_asked else None, names, framed_by)
     channel = Channel(gate)
     with in_front_of_serve(gate, channel), quiet():
         server = viser.ViserServer(host=host, port=port, verbose=False)

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 import robot_ik as rik
 from robot_ik.bench.theses import a00
-from robot_ik.bench.theses.a00 import DIAGONAL, NUMBERS, Course, make_course
 from robot_ik.bench.theses.tracking import track
 from robot_ik.errors import ConfigError, UnknownSolverError
 from robot_ik.files import plain
 from robot_ik.problem import Budget, Problem
 from robot_ik.solvers import SOLVERS
+from robot_ik.theses.courses import DIAGONAL, NUMBERS, Course, make_course
 
 FEW = 12
 

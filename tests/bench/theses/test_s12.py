@@ -11,10 +11,10 @@ import pytest
 
 from robot_ik.bench.theses import s12
 from robot_ik.budget import Budget
-from robot_ik.compiled_goals import length_scale
 from robot_ik.errors import MissingExtraError
 from robot_ik.goals import PositionGoal
 from robot_ik.problem import Problem
+from robot_ik.theses import table_4_1
 
 FEW = 15
 
@@ -26,14 +26,14 @@ def report() -> s12.S12Report:
 
 def test_lm_and_auto_reach_everything(report: s12.S12Report) -> None:
     assert report.passed, report.failures
-    for case in s12.CASES:
+    for case in table_4_1.CASES:
         for name in s12.MUST_PASS:
             assert report.tracks["best", name, case.number].solved == FEW
 
 
-@pytest.mark.parametrize("case", s12.CASES, ids=lambda case: case.title)
-def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.ArmCase) -> None:
-    arm = s12.make_arm(case.limited)
+@pytest.mark.parametrize("case", table_4_1.CASES, ids=lambda case: case.title)
+def test_witnesses_are_inside_the_limits_and_targets_move(case: table_4_1.ArmCase) -> None:
+    arm = table_4_1.make_arm(case.limited)
     bends = [k for k, name in enumerate(arm.joints) if not name.endswith("twist")]
     assert np.all(arm.upper[bends] == (np.radians(45.0) if case.limited else np.inf))
     witnesses = s12.make_witnesses(arm, case, 1001 if case.curve else 40, 0)
@@ -55,11 +55,11 @@ def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.ArmCase) -> 
 
 
 @pytest.mark.parametrize(
-    ("name", "case"), [(n, c) for n in s12.METHODS[1:] for c in (s12.CASES[1],)]
+    ("name", "case"), [(n, c) for n in table_4_1.METHODS[1:] for c in (table_4_1.CASES[1],)]
 )
-def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
+def test_his_parameters_make_his_step(name: str, case: table_4_1.ArmCase) -> None:
     """One step of each Jacobian method against the formulas of the thesis, by NumPy and MuJoCo."""
-    arm = s12.make_arm(case.limited)
+    arm = table_4_1.make_arm(case.limited)
     rng = np.random.default_rng(8)
     q = arm.sample(rng)
     target = arm.measure(arm.sample(rng)).position
@@ -67,7 +67,7 @@ def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
     problem = Problem(
         arm,
         goal,
-        solver=s12.make_method("same", name, length_scale(arm, goal)),
+        solver=s12.make_method("same", name),
         tolerance=s12.TOLERANCE,
         budget=Budget(iterations=1, restarts=0),
     )
@@ -95,7 +95,7 @@ def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
 def test_his_parameters_are_a_budget_without_restarts(report: s12.S12Report) -> None:
     for (variant, name, number), track in report.tracks.items():
         if variant != "best":
-            assert track.iterations <= s12.ITERATIONS and track.restarts == 0, (
+            assert track.iterations <= table_4_1.ITERATIONS and track.restarts == 0, (
                 variant,
                 name,
                 number,
@@ -104,7 +104,8 @@ def test_his_parameters_are_a_budget_without_restarts(report: s12.S12Report) -> 
     assert report.tracks["same", "pseudoinverse", 2].share < 0.2
     assert report.tracks["degrees", "pseudoinverse", 2].share > 0.8
     sweeps = report.tracks["same", "ccd", 2]
-    assert s12.steps_of("ccd", sweeps) == 7 * sweeps.iterations
+    assert table_4_1.iterations_of("ccd", 3.0) == 21.0
+    assert s12.s12_cells(report)["same", "ccd", 2]["n"] == 7 * sweeps.iterations
 
 
 def test_his_table_is_quoted_whole(report: s12.S12Report) -> None:

@@ -298,7 +298,7 @@ class GripStep(GripperWidth, Move):
         """One of so many joints."""
         fingers = fingers_on(now.robot, joint)
         lower, upper = joint.limits
-        goal = lower + (self.opening or 0.0) * (upper - lower)
+        goal = joint.at_opening(self.opening or 0.0)
         if self.width_mm is not None:
             goal = max(lower, min(upper, 1e-3 * self.width_mm / fingers / of))
         current = None if self.force_n is None else current_for(joint, self.force_n, fingers)

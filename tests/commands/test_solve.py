@@ -1,4 +1,4 @@
-"""``robot-ik solve``: the angles it prints bring the frame to the goal, by MuJoCo's own reckoning."""
+"""``robot-ik solve``: the joint angles bring the frame to the goal, measured by MuJoCo."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_angles_reach_the_pose(seed: int, frame: str, puma: Robot, robot_ik:
     mujoco.mju_mat2Quat(wxyz, rotation.ravel())
     # repr keeps every digit; a leading minus must not be taken for an option
     numbers = [repr(float(value)) for value in (*position, *wxyz)]
-    run = robot_ik("solve", "--frame", frame, "--seed", seed, "--goal", *numbers)
+    run = robot_ik("solve", "--json", "--frame", frame, "--seed", seed, "--goal", *numbers)
     assert run.code == 0, run
     facts = json.loads(run.out)
     assert facts["converged"] and facts["status"] == "converged" and facts["frame"] == frame
@@ -54,7 +54,7 @@ def test_the_angles_reach_the_pose(seed: int, frame: str, puma: Robot, robot_ik:
 
 
 def test_what_is_printed(robot_ik: Any) -> None:
-    run = robot_ik("solve", "--goal", *GOAL)
+    run = robot_ik("solve", "--json", "--goal", *GOAL)
     facts = json.loads(run.out)
     assert facts["schema"] == 2 and facts["robot"] == "puma560" and facts["frame"] == "gripper"
     assert facts["goal"] == {"position": [float(value) for value in GOAL], "wxyz": None}
@@ -65,7 +65,9 @@ def test_what_is_printed(robot_ik: Any) -> None:
 
 
 def test_the_same_seed_gives_the_same_digits(robot_ik: Any) -> None:
-    runs = [json.loads(robot_ik("solve", "--goal", *GOAL, "--seed", 4).out) for _ in range(2)]
+    runs = [
+        json.loads(robot_ik("solve", "--json", "--goal", *GOAL, "--seed", 4).out) for _ in range(2)
+    ]
     for facts in runs:
         del facts["seconds"]
     assert runs[0] == runs[1]
@@ -76,14 +78,16 @@ def test_a_start_at_the_goal_stays(puma: Robot, robot_ik: Any) -> None:
     position, _ = site_pose(puma, "gripper", q)
     numbers = [repr(float(value)) for value in position]
     start = [repr(float(value)) for value in q]
-    facts = json.loads(robot_ik("solve", "--goal", *numbers, "--start", *start).out)
+    facts = json.loads(robot_ik("solve", "--json", "--goal", *numbers, "--start", *start).out)
     assert facts["iterations"] == 0 and facts["q"] == list(q)
 
 
 def test_tolerance_and_budget_are_used(robot_ik: Any) -> None:
-    fine = json.loads(robot_ik("solve", "--goal", *GOAL, "--position-tolerance", "1e-9").out)
+    fine = json.loads(
+        robot_ik("solve", "--json", "--goal", *GOAL, "--position-tolerance", "1e-9").out
+    )
     assert fine["converged"] and fine["error"]["position"] <= 1e-9
-    run = robot_ik("solve", "--goal", *GOAL, "--iterations", 1)
+    run = robot_ik("solve", "--json", "--goal", *GOAL, "--iterations", 1)
     facts = json.loads(run.out)
     assert run.code == 1 and facts["status"] == "iteration_limit" and facts["iterations"] <= 1
 
@@ -92,7 +96,7 @@ def test_tolerance_and_budget_are_used(robot_ik: Any) -> None:
 def test_every_method_can_be_asked_for(name: str, robot_ik: Any) -> None:
     # A closed form for the PUMA wants a whole pose.
     goal = (*GOAL, 0, 1, 0, 0) if name == "analytic" else GOAL
-    run = robot_ik("solve", "--goal", *goal, "--solver", name)
+    run = robot_ik("solve", "--json", "--goal", *goal, "--solver", name)
     found_by = json.loads(run.out)["solver"]
     assert found_by == name or (name in ("auto", "combined") and found_by == "lm")
     # The recursive method is not made for hinges; it must say so by its exit code.
@@ -100,30 +104,47 @@ def test_every_method_can_be_asked_for(name: str, robot_ik: Any) -> None:
 
 
 def test_options_of_the_method_reach_it(robot_ik: Any) -> None:
-    far = ("solve", "--solver", "lm", "--goal", "-0.4", "-0.1", "0.2", "0", "0.3", "0.4", "0.5", "--seed", 1)
+    far = (
+        "solve",
+        "--json",
+        "--solver",
+        "lm",
+        "--goal",
+        "-0.4",
+        "-0.1",
+        "0.2",
+        "0",
+        "0.3",
+        "0.4",
+        "0.5",
+        "--seed",
+        1,
+    )
     assert json.loads(robot_ik(*far, "--restarts", 0).out)["restarts"] == 0
 
 
 def test_an_unreachable_goal_is_a_result(puma: Robot, robot_ik: Any) -> None:
-    run = robot_ik("solve", "--goal", 9, 0, 0)
+    run = robot_ik("solve", "--json", "--goal", 9, 0, 0)
     facts = json.loads(run.out)
     assert run.code == 1 and "Traceback" not in run.err
     assert facts["converged"] is False and facts["status"] == "unreachable"
     found, _ = site_pose(puma, "gripper", facts["q"])
     assert facts["error"]["position"] == pytest.approx(np.linalg.norm(found - [9, 0, 0]), rel=1e-9)
     at_home, _ = site_pose(puma, "gripper", puma.home)
-    assert facts["error"]["position"] < np.linalg.norm(at_home - [9, 0, 0])  # the nearest found is kept
+    assert facts["error"]["position"] < np.linalg.norm(
+        at_home - [9, 0, 0]
+    )  # the nearest found is kept
 
 
 def test_the_table_for_people(puma: Robot, robot_ik: Any) -> None:
-    run = robot_ik("solve", "--goal", *GOAL, "--no-json")
+    run = robot_ik("solve", "--goal", *GOAL)
     assert run.code == 0 and len(run.out.splitlines()) < 25
     assert "converged" in run.out and "joint6" in run.out and "deg" in run.out
-    assert "1 iteration, 0 restarts" in robot_ik("solve", "--goal", *GOAL, "--no-json", "--iterations", 1).out
+    assert "1 iteration, 0 restarts" in robot_ik("solve", "--goal", *GOAL, "--iterations", 1).out
     there = puma.forward(puma.home)
     words = ("--goal", *there.position, *there.wxyz, "--start", *(puma.home - 1e-9))
-    assert "-0.000" not in robot_ik("solve", *words, "--no-json").out
-    assert robot_ik("solve", "--goal", 9, 0, 0, "--no-json").code == 1
+    assert "-0.000" not in robot_ik("solve", *words).out
+    assert robot_ik("solve", "--goal", 9, 0, 0).code == 1
 
 
 MIXED = """
@@ -133,11 +154,13 @@ MIXED = """
 """
 
 
-@pytest.mark.parametrize("extra", [[], ["--no-json"]])
+@pytest.mark.parametrize("extra", [[], ["--json"]])
 def test_any_model_by_path(extra: list[str], robot_ik: Any, tmp_path: Path) -> None:
     file = tmp_path / "lift.xml"
     file.write_text(MIXED)
-    run = robot_ik("solve", "--robot", file, "--frame", "eye", "--goal", "0.1", "0.2", "0.6", *extra)
+    run = robot_ik(
+        "solve", "--robot", file, "--frame", "eye", "--goal", "0.1", "0.2", "0.6", *extra
+    )
     assert run.code == 0 and "lift" in run.out and "neck" in run.out
 
 
@@ -176,7 +199,8 @@ def test_wrong_input(arguments: list[str], named: list[str], robot_ik: Any) -> N
 def test_a_broken_model_names_file_and_reason(robot_ik: Any, tmp_path: Path) -> None:
     file = tmp_path / "broken.xml"
     file.write_text(
-        '<mujoco><worldbody><body><joint type="hindge"/><geom size="1"/></body></worldbody></mujoco>'
+        '<mujoco><worldbody><body><joint type="hindge"/><geom size="1"/></body>'
+        "</worldbody></mujoco>"
     )
     run = robot_ik("solve", "--robot", file, "--goal", *GOAL)
     run.assert_one_screen_error()
@@ -184,28 +208,32 @@ def test_a_broken_model_names_file_and_reason(robot_ik: Any, tmp_path: Path) -> 
 
 
 def test_as_a_program(robot_ik: Any, robot_ik_child: Any) -> None:
-    run = robot_ik_child("solve", "--goal", *GOAL)
+    run = robot_ik_child("solve", "--json", "--goal", *GOAL)
     assert run.code == 0 and json.loads(run.out)["converged"]
     assert "\x1b" not in run.out + run.err
-    robot_ik("solve", "--goal", "nan", "0", "0").assert_one_screen_error()
+    robot_ik("solve", "--json", "--goal", "nan", "0", "0").assert_one_screen_error()
 
 
 def test_a_compilation_is_announced_on_stderr(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With no kernel in the cache there is one line of talk, once, and stdout stays pure JSON."""
-    robot_ik("solve", "--goal", *GOAL)  # the kernel itself is loaded: this test needs no compiler
+    robot_ik(
+        "solve", "--json", "--goal", *GOAL
+    )  # the kernel itself is loaded: this test needs no compiler
     monkeypatch.setattr(jit, "cache_folder", lambda module: tmp_path)
     monkeypatch.setattr(jit, "_announced", set())
-    run = robot_ik("solve", "--goal", *GOAL)
+    run = robot_ik("solve", "--json", "--goal", *GOAL)
     assert "compiling" in run.err and len(run.err.splitlines()) == 1, run.err
     assert json.loads(run.out)["converged"]
-    assert robot_ik("solve", "--goal", *GOAL).err == ""
+    assert robot_ik("solve", "--json", "--goal", *GOAL).err == ""
 
 
 @pytest.mark.soak
 def test_the_first_compilation_of_all_is_announced(robot_ik_child: Any, tmp_path: Path) -> None:
-    run = robot_ik_child("solve", "--solver", "ccd", "--goal", *GOAL, XDG_CACHE_HOME=str(tmp_path))
+    run = robot_ik_child(
+        "solve", "--json", "--solver", "ccd", "--goal", *GOAL, XDG_CACHE_HOME=str(tmp_path)
+    )
     compiling, *others = run.err.splitlines()
-    assert compiling.startswith("compiling solver 'ccd'") and others in ([], ["solving …"]), run.err
+    assert compiling.startswith("compiling solver 'ccd'") and others in ([], ["solve …"]), run.err
     assert json.loads(run.out)["solver"] == "ccd"

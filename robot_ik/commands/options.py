@@ -1,0 +1,206 @@
+"""Options that several commands share, and the types of option values.
+
+Each option is defined once here, so that it has the same name, help and range in every command.
+The bases are ``kw_only``: cyclopts makes a positional argument of every other field.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from cyclopts import Group, Parameter
+from cyclopts.validators import Number
+
+from robot_ik.errors import OptionError
+from robot_ik.hardware import BUSES
+
+if TYPE_CHECKING:
+    from robot_ik.goals import PoseGoal, PositionGoal
+
+NO_BUS = "none"
+"""Value of ``--bus`` for a robot without servos."""
+
+OUTPUT_GROUP = Group("Output", sort_key=9)
+"""Panel of the help for files and formats, below all other panels."""
+
+OUTPUT = "output file"
+"""Annotation of an option that names a file to write. ``main`` reserves the file before the run."""
+
+BUS_METAVAR = "|".join(BUSES)
+"""The values of ``--bus``."""
+
+BUS_HELP = "; ".join(f"{bus.name}: {bus.title}" for bus in BUSES.values())
+"""The values of ``--bus``, explained."""
+
+RobotName = Annotated[
+    str,
+    Parameter(metavar="NAME|FILE", help="Robot name (see `robot-ik robots`), MJCF or URDF file."),
+]
+FrameName = Annotated[
+    str | None,
+    Parameter(metavar="NAME", help="Tool, site or body to move. Default: the robot's tool."),
+]
+SolverName = Annotated[
+    str,
+    Parameter(metavar="NAME", help="Solver (see `robot-ik solvers`). Default: the robot's own."),
+]
+GoalNumbers = Annotated[
+    tuple[float, ...],
+    Parameter(
+        metavar="X Y Z [W X Y Z]",
+        consume_multiple=True,
+        help="Goal in the world: position in metres and, optionally, a quaternion.",
+    ),
+]
+Seed = Annotated[
+    int, Parameter(metavar="N", help="Random seed. The same seed gives the same result.")
+]
+Speed = Annotated[
+    float,
+    Parameter(
+        metavar="SHARE",
+        validator=Number(gt=0, lte=1),
+        help="Share of the speed limits, above 0 and at most 1.",
+    ),
+]
+Seconds = Annotated[float, Parameter(metavar="S", validator=Number(gt=0, lt=math.inf))]
+ArmName = Annotated[
+    str,
+    Parameter(
+        metavar="NAME|FILE",
+        help="Arm file (TOML) with servo ids, zeros and limits, or a robot that has one.",
+    ),
+]
+ExitPolicy = Annotated[
+    Literal["torque_off", "hold", "park"] | None,
+    Parameter(
+        metavar="POLICY",
+        help="State of the arm at the end. park: back to the start pose, then torque off. "
+        "Default: as the arm file says.",
+    ),
+]
+RecordFile = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE.csv|.mcap",
+        group=OUTPUT_GROUP,
+        help="Record every command and measurement (.mcap needs the extra `record`).",
+    ),
+    OUTPUT,
+]
+VideoFile = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE.mp4",
+        group=OUTPUT_GROUP,
+        help="Write a video of the motion (extra `video`).",
+    ),
+    OUTPUT,
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class JsonOption:
+    """Base of the commands that print a report."""
+
+    json: Annotated[
+        bool, Parameter(group=OUTPUT_GROUP, help="Print one JSON object instead of tables.")
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class OverwriteOption:
+    """Base of the commands that write files."""
+
+    overwrite: Annotated[
+        bool, Parameter(group=OUTPUT_GROUP, help="Replace files of an earlier run.")
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class FolderOption(OverwriteOption):
+    """Base of the commands that write a folder of results.
+
+    Attributes:
+        FILES: Patterns of the names of the files. ``--overwrite`` replaces these and no others.
+    """
+
+    FILES: ClassVar[tuple[str, ...]] = ()
+
+    out: Annotated[
+        Path | None,
+        Parameter(
+            metavar="FOLDER",
+            group=OUTPUT_GROUP,
+            help="Result folder. Default: runs/<time>-<command>.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BusOptions:
+    """Base of the commands that read servos. Without ``--bus`` they take the only port."""
+
+    bus: Annotated[
+        str,
+        Parameter(
+            alias="--port",
+            metavar=BUS_METAVAR,
+            help=f"Servo bus. {BUS_HELP}. Default: the only USB serial port.",
+        ),
+    ] = ""
+    arm: ArmName = "tabletop_puma"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingBusOptions:
+    """Base of the commands that move real servos. Without ``--bus`` nothing real moves."""
+
+    bus: Annotated[
+        str, Parameter(alias="--port", metavar=BUS_METAVAR, help=f"Servo bus. {BUS_HELP}.")
+    ]
+    arm: ArmName = "tabletop_puma"
+
+
+def parse_pairs(option: str, items: Iterable[str], form: str) -> dict[str, float]:
+    """Return name -> number of ``NAME=NUMBER`` arguments.
+
+    Raises:
+        OptionError: An argument has another form, or its number is not finite.
+    """
+    from robot_ik.config import is_number  # pydantic, 0.1 s: not for --help
+
+    pairs: dict[str, float] = {}
+    for item in items:
+        name, _, text = item.partition("=")
+        value = float(text) if is_number(text) else math.nan
+        if not name or not math.isfinite(value):
+            raise OptionError(option, f"cannot read {item!r}", form)
+        if name in pairs:
+            raise OptionError(option, f"{name} is given twice", "each name once")
+        pairs[name] = value
+    return pairs
+
+
+def parse_goal(numbers: tuple[float, ...], frame: str | None) -> PositionGoal | PoseGoal:
+    """Return the goal of ``--goal``: a position, or a pose.
+
+    Raises:
+        OptionError, InvalidGoalError: The count is wrong, or a number cannot be used.
+    """
+    from robot_ik.goals import PoseGoal, PositionGoal  # NumPy: not for --help
+
+    if len(numbers) == 3:
+        return PositionGoal(frame, numbers)
+    if len(numbers) == 7:
+        return PoseGoal(frame, numbers[:3], numbers[3:])
+    raise OptionError(
+        "--goal",
+        f"{len(numbers)} numbers" if numbers else "no goal is given",
+        "3 (x y z in metres) or 7 (x y z, then quaternion w x y z)",
+        hint="for example: --goal -0.4 -0.1 0.7",
+    )
