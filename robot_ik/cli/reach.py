@@ -100,7 +100,7 @@ class ReachOptions:
     scene: Annotated[Path | None, single("FILE.xml", "none")] = None
     """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
     avoid: bool = False
-    """Plan a motion around the obstacles of --scene and the robot itself."""
+    """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: bool = False
     """Then go on following the marker (the synthetic one is pushed about)."""
     seconds: Annotated[float, arg(metavar="S"), positive(what=" s")] = 10.0

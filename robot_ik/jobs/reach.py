@@ -68,7 +68,8 @@ class ReachRequest(ArmRequest):
         lead: Seconds to predict the marker beyond each tick.
         record: File of all commands and measurements, .csv or .mcap.
         scene: MJCF file of obstacles that the arm must not touch on its way to the goal.
-        avoid: Plan a motion around the obstacles and the robot itself.
+        avoid: Plan a motion around the obstacles and the robot itself. Without ``scene`` the
+            obstacles are those of the arm file, if it has any.
     """
 
     solver: str = ""
@@ -213,7 +214,7 @@ def run_reach(
         vision = open_vision(request, setup, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
-        collisions = _collisions(request, setup.robot)  # a wrong file is refused before anything moves
+        collisions = _collisions(request, setup)  # a wrong file is refused before anything moves
         with setup.connected():
             try:
                 _Reach(report, window, method, progress, collisions).run(compiling)
@@ -226,14 +227,14 @@ def run_reach(
     return report
 
 
-def _collisions(request: ReachRequest, robot: Robot) -> CollisionAvoidance | None:
+def _collisions(request: ReachRequest, setup: RobotSetup) -> CollisionAvoidance | None:
     """Return the condition on the motion to the goal; None if the request has none."""
     if request.scene is None and not request.avoid:
         return None
     # Here, because it loads the kernels of collision checks, 50 ms.
-    from robot_ik.jobs.obstacles import condition_among
+    from robot_ik.workcell.motion_condition import motion_condition
 
-    return condition_among(robot, request.scene)
+    return motion_condition(setup.robot, request.scene, request.avoid, setup.collisions)
 
 
 def _window(
