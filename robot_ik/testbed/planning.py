@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from robot_ik.collision.obstacles import Obstacle
 from robot_ik.collision.scene import Scene
 from robot_ik.errors import RobotIkError
 from robot_ik.goals import Goal
-from robot_ik.kernels import jit, path_shortcut
+from robot_ik.kernels import collision, jit, path_edges, path_shortcut, tree_search
 from robot_ik.motion.plan import Plan, plan
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -37,6 +37,21 @@ GHOSTS = 6
 
 PATH_POINTS = 120
 """Positions of the tool that are shown along a plan."""
+
+_KERNELS = (
+    collision.verdicts,
+    collision.smallest_distances,
+    tree_search.grow_trees,
+    path_edges.unproven_edge,
+    path_shortcut.shorten,
+)
+"""What a plan compiles. Without one of them another process compiles all of it."""
+
+_TRIES = 8
+"""Plans that are tried to compile the planner: the goal of one may touch."""
+
+_CHANGE = 0.3
+"""rad or m. Typical change of a joint in these plans."""
 
 PlanState = Literal["none", "planning", "found", "failed"]
 
@@ -162,7 +177,7 @@ class Planner:
 
     def _compile(self, robot: Robot) -> None:
         """Compile in another process: a compiler here would hold up the page."""
-        if jit.compiled(path_shortcut.shorten) or robot.source is None or not sys.executable:
+        if all(map(jit.compiled, _KERNELS)) or robot.source is None or not sys.executable:
             return
         command = [sys.executable, "-m", __name__, str(robot.source)]
         self._compiler = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -307,9 +322,9 @@ def main(arguments: Sequence[str]) -> None:
     robot = load_robot(arguments[0])
     rng = np.random.default_rng(0)
     avoid = CollisionAvoidance(Scene(robot), margin=MARGIN)
-    goals: Any = [robot.clip(robot.home + 0.3 * rng.normal(size=robot.nq)) for _ in range(8)]
-    for goal in goals:
-        if plan(robot, robot.home, goal, collisions=avoid).found:
+    for _ in range(_TRIES):
+        near = robot.clip(robot.home + _CHANGE * rng.normal(size=robot.nq))
+        if plan(robot, robot.home, robot.forward(near), collisions=avoid).found:
             return
 
 

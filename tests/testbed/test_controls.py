@@ -36,10 +36,10 @@ from robot_ik.testbed.frontends.actions import ACTIONS
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.contact_scene import thickened
 from robot_ik.testbed.frontends.page_server import PageServer
-from robot_ik.testbed.frontends.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.frontends.reach_scene import shell_faces, shell_glb
 from robot_ik.testbed.frontends.view_rows import joint_addresses, program_row, view_row
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.session import Session
 from tests.doc_pages import script
 from tests.testbed.channel_client import ChannelClient

@@ -46,7 +46,6 @@ from robot_ik.testbed.frontends.mesh_upload import uploaded_mesh
 from robot_ik.testbed.frontends.obstacle_scene import ObstacleScene
 from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.plan_scene import PlanScene
-from robot_ik.testbed.frontends.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.frontends.reach_scene import ReachScene
 from robot_ik.testbed.frontends.scene import BrowserScene
 from robot_ik.testbed.frontends.share import shared_page
@@ -58,6 +57,7 @@ from robot_ik.testbed.frontends.view_rows import (
     view_row,
 )
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 

@@ -42,9 +42,9 @@ class PlanScene:
             self._line = None
             self._drawn = None
         plan = view.plan
-        if self._drawn is not None and plan.path is self._drawn.path:
-            if plan.ghosts is self._drawn.ghosts:
-                return
+        drawn = self._drawn
+        if drawn is not None and plan.path is drawn.path and plan.ghosts is drawn.ghosts:
+            return
         self._drawn = plan
         offset = scene.arrangement.offsets[0]
         if plan.ghosts and self._ghosts is None:

@@ -108,10 +108,9 @@ def shell_glb(reach_map: ReachabilityMap, away: Array, offset: Array) -> bytes:
     for axis in range(3):
         on_axis = normals[:, axis] != 0
         # The order of the corners makes their faces look along the normal.
-        first, second = ((axis + 1) % 3, (axis + 2) % 3)
         square = np.zeros((4, 3))
-        square[:, first] = _FACE_CORNERS[:, 0]
-        square[:, second] = _FACE_CORNERS[:, 1]
+        square[:, (axis + 1) % 3] = _FACE_CORNERS[:, 0]
+        square[:, (axis + 2) % 3] = _FACE_CORNERS[:, 1]
         for sign in (1, -1):
             chosen = on_axis & (normals[:, axis] == sign)
             corners[chosen] = centres[chosen, None] + reach_map.grid.cell * square[::sign]

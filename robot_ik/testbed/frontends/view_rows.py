@@ -14,11 +14,11 @@ from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
 from robot_ik.testbed.arm import ArmView
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, hexadecimal
-from robot_ik.testbed.frontends.reach_maps import ReachState
 from robot_ik.testbed.frontends.site import has_thumbnail
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.obstacles import ObstacleView
+from robot_ik.testbed.reach_maps import ReachState
 from robot_ik.testbed.view import FigureView, View
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
