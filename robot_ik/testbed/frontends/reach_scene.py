@@ -12,7 +12,7 @@ from robot_ik.ports import Array
 from robot_ik.reachability.cloud import coloured
 from robot_ik.reachability.reachability_map import ReachabilityMap
 from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import Colour, linear
+from robot_ik.testbed.arrangement import Colour
 from robot_ik.testbed.frontends.actions import ReachPicture
 from robot_ik.testbed.frontends.scene import BrowserScene, coloured_glb
 
@@ -25,8 +25,8 @@ _POINT_COLOUR: Colour = (110, 130, 155)
 _POINT_SIZE = 0.002
 """Of a random position, in extents of the model."""
 
-_CELL_SHARE = 0.35
-"""Size of a point of the cloud, as a share of the cell: the points do not hide each other."""
+_CELL_SHARE = 0.1
+"""Size of a point of the cloud, as a share of the cell: the robot stays visible behind it."""
 
 _NEIGHBOURS = np.array(
     [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=np.int64
@@ -115,7 +115,7 @@ def shell_glb(reach_map: ReachabilityMap, away: Array, offset: Array) -> bytes:
             chosen = on_axis & (normals[:, axis] == sign)
             corners[chosen] = centres[chosen, None] + reach_map.grid.cell * square[::sign]
     vertices = (corners.reshape(-1, 3) + offset).astype(np.float32)
-    colours = np.repeat([linear(tuple(colour)) for colour in cloud.colours.tolist()], 4, axis=0)
+    colours = np.repeat(cloud.colours, 4, axis=0)
     opaque = np.full((len(colours), 1), 255, np.uint8)
     quads = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4)
     faces = np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
