@@ -155,7 +155,7 @@ SHOTS = (
         commands=(
             AddObstacle("box"),
             ResizeObstacle(0, (0.5, 0.4, 0.15)),
-            MoveObstacle(0, (-0.5, -0.3, 0.8)),
+            MoveObstacle(0, (-0.5, -0.3, 0.88)),
             MoveGoal((-0.45, -0.3, 0.9), (0.258819, 0.0, -0.965926, 0.0)),
         ),
         until=lambda view: view.contacts,
