@@ -260,6 +260,11 @@ class PlannedMotion:
         shown = np.linspace(0, len(trajectory) - 1, GHOSTS).round().astype(int)
         self._ghosts = tuple(self._ghost(trajectory.q[k]) for k in shown)
 
+    def use(self, robot: Robot) -> None:
+        """Plan for another goal, or for the same joints with another tool or other limits."""
+        self._robot = robot
+        self.invalidate()
+
     def invalidate(self) -> None:
         """Remove a plan because what it was made for has changed."""
         if self._state != "none":

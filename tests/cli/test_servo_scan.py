@@ -11,7 +11,6 @@ import pytest
 
 from robot_ik.cli import servo_bus
 from robot_ik.cli.arguments import gather
-from robot_ik.cli.reach import ReachOptions
 from robot_ik.hardware import discovery
 from robot_ik.hardware.discovery import FoundServo
 from robot_ik.hardware.family import family_of
@@ -84,8 +83,6 @@ def test_only_options_of_any_number_of_values_are_gathered() -> None:
     words = ["--arm", "a", "--from-baud", "1", "-x", "--arm", "b", "--from-baud=2"]
     gathered = ["--arm", "a", "-x", "--arm", "b", "--from-baud", "1", "2"]
     assert gather(servo_bus.ServoSetupOptions, words) == gathered
-    flag = "--rehearse.zero-offset"  # of options within options
-    assert gather(ReachOptions, [flag, "a=1", flag, "b=2"]) == [flag, "a=1", "b=2"]
 
 
 # ----------------------------------------------------------------------------------------- setup

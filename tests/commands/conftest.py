@@ -15,14 +15,18 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_ik.commands.main import main
+from robot_ik.jobs import vision
+from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_smaller
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.servo import VirtualServo
 
-#: What fits a terminal of 25 lines together with the prompt.
+__all__ = ["arms", "full_pictures", "healthy", "reach"]
+
 SCREEN = 25
+"""Lines of a terminal, the prompt included."""
 ANSI = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 
 
@@ -173,3 +177,11 @@ def desk(arm_file: Path, real_time: None) -> Iterator[Desk]:
     bus = VirtualBus.from_config(config, RealClock())
     with PtyPort(bus, match_baud=True) as port:
         yield Desk(port.path, arm_file, config, bus)
+
+
+@pytest.fixture(scope="module")
+def light_pictures() -> Iterator[None]:
+    """Pictures of half the size, for a test file that makes many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vision, "scene_for", seen_smaller)
+        yield

@@ -13,7 +13,7 @@ from robot_ik.config import shown
 from robot_ik.errors import ConfigError
 from robot_ik.testbed.commands import Checked
 
-ReachPicture = Literal["none", "points", "cloud", "shell"]
+ReachPicture = Literal["none", "space", "cloud", "shell"]
 
 LONGEST_MESH = 950_000
 """Base64 characters of a mesh file: some 700 kB."""
@@ -78,11 +78,43 @@ class ShowToolFrames(Action):
 class ShowReach(Action):
     """Show where the tool can be.
 
-    ``points`` are positions at random joint angles. ``cloud`` and ``shell`` are a reachability map,
-    which is computed among the present obstacles.
+    ``space`` is the surface of the space that the tool reaches. ``cloud`` and ``shell`` are a
+    reachability map, which is computed among the present obstacles.
     """
 
     picture: ReachPicture
+
+
+class ShowRegions(Action):
+    """Show where a figure reaches, bends and jumps, or none."""
+
+    on: bool
+
+
+class ShowCube(Action):
+    """Show the test environment of thesis A00: a cube with projections of ball and tool."""
+
+    on: bool
+
+
+class PickPart(Action):
+    """Let the next click on a part of the robot choose it. Off ends that."""
+
+    role: Literal["tool", "base", "pin", "off"]
+
+
+class PinFrame(Action):
+    """Pin a frame of the first instance where it is."""
+
+    frame: Annotated[str, Field(max_length=200)]
+    turns: bool = True
+    """Whether the frame may turn about its place."""
+
+
+class RunCases(Action):
+    """Run the four cases of table 4.1 of thesis S12."""
+
+    frames: Annotated[int, Field(ge=60, le=1000)] = 1000
 
 
 class ShowCamera(Action):

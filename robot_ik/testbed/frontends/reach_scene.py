@@ -1,4 +1,4 @@
-"""Where the tool can be, in the 3D view: random positions, or a map as a cloud or as a shell."""
+"""A reachability map in the 3D view, as a cloud or as a shell."""
 
 from __future__ import annotations
 
@@ -11,19 +11,8 @@ from numpy.typing import NDArray
 from robot_ik.ports import Array
 from robot_ik.reachability.cloud import coloured
 from robot_ik.reachability.reachability_map import ReachabilityMap
-from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import Colour
 from robot_ik.testbed.frontends.actions import ReachPicture
 from robot_ik.testbed.frontends.scene import BrowserScene, coloured_glb
-
-_POINTS = 4000
-"""Random positions of the tool."""
-
-_POINT_COLOUR: Colour = (110, 130, 155)
-"""Differs from the ball's colour, so that the ball stays visible."""
-
-_POINT_SIZE = 0.002
-"""Of a random position, in extents of the model."""
 
 _CELL_SHARE = 0.1
 """Size of a point of the cloud, as a share of the cell: the robot stays visible behind it."""
@@ -38,7 +27,7 @@ _FACE_CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], dtype=float) / 2.
 
 
 class ReachScene:
-    """Draws where the tool of the first instance can be.
+    """Draws the reachability map of the first instance.
 
     Args:
         server: viser's server.
@@ -51,23 +40,15 @@ class ReachScene:
     def draw(
         self, picture: ReachPicture, scene: BrowserScene, reach_map: ReachabilityMap | None
     ) -> None:
-        """Show one of the pictures, or none."""
+        """Show one of the pictures of a map, or none."""
         if self._handle is not None:
             self._handle.remove()
             self._handle = None
         offset = scene.arrangement.offsets[0]
-        if picture == "points":
-            self._handle = self._server.scene.add_point_cloud(
-                "/robot/reach",
-                (random_positions(scene.robot) + offset).astype(np.float32),
-                colors=_POINT_COLOUR,
-                point_size=_POINT_SIZE * scene.arrangement.extent,
-                point_shape="circle",
-            )
-        elif reach_map is not None and picture == "cloud":
+        if reach_map is not None and picture == "cloud":
             cloud = reach_map.cloud()
             self._handle = self._server.scene.add_point_cloud(
-                "/robot/reach",
+                "/robot/reach_map",
                 (cloud.points + offset).astype(np.float32),
                 colors=cloud.colours,
                 point_size=_CELL_SHARE * reach_map.grid.cell,
@@ -78,14 +59,8 @@ class ReachScene:
             glb = shell_glb(reach_map, np.array((*forward, 0.0)), offset)
             if glb:
                 self._handle = self._server.scene.add_glb(
-                    "/robot/reach", glb, cast_shadow=False, receive_shadow=False
+                    "/robot/reach_map", glb, cast_shadow=False, receive_shadow=False
                 )
-
-
-def random_positions(robot: Robot) -> Array:
-    """Return positions (n, 3) of the tool at random joint angles within the limits, m."""
-    rng = np.random.default_rng(0)
-    return np.array([robot.measure(robot.sample(rng)).position for _ in range(_POINTS)])
 
 
 def shell_glb(reach_map: ReachabilityMap, away: Array, offset: Array) -> bytes:

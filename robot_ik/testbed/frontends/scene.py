@@ -68,6 +68,12 @@ _SAME_LENGTH = 1e-3
 _TRAIL_WIDTH = 3.0
 """Pixels."""
 
+_PULL_COLOUR: Colour = (250, 204, 21)
+"""Yellow, as the pull of TrueSpace."""
+
+_PULL_WIDTH = 4.0
+"""Pixels."""
+
 _NOWHERE = -1e3
 """Metres. Position of hidden parts."""
 
@@ -299,6 +305,7 @@ class BrowserScene:
             self._add_bodies()
             self._add_ball()
             self._trails = self._add_trails()
+            self._pull = self._add_pull()
             for k in range(count):
                 self._add_place(k)
 
@@ -334,6 +341,17 @@ class BrowserScene:
             thickness_units="screen",
         )
 
+    def _add_pull(self) -> Any:
+        """Add the line from a grabbed point to the mouse."""
+        return self._server.scene.add_line_segments(
+            "/robot/pull",
+            np.zeros((self.count, 2, 3), np.float32),
+            np.full((self.count, 2, 3), _PULL_COLOUR, np.uint8),
+            thickness=_PULL_WIDTH,
+            thickness_units="screen",
+            visible=False,
+        )
+
     def _add_place(self, k: int) -> None:
         """Add the plate under an instance, and an empty frame where the page puts its label."""
         scene = self._server.scene
@@ -349,6 +367,11 @@ class BrowserScene:
         )
         scene.add_frame(f"/robot/label_{k}", show_axes=False, position=self.arrangement.labels[k])
 
+    def take(self, robot: Robot) -> None:
+        """Go on with another tool or other joints of the same model."""
+        self.robot = robot
+        self._slides = slide_numbers(robot)
+
     def remove(self) -> None:
         """Remove all nodes."""
         self.root.remove()
@@ -357,6 +380,12 @@ class BrowserScene:
         """Return the body that a handle draws, or None for a handle of an earlier scene."""
         body = next((body for body, one in self.bodies if one is handle), None)
         return None if body is None else str(self.robot.model.body(body).name)
+
+    def on_click(self, part: Callable[[Any], Any]) -> None:
+        """Call ``part`` with viser's click events on bodies of the robot."""
+        for body, handle in self.bodies:
+            if body > 0:
+                handle.on_click(part)
 
     def on_drag(self, ball: Callable[[Any], Any], link: Callable[[Any], Any]) -> None:
         """Call ``ball`` and ``link`` with viser's drag events."""
@@ -405,6 +434,13 @@ class BrowserScene:
             if self._trails_shown and any(moved):
                 self._draw_trails(view)
             self._draw_ghosts(view)
+            self._draw_pull(view)
+
+    def _draw_pull(self, view: View) -> None:
+        """Draw the pull of the mouse. All instances are dragged by the same point."""
+        self._pull.visible = view.pull is not None
+        if view.pull is not None:
+            self._pull.points = (view.pull + self.offsets[:, None]).astype(np.float32)
 
     def _draw_trails(self, view: View) -> None:
         """Draw every second position of the tools, newest first. Missing pieces have no length."""

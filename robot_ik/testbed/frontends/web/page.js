@@ -45,6 +45,7 @@ class Page {
       view: (value) => this.showView(value),
       camera: (value) => this.camera.show(value),
       picture: (value) => this.camera.showPicture(value),
+      cases: (value) => this.showCases(value),
       notice: (value) => this.overlay.notice(value),
       file: ({ name, base64 }) => {
         download(name, Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
@@ -126,6 +127,7 @@ class Page {
       Scene: new SceneTab(this.channel, (text) => this.overlay.notice(text)),
       Record: new RecordTab(program, this.channel),
     };
+    this.dialogs.push(this.tabs.Methods.theses.table);
     this.buildSide();
     this.root.prepend(this.labels.element, this.contactLabels.element);
     this.root.append(...this.dialogs.map(({ element }) => element));
@@ -135,6 +137,7 @@ class Page {
     if (this.settings) this.showSettings(this.settings);
     if (this.role) this.showRole(this.role);
     if (this.reach) this.showReach(this.reach);
+    if (this.cases) this.showCases(this.cases);
     if (this.view) this.draw();
   }
 
@@ -190,6 +193,7 @@ class Page {
     this.overlay.showRobot(robot);
     this.top.showRobot(robot);
     this.tabs?.Joints.showRobot(robot);
+    this.tabs?.Goals.showRobot(robot);
     this.gallery?.showRobot(robot);
   }
 
@@ -199,8 +203,14 @@ class Page {
     this.camera.showSettings(settings);
     this.top.showSettings(settings);
     this.tabs?.Scene.showSettings(settings);
+    this.tabs?.Goals.showSettings(settings);
     document.documentElement.classList.toggle("rk-dark", settings.dark);
     document.body.toggleAttribute("data-rk-camera", settings.camera);
+  }
+
+  showCases(cases) {
+    this.cases = cases;
+    this.tabs?.Methods.theses.showCases(cases);
   }
 
   showRole(role) {

@@ -1,10 +1,10 @@
-// Where the tool can be: random positions, or a reachability map with its scale of colours.
+// Where the tool can be: the space it reaches, or a reachability map with its scale of colours.
 
 import { heading, make, segmented, show } from "./dom.js";
 
 const PICTURES = [
   ["none", "None", "Show nothing"],
-  ["points", "Positions", "Positions of the tool at random joint angles"],
+  ["space", "Space", "Surface of the space that the tool reaches"],
   ["cloud", "Cloud", "Reachability map: a point for each cell, coloured by the index"],
   ["shell", "Shell", "Reachability map: its surface, cut open, coloured by the index"],
 ];
