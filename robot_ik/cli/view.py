@@ -54,6 +54,12 @@ class ViewOptions:
     robot: Annotated[str, robot_argument(f"{SHOWN_ROBOT}")] = ""
     viewer: Literal["auto", "browser", "window", "recorder"] = "auto"
     """auto: the browser; without the extra `web` the window; without a display the recorder."""
+    frame: Annotated[str, single("NAME", "the robot's tool")] = ""
+    """Frame that follows the ball: a tool, site or body."""
+    base: Annotated[str, single("NAME", "all joints move")] = ""
+    """Frame that stays: only joints between it and the moved frame are active."""
+    joints: Annotated[tuple[str, ...], several("NAME", "all joints")] = ()
+    """Active joints."""
     count: int = 1
     """Robots side by side: 1, 2 or 4, each with its own method."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
@@ -89,7 +95,7 @@ class ViewOptions:
 def run(options: ViewOptions) -> int:
     """Opens the testbed; 0 done, 1 a replay that differs."""
     if options.replay is not None:
-        for name in ("robot", "count", "method", "bus", "arm", "log", "seed"):
+        for name in ("robot", "frame", "base", "joints", "count", "method", "bus", "arm", "log", "seed"):
             same = getattr(options, name) == getattr(ViewOptions, name, ())
             require(same, f"--{name}", "given with --replay", "one of both: the log says what happens")
         return _replay(options.replay)
@@ -140,7 +146,10 @@ def _view(options: ViewOptions, viewer: str) -> int:
     of_arm = resolved_robot(options.arm, options.bus) if options.arm else ""
     robot = options.robot or of_arm or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
-    start = Start(robot, options.count, options.method, options.seed)  # type: ignore[arg-type]
+    start = Start(
+        robot, options.count, options.method, options.seed,  # type: ignore[arg-type]
+        tool=options.frame, base=options.base, joints=options.joints,
+    )  # fmt: skip
     if viewer == "recorder":
         from robot_ik.jobs.testbed import film
 

@@ -284,11 +284,7 @@ def selected(loaded: Robot, setup: Setup) -> Robot:
     Raises:
         RobotIkError: There is no such frame or joint, or no joint would move.
     """
-    robot = loaded.with_tool(setup.tool) if setup.tool else loaded
-    if setup.joints:
-        robot = robot.with_joints(setup.joints)
-    if setup.base:
-        robot = robot.with_base(setup.base)
+    robot = loaded.with_parts(tool=setup.tool, base=setup.base, joints=setup.joints)
     stiffness = {joint: value for joint, value in setup.stiffness if joint in robot.joints}
     return robot.with_stiffness(stiffness) if stiffness else robot
 
