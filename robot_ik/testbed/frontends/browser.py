@@ -541,16 +541,16 @@ class Page(Closing):
     def _draw_scene(self, view: View) -> None:
         scene = self._scene
         robot = self.session.robot
+        # Also another tool, base or stiffness of the same model: its map is another.
+        has_other_map = scene.robot is not robot
         if scene.robot.model is not robot.model or scene.count != view.count:
             scene.remove()
-            is_other_robot = scene.robot.model is not robot.model
             scene = self._new_scene(view)
             self._scene = scene
             self._reach_changed = True
         elif scene.robot is not robot:
             scene.take(robot)
-            is_other_robot = True  # another tool, base or stiffness
-        if is_other_robot and self._reach_picture in ("cloud", "shell"):
+        if has_other_map and self._reach_picture in ("cloud", "shell"):
             self._choose_reach("none")
             self._tell_settings()
         self._tell_robot(view)
