@@ -90,6 +90,7 @@ SWITCHES = {
     "show_handles": "handles",
     "show_turn_handles": "turn_handles",
     "show_tool_frames": "tool_frames",
+    "show_wire": "wire",
     "show_camera": "camera",
 }
 FILES = {
@@ -107,7 +108,16 @@ OTHERS = {
     "save_recording",
     "load_mesh",
 }
-"""These have own tests."""
+AR = {
+    "begin_preset",
+    "drag_ar_ball",
+    "place_ar",
+    "set_ar_ball",
+    "set_ar_camera",
+    "set_ar_delay",
+    "show_ar",
+}
+"""These and those of ``OTHERS`` have own tests."""
 
 SURFACES = {
     "show_reach": ("reach", {"/regions/reach/shell"}),
@@ -124,7 +134,7 @@ BENCH = {"pick_part", "pin_frame", "run_cases"}
 
 
 def test_every_action_is_tried_by_a_test() -> None:
-    assert {*SWITCHES, *FILES, *OTHERS, *SURFACES, *BENCH} == set(ACTIONS)
+    assert {*SWITCHES, *FILES, *OTHERS, *SURFACES, *BENCH, *AR} == set(ACTIONS)
 
 
 @pytest.mark.parametrize(("action", "setting"), SWITCHES.items())
