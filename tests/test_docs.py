@@ -146,6 +146,8 @@ def run_line(
 ) -> None:
     command, _, comment = line.partition("#")
     words = shlex.split(command)
+    if ">" in words:  # the output goes to a file
+        words = words[: words.index(">")]
     where += f": {line}"
     if not words:
         return
