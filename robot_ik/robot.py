@@ -124,7 +124,7 @@ class Robot:
 
     @property
     def joint_kinds(self) -> tuple[str, ...]:
-        """Kind of each active joint: hinge, slide, ball or free."""
+        """Kind of each active joint, which is hinge, slide, ball or free."""
         return tuple(_KINDS[int(kind)] for kind in self.tree.kind)
 
     @property
@@ -154,7 +154,7 @@ class Robot:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of all frames: tools, then sites, then bodies."""
+        """Names of all frames, first tools, then sites, then bodies."""
         return tuple(self._frames)
 
     @property
@@ -443,6 +443,28 @@ class Robot:
                 hint="choose a base that carries the tool",
             )
         return self.with_joints(joints)
+
+    def with_parts(
+        self,
+        *,
+        tool: str | None = None,
+        base: str | None = None,
+        joints: Sequence[str] = (),
+    ) -> Robot:
+        """Return this robot with another tool, another base and fewer active joints.
+
+        Args:
+            tool: As for ``with_tool``. None or empty: the same tool.
+            base: As for ``with_base``. None or empty: the same base.
+            joints: As for ``with_joints``. Empty: all joints.
+
+        Raises:
+            UnknownFrameError, UnknownJointError, UnsupportedJointError: As these methods.
+        """
+        robot = self.with_tool(tool) if tool else self
+        if joints:
+            robot = robot.with_joints(joints)
+        return robot.with_base(base) if base else robot
 
     def joints_between(self, base: str, frame: str | None = None) -> tuple[str, ...]:
         """Return the active joints that move a frame (default: the tool) relative to its base.
