@@ -211,7 +211,7 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
         RobotIkError: An option, a file or a device is wrong.
     """
     from robot_ik.jobs.films import require_films
-    from robot_ik.jobs.precompile import Precompilation
+    from robot_ik.jobs.precompile import precompile_solver
     from robot_ik.jobs.recording import open_recording
     from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
     from robot_ik.jobs.vision import CameraRequest, open_vision
@@ -228,7 +228,7 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
 
     robot = command.robot_name
     solver = solver_name(command.solver, find_robot(robot)[1])
-    compilation = stack.enter_context(Precompilation.solver(robot, solver))
+    compilation = stack.enter_context(precompile_solver(robot, solver))
     setup = prepare_robot(
         ArmRequest(
             robot=robot,
