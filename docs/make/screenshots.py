@@ -33,10 +33,11 @@ from robot_ik.testbed.commands import (
     SetArm,
     SetCourse,
     SetFigure,
+    SetGoalKind,
     SetJoint,
+    SetLimits,
     SetMotion,
     SetPace,
-    SetPin,
     SetRestarts,
     ShowBranches,
     Start,
@@ -123,7 +124,13 @@ SHOTS = (
     Shot(
         "four_methods",
         Start("seven_segment", count=4, methods=("ccd", "transpose", "pseudoinverse", "dls")),
-        commands=(SetPace(0.0), SetRestarts(False), SetMotion("random")),
+        commands=(
+            SetLimits(True),
+            SetGoalKind("position"),
+            SetPace(0.0),
+            SetRestarts(False),
+            SetMotion("random"),
+        ),
     ),
     Shot(
         "table_4_1",
@@ -136,14 +143,12 @@ SHOTS = (
         Start(methods=("dls",)),
         commands=(SetCourse(7),),
         until=lambda view: view.course and view.course.frame > STATISTICS,
-        scroll="Thesis A00: thirteen courses",
+        scroll="Thesis: failed sooner than 6.",
     ),
     Shot(
         "paw",
         Start("lion", tool="front_right_paw"),
         tab="Goals",
-        commands=(SetPin("hind_right_paw", (-0.35, -0.12, 0.02), weight=2.0),),
-        until=lambda view: view.pins and _has_run(view),
     ),
     Shot(
         "regions",
