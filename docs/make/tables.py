@@ -140,6 +140,36 @@ def commands() -> str:
     return markdown(("command", "what it does"), ((f"`{row.name}`", row.help) for row in rows))
 
 
+def flag_rows() -> list[tuple[str, str, list[str]]]:
+    """Return flag, meaning and commands of all options. A flag with two meanings has two rows."""
+    from robot_ik.commands.main import GROUPS, make_app
+    from robot_ik.commands.usage import command_app, prepare_command
+
+    app = make_app()
+    commands: dict[tuple[str, str], list[str]] = {}
+    for row in (row for rows in GROUPS.values() for row in rows if row.target):
+        command = command_app(app, row.name)
+        prepare_command(command)
+        for argument in command.assemble_argument_collection(parse_docstring=True):
+            flags = [name for name in argument.names if name.startswith("--")]
+            meaning = (argument.parameter.help or "").split(". ")[0].rstrip(".")
+            if flags:
+                commands.setdefault((flags[0], meaning), []).append(row.name)
+    return [(flag, meaning, names) for (flag, meaning), names in sorted(commands.items())]
+
+
+def flags() -> str:
+    """One row for each option of `robot-ik`."""
+    count = sum(len(names) for _, _, names in flag_rows())
+    rows = [
+        (f"`{flag}`", meaning.replace("|", "\\|"), ", ".join(f"`{name}`" for name in names))
+        for flag, meaning, names in flag_rows()
+    ]
+    return f"{len(rows)} options, {count} uses.\n\n" + markdown(
+        ("option", "meaning", "commands"), rows
+    )
+
+
 def keys() -> str:
     """One row for each key of the testbed."""
     from robot_ik.testbed.keys import KEYMAP
@@ -152,7 +182,7 @@ def keys() -> str:
 
 TABLES: dict[str, Callable[..., str]] = {
     make.__name__: make
-    for make in (solvers, method, options, floors, buses, servos, faults, commands, keys)
+    for make in (solvers, method, options, floors, buses, servos, faults, commands, flags, keys)
 }
 
 

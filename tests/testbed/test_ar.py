@@ -24,6 +24,7 @@ from robot_ik.testbed.ar.late_registrar import LateRegistrar, RecentBoards
 from robot_ik.testbed.ar.live import ArPicture, LiveAr
 from robot_ik.testbed.ar.scene import ArScene
 from robot_ik.testbed.ar.setup import ArDelay, ArSetup
+from robot_ik.testbed.ar.warm import is_warm
 from robot_ik.testbed.commands import MoveGoal, SetFigure, SetRobot, Start
 from robot_ik.testbed.frontends.picture_message import HEADER
 from robot_ik.testbed.presets import PRESETS, preset
@@ -184,6 +185,10 @@ def test_the_mouse_takes_the_ball_along_in_the_plane_of_the_picture(live: Any) -
     assert here is not None and right is not None
     assert np.linalg.norm(here - (0.2, 0.05, 0.12)) < 0.02, "the board moves between two pictures"
     assert np.linalg.norm(right - here) > 0.01
+
+
+def test_what_was_compiled_for_the_pictures_is_known(live: Any) -> None:
+    assert live and is_warm(), "each session would compile in another process again"
 
 
 def test_text_is_written_into_the_picture_unless_the_overlay_is_off(live: Any) -> None:
