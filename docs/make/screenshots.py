@@ -145,7 +145,7 @@ SHOTS = (
         Start(methods=("dls",)),
         commands=(SetCourse(7),),
         until=lambda view: view.course and view.course.frame > STATISTICS,
-        scroll="Thesis: failed sooner than 6.",
+        scroll="failed sooner than 6",
     ),
     Shot(
         "paw",

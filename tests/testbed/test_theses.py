@@ -408,7 +408,7 @@ def test_courses_run_and_say_where_the_goal_was_lost(window: Window, bench: Bed)
         assert view.robot == f"chain:{joints}" and view.motion == "course"
         page.get_by_text(f"Test {number}: ").wait_for()
     bench.until(lambda view: view.course and view.course.frame > 20)
-    page.get_by_text("Thesis: unsolved: J is square and singular.").wait_for()
+    page.get_by_text("Thesis: unsolved: J is square and singular").wait_for()
     assert page.locator(".rk-courses button").count() == 13
 
 
