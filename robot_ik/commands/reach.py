@@ -93,7 +93,7 @@ class Reach(FolderOption, JsonOption):
     scene: Annotated[Path | None, Parameter(metavar="FILE.xml")] = None
     """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
     avoid: bool = False
-    """Plan a motion around the obstacles of --scene and the robot itself."""
+    """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
     """Follow the marker for this time after reaching it, in seconds."""
     max_angle: Annotated[
@@ -216,7 +216,7 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
         RobotIkError: An option, a file or a device is wrong.
     """
     from robot_ik.jobs.films import require_films
-    from robot_ik.jobs.precompile import Precompilation
+    from robot_ik.jobs.precompile import precompile_solver
     from robot_ik.jobs.recording import open_recording
     from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
     from robot_ik.jobs.vision import CameraRequest, open_vision
@@ -233,7 +233,7 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
 
     robot = command.robot_name
     solver = solver_name(command.solver, find_robot(robot)[1])
-    compilation = stack.enter_context(Precompilation.solver(robot, solver))
+    compilation = stack.enter_context(precompile_solver(robot, solver))
     setup = prepare_robot(
         ArmRequest(
             robot=robot,
@@ -269,9 +269,10 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
     window = open_window(setup, vision, stack) if command.viewer else None
     collisions = None
     if command.scene is not None or command.avoid:
-        from robot_ik.jobs.obstacles import condition_among  # collision kernels: 50 ms
+        from robot_ik.workcell.motion_condition import motion_condition  # kernels: 50 ms
 
-        collisions = condition_among(setup.robot, command.scene)
+        of_arm = setup.collisions
+        collisions = motion_condition(setup.robot, command.scene, command.avoid, of_arm)
     return Cell(command, solver, setup, vision, window, compilation, collisions)
 
 
