@@ -1,18 +1,15 @@
 """Motions around the obstacles of a session: planned beside the loop, shown and played.
 
-    python -m robot_ik.testbed.planning puma560       compiles the planner, once on a machine
-
 A plan goes from a posture that a person marks to where the ball is. ``motion.plan`` proves that it
 keeps ``MARGIN``. A plan belongs to the obstacles that it was made for: a change of them removes it.
 """
 
 from __future__ import annotations
 
+import logging
 import queue
-import subprocess
-import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,10 +21,13 @@ from robot_ik.collision.scene import Scene
 from robot_ik.errors import RobotIkError
 from robot_ik.goals import Goal
 from robot_ik.kernels import collision, jit, path_edges, path_shortcut, tree_search
+from robot_ik.kernels.precompile import Precompilation
 from robot_ik.motion.plan import Plan, plan
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.commands import RATE, PlanMotion
+
+_log = logging.getLogger(__name__)
 
 MARGIN = 0.003
 """m. Distance that a planned motion keeps. The parts of a Koch arm at home are 4.9 mm apart."""
@@ -46,6 +46,9 @@ _KERNELS = (
     path_shortcut.shorten,
 )
 """What a plan compiles. Without one of them another process compiles all of it."""
+
+_NICENESS = 10
+"""Of that process: the page comes first."""
 
 _TRIES = 8
 """Plans that are tried to compile the planner: the goal of one may touch."""
@@ -133,6 +136,9 @@ def planned(task: PlanTask) -> PlanDone:
         return PlanDone(task, plan(task.robot, start, task.goal, collisions=avoid, rate=RATE))
     except RobotIkError as error:
         return PlanDone(task, None, str(error).splitlines()[0])
+    except Exception as error:  # without a result the page would wait forever
+        _log.exception("no plan for %s", task.command)
+        return PlanDone(task, None, f"cannot plan that: {error}")
 
 
 class Planner:
@@ -148,7 +154,7 @@ class Planner:
         self._beside = beside
         self._tasks: queue.SimpleQueue[PlanTask | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._compiler: subprocess.Popen[bytes] | None = None
+        self._compiler: Precompilation | None = None
         self._is_over = False
 
     def ask(self, task: PlanTask) -> None:
@@ -165,7 +171,7 @@ class Planner:
         """End, without waiting for a plan or for the compiler."""
         self._is_over = True
         if self._compiler is not None:
-            self._compiler.kill()
+            self._compiler.close()
         self._tasks.put(None)
 
     def _work(self) -> None:
@@ -177,10 +183,10 @@ class Planner:
 
     def _compile(self, robot: Robot) -> None:
         """Compile in another process: a compiler here would hold up the page."""
-        if all(map(jit.compiled, _KERNELS)) or robot.source is None or not sys.executable:
+        if all(map(jit.compiled, _KERNELS)) or robot.source is None:
             return
-        command = [sys.executable, "-m", __name__, str(robot.source)]
-        self._compiler = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        function = f"{__name__}:compile_planner"
+        self._compiler = Precompilation(function, str(robot.source), niceness=_NICENESS)
         self._compiler.wait()
 
 
@@ -322,16 +328,12 @@ class PlannedMotion:
         )
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Compile the planner with a plan of a robot."""
-    robot = load_robot(arguments[0])
+def compile_planner(source: str) -> None:
+    """Compile the planner with a plan of a robot: a name, a path or the text of a model."""
+    robot = load_robot(source)
     rng = np.random.default_rng(0)
     avoid = CollisionAvoidance(Scene(robot), margin=MARGIN)
     for _ in range(_TRIES):
         near = robot.clip(robot.home + _CHANGE * rng.normal(size=robot.nq))
         if plan(robot, robot.home, robot.forward(near), collisions=avoid).found:
             return
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

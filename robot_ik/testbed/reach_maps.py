@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,10 +12,11 @@ from robot_ik.collision.obstacles import Obstacle
 from robot_ik.collision.scene import Scene
 from robot_ik.errors import RobotIkError
 from robot_ik.kernels import jit
+from robot_ik.kernels.precompile import Precompilation
 from robot_ik.reachability import cells
 from robot_ik.reachability.reachability_map import ReachabilityMap, map_reachability
 from robot_ik.reachability.sweep import METHODS
-from robot_ik.robot import Robot
+from robot_ik.robot import Robot, load_robot
 
 CELLS_ACROSS = 22
 """Cells along the diameter of the arm's reach."""
@@ -30,6 +29,10 @@ ROLLS = 4
 
 THREADS = 1
 """Threads of a sweep: the session's loop needs the other cores."""
+
+
+_NICENESS = 10
+"""Of the process that compiles the sweep: the page comes first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +67,7 @@ class ReachMaps:
         self._changed = changed
         self._lock = threading.Lock()
         self._number = 0
-        self._process: subprocess.Popen[bytes] | None = None
+        self._compiler: Precompilation | None = None
 
     def ask(self, robot: Robot, obstacles: tuple[Obstacle, ...]) -> None:
         """Compute the map of a robot among obstacles."""
@@ -76,8 +79,8 @@ class ReachMaps:
         """End the present map, and return the number of the next."""
         with self._lock:
             self._number += 1
-            if self._process is not None:
-                self._process.kill()
+            if self._compiler is not None:
+                self._compiler.close()
             return self._number
 
     def _say(self, number: int, state: ReachState) -> None:
@@ -126,13 +129,17 @@ class ReachMaps:
 
     def _compile(self, robot: Robot) -> None:
         """Compile the sweep in another process: a compiler here would hold up the page."""
-        if jit.compiled(cells.sweep_cells) or robot.source is None or not sys.executable:
+        if jit.compiled(cells.sweep_cells) or robot.source is None:
             return
-        program = (
-            "import sys; from robot_ik import map_reachability, load_robot, Scene, "
-            "CollisionAvoidance; robot = load_robot(sys.argv[1]); map_reachability(robot, "
-            "cell=10.0, directions=1, rolls=1, collisions=CollisionAvoidance(Scene(robot)))"
-        )
-        command = [sys.executable, "-c", program, str(robot.source)]
-        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        self._process.wait()
+        function = f"{__name__}:compile_sweep"
+        self._compiler = Precompilation(function, str(robot.source), niceness=_NICENESS)
+        self._compiler.wait()
+
+
+def compile_sweep(source: str) -> None:
+    """Compile the sweep with a map of one orientation: of a name, a path or a model as text."""
+    robot = load_robot(source)
+    avoid = CollisionAvoidance(Scene(robot))
+    ball = robot.reach(robot.tool)
+    cell = 1.0 if ball is None else ball[1]
+    map_reachability(robot, cell=cell, directions=1, rolls=1, collisions=avoid)

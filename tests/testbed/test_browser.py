@@ -586,7 +586,8 @@ CONTROLS = """async () => {
                 ".rk-body button:not(.rk-name), .rk-body input, .rk-body select");
             for (const control of found) {
                 const isThere = control.isConnected && control.checkVisibility();
-                if (!isThere || control.disabled) continue;
+                const opens = control.title.startsWith("Load"); // the browser's dialog for files
+                if (!isThere || control.disabled || opens) continue;
                 count += 1;
                 await use(control);
             }
