@@ -88,7 +88,7 @@ class Reach(FolderOption, JsonOption):
     scene: Annotated[Path | None, Parameter(metavar="FILE.xml")] = None
     """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
     avoid: bool = False
-    """Plan a motion around the obstacles of --scene and the robot itself."""
+    """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
     """Follow the marker for this time after reaching it, in seconds."""
     max_angle: Annotated[
@@ -264,9 +264,10 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
     window = open_window(setup, vision, stack) if command.viewer else None
     collisions = None
     if command.scene is not None or command.avoid:
-        from robot_ik.jobs.obstacles import condition_among  # collision kernels: 50 ms
+        from robot_ik.workcell.motion_condition import motion_condition  # kernels: 50 ms
 
-        collisions = condition_among(setup.robot, command.scene)
+        of_arm = setup.collisions
+        collisions = motion_condition(setup.robot, command.scene, command.avoid, of_arm)
     return Cell(command, solver, setup, vision, window, compilation, collisions)
 
 

@@ -384,7 +384,7 @@ class Instance:
         try:
             retarget(problem, wanted)
             begin = time.thread_time()
-            start = self.q if self._limb is None else self._limb.own(self.q)
+            start = self.q if self._limb is None else self._limb.limb_q(self.q)
             solution = problem.solve(start)
             self._seconds = time.thread_time() - begin
         except RobotIkError as error:
@@ -393,7 +393,7 @@ class Instance:
         self._status = solution.status.name.lower().replace("_", " ")
         self._iterations = solution.iterations
         if np.isfinite(solution.q).all():
-            self.move_to(solution.q if self._limb is None else self._limb.whole(solution.q))
+            self.move_to(solution.q if self._limb is None else self._limb.figure_q(solution.q))
         return solution
 
     def _measure(self, goals: RobotGoals, ball: Pose) -> None:

@@ -1,15 +1,6 @@
-"""Compile what tracks and draws in another process, so that a running session is not held up.
-
-    python -m robot_ik.testbed.ar.warm
-
-A compiler in this process would stop the session's clock for seconds. The other process writes the
-cache that this one then reads.
-"""
+"""Compile what tracks and draws in another process, so that a running session is not held up."""
 
 from __future__ import annotations
-
-import subprocess
-import sys
 
 import numpy as np
 
@@ -17,6 +8,7 @@ from robot_ik.camera.drawing.zbuffer import fill_faces, lay_over
 from robot_ik.camera.print_model import linearise
 from robot_ik.camera.target_files import parse_target
 from robot_ik.kernels import jit
+from robot_ik.kernels.precompile import Precompilation
 from robot_ik.robot import load_robot
 from robot_ik.testbed.ar.camera import ArCamera
 from robot_ik.testbed.ar.late_registrar import LateRegistrar, RecentBoards
@@ -37,12 +29,11 @@ def is_warm() -> bool:
 def warm_up() -> None:
     """Compile in another process unless it is done. If that fails, this process compiles."""
     if not is_warm():
-        command = [sys.executable, "-m", "robot_ik.testbed.ar.warm"]
-        quiet = subprocess.DEVNULL
-        subprocess.run(command, stdin=quiet, stdout=quiet, stderr=quiet, check=False)
+        with Precompilation(f"{__name__}:track_and_draw") as compilation:
+            compilation.wait()
 
 
-def main() -> None:
+def track_and_draw() -> None:
     """Track and draw pictures of the synthetic table."""
     setup = ArSetup()
     scene = ArScene(load_robot(_ROBOT))
@@ -53,7 +44,3 @@ def main() -> None:
             frame = camera.read()
             registrar.take(frame)
             registrar.composed(frame, scene.qpos(scene.robot.home, np.zeros(3)))
-
-
-if __name__ == "__main__":
-    main()

@@ -152,7 +152,7 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> B
     unique = rows[first]
     vertices = unique[:, :3].astype(np.float32)
     normals = unique[:, 3:6].astype(np.float32)
-    glb = _glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
+    glb = coloured_glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
     return BodyMesh(vertices, faces, glb)
 
 
@@ -168,7 +168,7 @@ _BYTE = 5121
 _INDEX = 5125
 
 
-def _glb(
+def coloured_glb(
     vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]
 ) -> bytes:
     """Return a mesh with colours as a binary glTF 2.0 file (its specification, 3.6 and 4).
