@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
@@ -33,7 +33,9 @@ class FoldedTable(Table):
             return
         yield from super().__rich_console__(console, options)
 
-    def _rows_as_lists(self) -> Iterator[Table]:
+    def _rows_as_lists(self) -> Iterator[RenderableType]:
+        if self.title is not None:
+            yield Text(_plain(self.title), style="bold")
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
             cells = zip(names[1:], row[1:], strict=True)
@@ -43,11 +45,33 @@ class FoldedTable(Table):
             )
 
 
-def table(*columns: str, rows: Iterable[Sequence[object]], header: bool = True) -> Table:
-    """Return a table. Cells are ``Text`` or shown by ``str``. The first column is never folded."""
-    grid = FoldedTable(box=None, pad_edge=False, header_style="bold", show_header=header)
+def table(
+    *columns: str,
+    rows: Iterable[Sequence[object]],
+    header: bool = True,
+    title: str | None = None,
+    fold: bool = True,
+) -> Table:
+    """Return a table. Cells are ``Text`` or shown by ``str``. The first column is never folded.
+
+    Args:
+        columns: Heads of the columns.
+        rows: The cells.
+        header: Whether the heads are shown.
+        title: Line above the table.
+        fold: Whether cells are folded on narrow terminals.
+    """
+    grid = FoldedTable(
+        box=None,
+        pad_edge=False,
+        header_style="bold",
+        show_header=header,
+        title=title,
+        title_justify="left",
+        title_style="bold",
+    )
     for index, name in enumerate(columns):
-        grid.add_column(name, no_wrap=index == 0, overflow="fold")
+        grid.add_column(name, no_wrap=index == 0 or not fold, overflow="fold")
     for row in rows:
         grid.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return grid
