@@ -29,7 +29,7 @@ class CameraList(JsonOption):
     Exit code 1: there is no camera.
     """
 
-    def run(self, terminal: Terminal = QUIET) -> CameraListReport:
+    def run(self, _terminal: Terminal = QUIET) -> CameraListReport:
         """Find the video devices and the programs that have them open."""
         from robot_ik.camera.device import CAN_LIST, find_cameras  # OpenCV
         from robot_ik.hardware.checks import named_users_of, permission_hint

@@ -67,7 +67,7 @@ class CameraPrint(OverwriteOption):
         OUTPUT,
     ] = None
 
-    def run(self, terminal: Terminal = QUIET) -> CameraPrintReport:
+    def run(self, _terminal: Terminal = QUIET) -> CameraPrintReport:
         """Write the sheet and, with ``body``, the poses of its markers."""
         from robot_ik.camera.sheets.page import write_sheet  # NumPy and OpenCV
         from robot_ik.camera.sheets.sheets import SheetRequest, body_file, make_sheet_page

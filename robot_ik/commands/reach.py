@@ -23,14 +23,17 @@ from robot_ik.commands.options import (
     DICTIONARY_HELP,
     NO_BUS,
     ArmName,
+    BaseName,
     FolderOption,
     FrameName,
     GoalNumbers,
     IntrinsicsFile,
+    JointNames,
     JsonOption,
     MarkerSize,
     RecordFile,
     RobotName,
+    SceneFile,
     Seconds,
     Seed,
     SolverName,
@@ -54,6 +57,7 @@ if TYPE_CHECKING:
     from robot_ik.jobs.vision import SeenTarget, Vision
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.ports import Array
+    from robot_ik.robot import Robot
     from robot_ik.solution import Solution
 
 # The phases import MuJoCo, Numba and OpenCV: 1.1 s of CPU time. --help takes 0.1 s without them.
@@ -85,11 +89,12 @@ class Reach(FolderOption, JsonOption):
     robot: RobotName = ""
     goal: GoalNumbers = ()
     frame: FrameName = None
+    base: BaseName = None
+    joints: JointNames = ()
     solver: SolverName = ""
     line: bool = False
     """Move the tool on a straight line."""
-    scene: Annotated[Path | None, Parameter(metavar="FILE.xml")] = None
-    """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
+    scene: SceneFile = None
     avoid: bool = False
     """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
@@ -133,9 +138,14 @@ class Reach(FolderOption, JsonOption):
 
     fault: Annotated[
         tuple[str, ...],
-        Parameter(metavar="KIND[:JOINT[=DEG]]", allow_repeating=True, group=_SIMULATION),
+        Parameter(
+            metavar="KIND[:JOINT[=DEG]] …",
+            consume_multiple=True,
+            allow_repeating=True,
+            group=_SIMULATION,
+        ),
     ] = ()
-    """Fault to inject: zero-offset:joint2=2, stuck:joint3, cover-gripper or blank-marker."""
+    """Faults to inject: zero-offset:joint2=2, stuck:joint3, cover-gripper or blank-marker."""
     marker_at: Annotated[
         tuple[float, ...],
         Parameter(metavar="X Y Z [YAW_DEG]", consume_multiple=True, group=_SIMULATION),
@@ -289,6 +299,12 @@ def require_possible(command: Reach) -> None:
     if command.follow is not None and (command.scene or command.avoid):
         problem = "the obstacles of --scene are not used while following"
         raise OptionError("--follow", problem, "without --scene and --avoid")
+    if command.joints or command.base:
+        others = ("follow", "line", "scene", "avoid")
+        used = next((name for name in others if getattr(command, name)), None)
+        if used is not None:
+            problem = "joints that are held hold for one motion to a goal"
+            raise OptionError("--joints", problem, f"without --{used}")
     if command.avoid and command.line:
         raise OptionError("--line", "a planned motion is not straight", "without --avoid")
 
@@ -357,7 +373,7 @@ def solve(cell: Cell, goal: Goal) -> Solved:
     from robot_ik.problem import Problem
 
     problem = Problem(
-        cell.setup.robot,
+        moving_robot(cell),
         goal,
         solver=cell.solver,
         tolerance=SOLVE_TOLERANCE,
@@ -368,6 +384,21 @@ def solve(cell: Cell, goal: Goal) -> Solved:
     solution = problem.solve(q)
     # The first solve of a process loads or compiles the kernel. The second is timed.
     return Solved(solution, 1e6 * problem.solve(q).seconds)
+
+
+def moving_robot(cell: Cell) -> Robot:
+    """Return the robot, with the joints held that --base and --joints do not name.
+
+    Raises:
+        RobotIkError: There is no such frame or joint, or no joint would move the frame.
+    """
+    robot = cell.setup.robot
+    command = cell.command
+    if not command.base and not command.joints:
+        return robot
+    chosen = robot.with_parts(tool=cell.setup.frame, base=command.base, joints=command.joints)
+    held = [joint for joint in robot.joints if joint not in chosen.joints]
+    return robot.with_held(held, cell.setup.q)
 
 
 def accepted_error(cell: Cell, seen: SeenTarget | None, solution: Solution) -> Tolerance:

@@ -325,8 +325,13 @@ class Instance:
     def _wanted(self, goals: RobotGoals, ball: Pose, solver: Solver) -> list[Goal]:
         """Return the goals that the method serves."""
         if self._limb is None:
-            return goals.all(ball, solver)
-        return [dataclasses.replace(goals.main(ball), priority=0)]
+            wanted = goals.all(ball, solver)
+        else:
+            wanted = [dataclasses.replace(goals.main(ball), priority=0)]
+        # The success distance ends the ball's solve, and does not loosen the other goals.
+        tolerance = dataclasses.replace(_TOLERANCE, position=self.distance)
+        wanted[0] = dataclasses.replace(wanted[0], tolerance=tolerance)
+        return wanted
 
     def _change_from(self, before: Array) -> Array:
         """Return the change (nv,) of the joints since ``before`` (nq,), rad or m."""

@@ -192,14 +192,14 @@ class Obstacles:
             self._build(self.placed[:index] + self.placed[index + 1 :])
 
     def _build(self, placed: tuple[PlacedObstacle, ...]) -> None:
-        scene = Scene(self._robot, [one.obstacle() for one in placed])
+        scene = Scene(self._robot, [item.obstacle() for item in placed])
         self._scene = scene
         self._is_built = True
         self.placed = placed
         self._clearances = []
         self._contacts = ()
         model = scene.model
-        geoms = [model.geom(one.name).id for one in placed]
+        geoms = [model.geom(item.name).id for item in placed]
         self._pairs = [scene.pairs[(scene.pairs == geom).any(axis=1)] for geom in geoms]
         is_fixed = model.body_weldid[model.geom_bodyid] == 0
         is_robot = model.geom_bodyid < self._robot.model.nbody  # the others are obstacles

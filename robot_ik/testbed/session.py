@@ -338,6 +338,8 @@ class Session(Closing):
         """Return positions (n, 3) of the ball on its curve, for a camera that shows all of it."""
         if self._ready is None:
             return np.array([self._ball.position])
+        if self._course_run is not None:
+            return self._course_run.path()
         times = np.linspace(0.0, CURVE_PERIOD, 9)
         return np.array([self._ready.curve.poll(float(t)).target.position for t in times])
 

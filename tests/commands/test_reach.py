@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.commands.main import parse_command
 from robot_ik.commands.reach import Reach
 from robot_ik.ports import RealClock
 from robot_ik.robot import load_robot
@@ -289,6 +290,14 @@ def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
         assert Reach(bus=bus, arm=str(other)).robot_name == "panda"
 
 
+@pytest.mark.parametrize(
+    "line", ["--fault stuck:joint3 cover-gripper", "--fault stuck:joint3 --fault cover-gripper"]
+)
+def test_several_faults_are_given_together_or_one_by_one(line: str) -> None:
+    _, reach = parse_command(["reach", *line.split()])
+    assert reach.fault == ("stuck:joint3", "cover-gripper")
+
+
 def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(
     robot_ik: Any, tmp_path: Path, real_time: None
 ) -> None:
@@ -304,3 +313,16 @@ def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(
     finally:
         servos.send_signal(signal.SIGINT)
         servos.communicate()
+
+
+def test_joints_that_are_not_named_stay(robot_ik: Any, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    joints = ("--joints", "joint1", "joint2", "joint3")
+    run = robot_ik("reach", *SIM, *GOAL, *joints, "--out", out)
+    assert run.code == 0, run
+    rows = np.genfromtxt(out / "trajectory.csv", delimiter=",", names=True)
+    names = rows.dtype.names
+    moved = {name for name in names if name.startswith("joint") and np.ptp(rows[name]) > 1e-6}
+    assert moved and all(name.startswith(("joint1", "joint2", "joint3")) for name in moved)
+    run = robot_ik("reach", *SIM, *GOAL, "--base", "link2", "--line")
+    assert run.code == 2 and "--joints" in run.err

@@ -446,7 +446,9 @@ class BrowserScene:
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)
-            if self._trails_shown and any(moved):
+            # A ball that jumps makes no path.
+            self._trails.visible = self._trails_shown and view.motion != "random"
+            if self._trails.visible and any(moved):
                 self._draw_trails(view)
             self._draw_ghosts(view)
             self._draw_pull(view)

@@ -177,9 +177,7 @@ def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) 
     assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.labels)
 
 
-@pytest.mark.parametrize(
-    "asked", [SheetRequest("board", columns=3, id=(5,)), SheetRequest("cube")]
-)
+@pytest.mark.parametrize("asked", [SheetRequest("board", columns=3, id=(5,)), SheetRequest("cube")])
 def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(body_file(asked, 'my "own" \\ one'))
