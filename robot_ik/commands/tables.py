@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from robot_ik.geometry import Pose
 
 GAP = 2
 """Blank columns between two columns of a table."""
@@ -34,7 +38,7 @@ class FoldedTable(Table):
         yield from super().__rich_console__(console, options)
 
     def _rows_as_lists(self) -> Iterator[RenderableType]:
-        if self.title is not None:
+        if self.title:
             yield Text(_plain(self.title), style="bold")
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
@@ -75,6 +79,18 @@ def table(
     for row in rows:
         grid.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return grid
+
+
+def pairs_table(pairs: Iterable[Sequence[object]]) -> Table:
+    """Return a table of names and values without a header."""
+    return table("", "", rows=pairs, header=False)
+
+
+def pose_text(pose: Pose) -> str:
+    """Return a pose for people: millimetres and quaternion w x y z."""
+    position = " ".join(f"{1e3 * value:z.2f}" for value in pose.position)
+    wxyz = " ".join(f"{value:z.5f}" for value in pose.wxyz)
+    return f"{position} mm, wxyz {wxyz}"
 
 
 def plural(count: int, noun: str) -> str:

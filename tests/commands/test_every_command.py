@@ -15,13 +15,19 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
+import cv2
+import numpy as np
 import pytest
 
+from robot_ik.camera import device
+from robot_ik.camera.device import CameraDevice
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.commands import main as main_module
 from robot_ik.commands.main import GROUPS, make_app
 from robot_ik.commands.options import OUTPUT, FolderOption
 from robot_ik.commands.terminal import Terminal
 from robot_ik.commands.usage import command_app, explain, option_owners
+from robot_ik.geometry import Pose
 from tests.doc_pages import script
 
 LINES = {
@@ -35,6 +41,11 @@ LINES = {
     "robots": "puma560",
     "bench": "--solver lm --robot puma560 --problems cold --count 5",
     "solvers": "dls",
+    "camera list": "",
+    "camera print": "marker",
+    "camera calibrate": "synthetic:charuco?frames=19&seed=7 --views 6",
+    "camera detect": "photo.png",
+    "camera locate": "photo.png --intrinsics lens.yaml --board marker:7:50",
     "doctor": "",
     "completion": "bash",
 }
@@ -68,10 +79,23 @@ def output_options(name: str) -> list[str]:
 OUTPUTS = [(name, option) for name in NAMES for option in output_options(name)]
 
 
+@pytest.fixture(scope="module")
+def photo() -> bytes:
+    """A photograph of marker 7, as a PNG file."""
+    pose = Pose((0.0, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
+    rng = np.random.default_rng(0)
+    image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, rng, dictionary="DICT_5X5_50")
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
 @pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run each test in an empty folder."""
+def _folder(tmp_path: Path, photo: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run each test in a folder with a photograph, on a machine with one camera."""
     monkeypatch.chdir(tmp_path)
+    Path("photo.png").write_bytes(photo)
+    STANDARD_CAMERA.save("lens.yaml")
+    webcam = CameraDevice(0, "/dev/video0", "HD Webcam", "", usable=True, pictures=True)
+    monkeypatch.setattr(device, "find_cameras", lambda: (webcam,))
 
 
 def test_every_command_has_a_line() -> None:
