@@ -62,7 +62,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "servo restore": ("servo_bus", "put the EEPROM back as a backup has it"),
     "teleop": ("teleop", "lead an arm by another one, or by the keys of this terminal"),
     "stop": ("servo_motion", "make an arm that another program drives stop and hold"),
-    "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
     "figure": ("figure", "a humanoid sees a ball and reaches, bends, jumps or walks"),
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),

@@ -156,7 +156,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         ),
         Row("camera handeye", "Measure where the camera is mounted, by moving the arm."),
         Row("camera verify", "Measure how far the arm is from where its joints say."),
-        Row("ar", "Draw the robot into the pictures of a camera, on a printed board."),
+        Row("ar", "Draw the robot into the pictures of a camera, on a printed board.", "ar:Ar"),
     ),
     "Figure": (Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk."),),
     "Information": (

@@ -38,6 +38,7 @@ LINES = {
     "run": "overload",
     "servo scan": "--bus sim --baud 1000000",
     "servo move": "joint1=5 --bus sim",
+    "ar": "--seconds 0.05 --size 640 480",
     "robots": "puma560",
     "bench": "--solver lm --robot puma560 --problems cold --count 5",
     "solvers": "dls",
