@@ -81,8 +81,13 @@ class ServoScanReport(Report):
             yield servo_table(self.servos)
 
     def facts(self) -> dict[str, Any]:
-        servos = [{"model": servo.model, **asdict(servo)} for servo in self.servos]
+        servos = [servo_facts(servo) for servo in self.servos]
         return {"port": self.port, "bauds": list(self.bauds), "servos": servos}
+
+
+def servo_facts(servo: FoundServo) -> dict[str, Any]:
+    """Return the values of a servo for programs."""
+    return {"model": servo.model, **asdict(servo)}
 
 
 def servo_table(servos: Iterable[FoundServo]) -> Table:

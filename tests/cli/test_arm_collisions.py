@@ -90,7 +90,7 @@ def test_a_recording_that_would_touch_is_refused_before_torque(
 ) -> None:
     free = tmp_path / "free.csv"
     Trajectory([0.0, 0.5], np.radians([[0, 0, 0], [20, -20, 0]]), JOINTS).save_csv(free)
-    run = robot_ik("servo", "play", free, *guarded.at)
+    run = robot_ik("servo", "replay", free, *guarded.at)
     assert run.code == 0, run.err
     assert degrees(guarded) == pytest.approx([20.0, -20.0, 0.0], abs=0.5)
     before = goals(guarded), degrees(guarded)
@@ -100,7 +100,7 @@ def test_a_recording_that_would_touch_is_refused_before_torque(
     ):
         file = tmp_path / f"{name}.csv"
         Trajectory([0.0, 0.5], np.radians(rows), JOINTS).save_csv(file)
-        run = robot_ik("servo", "play", file, *guarded.at)
+        run = robot_ik("servo", "replay", file, *guarded.at)
         assert run.code == 1, (name, run)
         assert "ball" in run.err
         assert (goals(guarded), degrees(guarded)) == before

@@ -85,8 +85,7 @@ def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path:
     [
         ["run", "pick_and_place", "--junit"],
         ["run", "pick_and_place", "--json"],
-        ["servo", "backup", "--bus", "sim"],
-        ["servo", "teach", "--bus", "sim", "--seconds", "1"],
+        ["servo", "record", "--bus", "sim", "--seconds", "1"],
         ["servo", "calibrate", "--bus", "sim", "--seconds", "1"],
     ],
 )
