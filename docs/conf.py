@@ -1,7 +1,7 @@
-"""Sphinx: the site of these pages and of the docstrings of public names.  `make docs` builds build/site.
+"""Configuration of Sphinx: the site of the pages and of the docstrings of public names.
 
-The source folder is the root of the checkout, so that the links between README, docs/ and models/ are the
-same in the files, on the site and in any viewer of Markdown.
+`make docs` builds build/site. The source folder is the root of the checkout, so links between
+README, docs/ and models/ are the same in the files, on the site and in any viewer of Markdown.
 """
 
 from __future__ import annotations
@@ -19,16 +19,29 @@ from robot_ik import __version__
 from robot_ik.commands import main as cli
 
 project = "robot_ik"
-release = version = __version__
+copyright = "the robot_ik contributors"
+version = __version__
+release = __version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 
 root_doc = "docs/index"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 include_patterns = ["docs/**", "*.md", "models/*/README.md", "models/THIRD_PARTY.md"]
-# Sphinx walks the whole source folder; these it need not enter.
+# Sphinx walks the source folder. It need not enter these.
 exclude_patterns = [
-    "**/.*", "build", "dist", "runs", "robot_ik", "hardware", "tests", "examples", "docs/make", "docs/images",
-]  # fmt: skip
+    "**/.*",
+    "build",
+    "dist",
+    "runs",
+    "robot_ik",
+    "hardware",
+    "tests",
+    "examples",
+    "docs/images",
+    "docs/make",
+    "docs/notebooks",
+    "docs/static",
+]
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence"]
@@ -44,29 +57,51 @@ suppress_warnings = ["ref.python"]
 html_theme = "furo"
 html_title = "robot_ik"
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_favicon = "static/mark.svg"
+html_theme_options = {
+    "light_logo": "logo_light.svg",
+    "dark_logo": "logo_dark.svg",
+    "sidebar_hide_name": True,
+    "source_repository": "https://github.com/robot-ik/robot-ik-testbed/",
+    "source_branch": "main",
+    "source_directory": "",
+    "light_css_variables": {
+        "color-brand-primary": "#2563eb",
+        "color-brand-content": "#1d4ed8",
+    },
+    "dark_css_variables": {
+        "color-brand-primary": "#7cb0ff",
+        "color-brand-content": "#8fbcff",
+    },
+}
 
 #: Pages whose children are the files of a folder.
 CHILDREN = {"docs/reference/solvers": "solvers/*", "docs/reference/robots": "../../models/*/README"}
 #: Pages that are not in the menu.
-OUTSIDE = ("README", "SECURITY", "CODE_OF_CONDUCT", "models/THIRD_PARTY")
+OUTSIDE = ("SECURITY", "CODE_OF_CONDUCT", "models/THIRD_PARTY")
+#: First entry of the menu.
+FIRST = "README <../README>"
+#: Width of the help of a command, characters.
+HELP_COLUMNS = 82
 
 
-def add_toctrees(app: Sphinx, name: str, source: list[str]) -> None:
-    """The menu: the lists of links in docs/index.md, and the children above."""
+def add_toctrees(_app: Sphinx, name: str, source: list[str]) -> None:
+    """Add the menu: the lists of links in docs/index.md, and the children above."""
     if name == root_doc:
-        after = []
+        source[0] += toctree([FIRST], [])
         for part in source[0].split("\n## ")[1:]:
             links = re.findall(r"^\* \[.*?\]\((\S+)\.(?:md|rst)\)", part, re.MULTILINE)
-            after.append(toctree(links, f":caption: {part.splitlines()[0]}"))
-        source[0] += "".join(after)
+            source[0] += toctree(links, [f":caption: {part.splitlines()[0]}"])
     elif name in CHILDREN:
-        source[0] += toctree([CHILDREN[name]], ":glob:")
+        source[0] += toctree([CHILDREN[name]], [":glob:"])
     elif name in OUTSIDE:
         source[0] = "---\norphan: true\n---\n" + source[0]
 
 
-def add_helps(app: Sphinx, name: str, source: list[str]) -> None:
-    """The help of every command, as the program prints it."""
+def add_helps(_app: Sphinx, name: str, source: list[str]) -> None:
+    """Add the help of every command, as the program prints it."""
     if name == "docs/reference/cli":
         for rows in cli.GROUPS.values():
             for row in rows:
@@ -75,31 +110,36 @@ def add_helps(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def help_of(words: list[str]) -> str:
-    """What `robot-ik WORDS --help` prints, 82 columns wide."""
+    """Return what `robot-ik WORDS --help` prints.
+
+    Raises:
+        ExtensionError: The command failed.
+    """
+    os.environ["COLUMNS"] = str(HELP_COLUMNS)
     with contextlib.redirect_stdout(io.StringIO()) as out:
-        os.environ["COLUMNS"] = "82"
         if cli.main([*words, "--help"]):
             raise ExtensionError(f"robot-ik {' '.join(words)} --help failed")
     return out.getvalue()
 
 
-def toctree(pages: list[str], option: str) -> str:
-    """A hidden table of contents."""
-    return "\n".join(["", ":::{toctree}", ":hidden:", option, "", *pages, ":::", ""])
+def toctree(pages: list[str], options: list[str]) -> str:
+    """Return a hidden table of contents."""
+    return "\n".join(["", ":::{toctree}", ":hidden:", *options, "", *pages, ":::", ""])
 
 
 def add_front_page(app: Sphinx, failure: Exception | None) -> None:
-    """The root of the site leads to the index."""
-    if failure is None:
-        there = f"{root_doc}.html"
-        page = (
-            f'<!doctype html><meta http-equiv="refresh" content="0; url={there}"><a href="{there}">Docs</a>\n'
-        )
-        (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
+    """Write the page at the root of the site. It leads to the index."""
+    if failure is not None:
+        return
+    target = f"{root_doc}.html"
+    page = (
+        f'<!doctype html><meta http-equiv="refresh" content="0; url={target}"><a href="{target}">Docs</a>\n'
+    )
+    (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
 
 
 def setup(app: Sphinx) -> None:
-    """Sphinx calls it."""
+    """Connect the functions above to the events of Sphinx."""
     app.connect("source-read", add_toctrees)
     app.connect("source-read", add_helps)
     app.connect("build-finished", add_front_page)

@@ -212,7 +212,7 @@ class ArmConfig:
 
     @cached_property
     def drives(self) -> tuple[Drive, ...]:
-        """Every servo with its joint: first the servos that measure ``joints``, then the others."""
+        """Every servo with its joint. The servos that measure ``joints`` are first."""
         first = tuple(Drive(joint, joint.servo) for joint in self.joints)
         others = tuple(Drive(joint, servo) for joint in self.joints for servo in joint.servos[1:])
         return first + others
@@ -234,12 +234,12 @@ class ArmConfig:
 
     @cached_property
     def lower(self) -> Array:
-        """(n,) smallest joint values, rad or m: arm file and operating mode together."""
+        """Smallest joint values (n,) of arm file and operating mode together, rad or m."""
         return _read_only([joint.limits[0] for joint in self.joints])
 
     @cached_property
     def upper(self) -> Array:
-        """(n,) largest joint values, rad or m: arm file and operating mode together."""
+        """Largest joint values (n,) of arm file and operating mode together, rad or m."""
         return _read_only([joint.limits[1] for joint in self.joints])
 
     @cached_property

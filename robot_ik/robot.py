@@ -124,7 +124,7 @@ class Robot:
 
     @property
     def joint_kinds(self) -> tuple[str, ...]:
-        """Kind of each active joint: hinge, slide, ball or free."""
+        """Kind of each active joint, which is hinge, slide, ball or free."""
         return tuple(_KINDS[int(kind)] for kind in self.tree.kind)
 
     @property
@@ -154,7 +154,7 @@ class Robot:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Names of all frames: tools, then sites, then bodies."""
+        """Names of all frames, first tools, then sites, then bodies."""
         return tuple(self._frames)
 
     @property

@@ -178,7 +178,7 @@ class Solution:
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:
-        """The trace: one row for each step; empty without ``trace=True``."""
+        """Trace of the solve, one row for each step. Empty without ``trace=True``."""
         rows = [] if self.trace_rows is None else self.trace_rows.tolist()
         return tuple(
             Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows
@@ -186,7 +186,7 @@ class Solution:
 
     @property
     def meaning(self) -> str:
-        """One sentence for people: the meaning of the status, or how near the orientation came."""
+        """Sentence that states the meaning of the status, or how near the orientation came."""
         if self.status is not Status.UNREACHABLE or self.angle_bound is None:
             return self.status.meaning
         angle_deg = math.degrees(self.error.angle)

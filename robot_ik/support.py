@@ -41,6 +41,8 @@ def support_goals(
 ) -> list[Goal]:
     """Return goals that keep the feet of a robot where they are.
 
+    Example::
+
         goals = [PositionGoal("right_hand", (0.5, -0.3, 1.4), priority=1)]
         goals = [*support_goals(robot, ["right_hand"]), *goals]
 

@@ -186,5 +186,5 @@ assert main(["reachable", "--count", "0"]) == 2
 def test_a_command_is_one_file_and_one_row(package: Path) -> None:
     commands = package / "commands"
     (commands / "reachable.py").write_text(block("python", "class Reachable(JsonOption)"), "utf-8")
-    insert(commands / "main.py", '        Row("reach", ', f"        {block('text', 'Row(')}")
+    insert(commands / "main.py", '        Row("solve", ', f"        {block('text', 'Row(')}")
     run(package, COMMAND)

@@ -16,7 +16,7 @@ import numpy as np
 import robot_ik as rik
 from robot_ik.figure.figure import load_figure
 from robot_ik.figure.frames import FrameRows
-from robot_ik.figure.poses import STIFF
+from robot_ik.figure.poses import STIFFNESS
 from robot_ik.motion.timing import minimum_jerk
 
 Case = tuple[rik.Robot, list[rik.Goal], np.ndarray | None]
@@ -164,7 +164,7 @@ def count_frames() -> None:
         share = minimum_jerk(np.linspace(0, 1, 40))[:, None]
         rows.position("right_hand", hand + rng.uniform(-0.3, 0.3, size=3) * share)
         began = time.perf_counter()
-        frames = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
+        frames = rows.solve(figure.home, figure.stiffnesses(STIFFNESS), figure.home)
         times.append((time.perf_counter() - began) / 40)
         steps += int(frames.steps.sum())
         met += int((frames.error < 1e-6).sum())

@@ -195,7 +195,7 @@ def figure_frames() -> Callable[[], Any]:
     """Return the solve of a motion of the humanoid, frame by frame."""
     from robot_ik.figure.figure import load_figure
     from robot_ik.figure.frames import FrameRows
-    from robot_ik.figure.poses import STIFF
+    from robot_ik.figure.poses import STIFFNESS
 
     figure = load_figure()
     rows = FrameRows(figure, 3)
@@ -204,7 +204,7 @@ def figure_frames() -> Callable[[], Any]:
     rows.momentum(0.1)
     rows.aim(np.array([1.0, 0.0, 1.0]), 8.0)
     rows.position("right_hand", figure.pose(figure.home, "right_hand")[0] * np.ones((3, 1)))
-    return lambda: rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
+    return lambda: rows.solve(figure.home, figure.stiffnesses(STIFFNESS), figure.home)
 
 
 def main() -> None:

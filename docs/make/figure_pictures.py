@@ -1,6 +1,7 @@
-"""Draws what the figure does: `python docs/make/figure_pictures.py [FOLDER]`, by default docs/images/figure.
+"""Draw the actions of the figure: `python docs/make/figure_pictures.py [FOLDER]`.
 
-A picture for each decision, and film strips of walk, turn, reach, bend and jump.
+It draws a picture for each decision, and film strips of walk, turn, reach, bend and jump. The
+default folder is docs/images/figure.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.ports import Array, Image
 
 FOLDER = Path(__file__).resolve().parents[1] / "images" / "figure"
+
 BALLS: dict[str, tuple[float, float, float]] = {
     "reach": (0.45, -0.25, 1.45),
     "bend": (0.5, -0.2, 0.15),
@@ -30,17 +32,22 @@ BALLS: dict[str, tuple[float, float, float]] = {
     "nothing": (0.6, 0.0, 3.2),
 }
 """A ball for each decision of a figure at the origin."""
-_STRIP_WIDTH = 165  # px of each picture of a film strip
+
+_BALL_BEHIND = (-1.8, -0.3, 1.2)
+"""A ball for which the figure turns."""
+
+_STRIP_WIDTH = 165
+"""Width of each picture of a film strip, px."""
 
 
-def played(abilities: Abilities, ball: tuple[float, float, float]) -> list[FigureFrame]:
-    """What the figure does about a ball."""
+def frames_for(abilities: Abilities, ball: tuple[float, float, float]) -> list[FigureFrame]:
+    """Return the frames of the action for a ball."""
     frames = run_figure(abilities, FigureRequest((ball,)))
     return watch(abilities.figure.robot, abilities.figure.hands, frames).frames
 
 
-def off_the_ball(figure: Figure, frame: FigureFrame) -> float:
-    """Distance of ball and the hand that acts, m."""
+def hand_error(figure: Figure, frame: FigureFrame) -> float:
+    """Return the distance of the ball and the acting hand, m."""
     hand = figure.hands[frame.decision.arm or "right"]
     return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
@@ -48,46 +55,57 @@ def off_the_ball(figure: Figure, frame: FigureFrame) -> float:
 def strip(
     figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
 ) -> Image:
-    """Some of the frames (n, nq) beside each other, painted."""
+    """Return some of the frames (n, nq) beside each other, painted."""
     optics = lens(2 * _STRIP_WIDTH, 560)
-    picks = np.linspace(0, len(q) - 1, count).astype(int)
-    moved = q[picks].copy()
+    indices = np.linspace(0, len(q) - 1, count).astype(int)
+    rows = q[indices].copy()
     if follow:
-        moved[:, :2] -= moved[:, :2].copy()
-    points = np.concatenate([*(surface_points(figure.model, row) for row in moved), np.zeros((1, 3))])
+        rows[:, :2] = 0.0
+    surfaces = [surface_points(figure.model, row) for row in rows]
+    points = np.concatenate([*surfaces, np.zeros((1, 3))])
     camera = fitted_camera(points, view_deg, optics)
-    tiles = [photograph([Body(figure.model, row)], optics, camera, SEAMLESS).image for row in moved]
-    whole = np.concatenate(tiles, axis=1)
-    return np.asarray(cv2.resize(whole, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    tiles = [photograph([Body(figure.model, row)], optics, camera, SEAMLESS).image for row in rows]
+    image = np.concatenate(tiles, axis=1)
+    half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return np.asarray(half, dtype=np.uint8)
+
+
+def only(action: str, frames: list[FigureFrame]) -> Array:
+    """Return the joint values (n, nq) of the frames of an action."""
+    return np.array([frame.q for frame in frames if frame.action == action])
+
+
+def save(folder: Path, name: str, image: Image) -> None:
+    """Write a picture."""
+    file = folder / f"{name}.png"
+    write_image(file, image)
+    print(file)
 
 
 def main(folder: Path) -> None:
-    """Draws them all."""
+    """Draw all pictures."""
     folder.mkdir(parents=True, exist_ok=True)
     abilities = load_abilities(load_figure())
-    figure, runs = abilities.figure, {action: played(abilities, ball) for action, ball in BALLS.items()}
-
-    def save(name: str, image: Image) -> None:
-        write_image(folder / f"{name}.png", image)
-        print(folder / f"{name}.png")
-
+    figure = abilities.figure
+    runs = {action: frames_for(abilities, ball) for action, ball in BALLS.items()}
     for action, frames in runs.items():
-        shown = [frame for frame in frames if frame.action == action] or frames
-        pick = shown[len(shown) // 2] if action == "walk" else shown[-1]
-        if action == "jump":  # the palm at the ball
-            pick = min(shown, key=lambda frame: off_the_ball(figure, frame))
-        save(f"decision-{action}", FilmMaker(figure.robot, size=(480, 480)).picture(pick))
+        of_action = [frame for frame in frames if frame.action == action] or frames
+        frame = of_action[-1]
+        if action == "walk":
+            frame = of_action[len(of_action) // 2]
+        elif action == "jump":
+            frame = min(of_action, key=lambda candidate: hand_error(figure, candidate))
+        maker = FilmMaker(figure.robot, size=(480, 480))
+        save(folder, f"decision-{action}", maker.picture(frame))
 
-    def only(name: str, frames: list[FigureFrame]) -> Array:
-        return np.array([frame.q for frame in frames if frame.action == name])
-
-    walked = only("walk", runs["walk"])
-    save("strip-walk", strip(figure, walked[len(walked) // 3 :][:70], 9, (-90.0, 6.0), follow=True))
-    save("strip-bend", strip(figure, only("bend", runs["bend"]), 7, (-60.0, 8.0)))
-    save("strip-reach", strip(figure, only("reach", runs["reach"]), 6, (-50.0, 8.0)))
-    save("strip-jump", strip(figure, only("jump", runs["jump"])[20:], 10, (-60.0, 4.0)))
-    behind = only("walk", played(abilities, (-1.8, -0.3, 1.2)))
-    save("strip-turn", strip(figure, behind, 9, (-30.0, 8.0), follow=True))
+    walk = only("walk", runs["walk"])
+    cycle = walk[len(walk) // 3 :][:70]
+    save(folder, "strip-walk", strip(figure, cycle, 9, (-90.0, 6.0), follow=True))
+    save(folder, "strip-bend", strip(figure, only("bend", runs["bend"]), 7, (-60.0, 8.0)))
+    save(folder, "strip-reach", strip(figure, only("reach", runs["reach"]), 6, (-50.0, 8.0)))
+    save(folder, "strip-jump", strip(figure, only("jump", runs["jump"])[20:], 10, (-60.0, 4.0)))
+    turn = only("walk", frames_for(abilities, _BALL_BEHIND))
+    save(folder, "strip-turn", strip(figure, turn, 9, (-30.0, 8.0), follow=True))
 
 
 if __name__ == "__main__":

@@ -26,13 +26,16 @@ from numpy.typing import NDArray
 import robot_ik as rik
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
-from robot_ik.figure.actions import take
+from robot_ik.figure.actions import reach_ball
 from robot_ik.figure.figure import RATE as FIGURE_RATE
 from robot_ik.figure.figure import Figure, load_figure
-from robot_ik.figure.gait import WALK, prints_of, walk, walk_prints
+from robot_ik.figure.footprints import prints_of, walk_prints
+from robot_ik.figure.gait import WALK
 from robot_ik.figure.jump import jump
 from robot_ik.figure.motion.pose_prior import fit_pose_prior, mirrored
-from robot_ik.figure.poses import BEND, REACH, find_pose
+from robot_ik.figure.pose_search import find_pose
+from robot_ik.figure.poses import BEND, REACH
+from robot_ik.figure.walk import walk
 from robot_ik.goals import PosePriorGoal
 from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.motion import Keyframes, KeyPoses
@@ -142,8 +145,8 @@ def actions(figure: Figure) -> dict[str, Array]:
     for balls, kind in ((GRID, REACH), (BENDS, BEND)):
         for position in balls:
             end = find_pose(figure, np.array(position), "right", kind)
-            if not end.flaw:
-                found[f"{kind} {position}"] = take(
+            if not end.violation:
+                found[f"{kind} {position}"] = reach_ball(
                     figure, home, np.array(position), "right", kind, end=end.q
                 ).q
     for how, (length, duration) in SPEEDS.items():

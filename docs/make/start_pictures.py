@@ -172,9 +172,14 @@ def solution() -> Image:
     return draw(model, [robot.qpos(robot.home), robot.qpos(q)], PUMA_VIEW_DEG)
 
 
+def first_reach() -> Image:
+    """Return the picture of the reach of page 1."""
+    return reach("--bus sim")
+
+
 def offset() -> Image:
     """Return the picture of a reach with a wrong zero of joint 2."""
-    return reach("--bus sim --rehearse.zero-offset joint2=2", code=1)
+    return reach("--bus sim --fault zero-offset:joint2=2", code=1)
 
 
 def reach(options: str, *, code: int = 0) -> Image:
@@ -401,6 +406,7 @@ def script() -> str:
 
 PICTURES: dict[str, Callable[[], Drawing]] = {
     "solution.png": solution,
+    "reach.jpg": first_reach,
     "offset.jpg": offset,
     "desk_zero.png": desk_zero,
     "desk_solution.png": desk_solution,

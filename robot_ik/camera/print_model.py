@@ -14,12 +14,20 @@ and v. A sharpened picture has a halo:
 
     S' is blurred by blur' = sqrt(blur^2 + halo_blur^2),        k' * blur' = k * blur
 
+The halo is negative if bloom lets bright areas glow. Motion elongates the blur. Its covariance in
+pixels is
+
+    blur^2 * [[1 + a, b], [b, 1 - a]]
+
+with a the elongation along the rows of the picture and b along its falling diagonal. The blur of S'
+has the same elongation.
+
 S is one minus a sum over the black cells. The share of one cell is the integral of a Gaussian over
-a rectangle. In an oblique view the Gaussian is correlated in u and v. The integral is then a series
-in the correlation r, whose terms are products of differences along u and along v: of the
-distribution function, of r times the density, of r^2 / 2 times density times position. Source:
-Pearson, Mathematical contributions to the theory of evolution VII, Phil. Trans. R. Soc. A 195,
-1900.
+a rectangle. In an oblique view, or with an elongated blur, the Gaussian is correlated in u and v.
+The integral is then a series in the correlation r, whose terms are products of differences along u
+and along v: of the distribution function, of r times the density, of r^2 / 2 times density times
+position. Source: Pearson, Mathematical contributions to the theory of evolution VII, Phil. Trans.
+R. Soc. A 195, 1900.
 
 ``tests/camera/print_oracle.py`` has the same model in plain numpy.
 """
@@ -41,15 +49,19 @@ LOG_BLUR = 8  # Logarithm of the standard deviation of the blur, px.
 SHIFT = 9  # Edge shift, standard deviations of the blur.
 DARK = 10  # Grey level of black: constant, slope along u, slope along v.
 CONTRAST = 13  # Grey levels from black to white, likewise.
-HALO = 16  # Amount of sharpening. Only in fits with a halo.
+ELONGATION = 16  # Of the blur, along the rows of the picture and along its diagonal.
+HALO = 18  # Amount of sharpening.
+# Numbers of unknowns of a plain fit, of one with an elongated blur, and of one with a halo as well.
 PLAIN_UNKNOWNS = 16
-UNKNOWNS = 17
+ELONGATED_UNKNOWNS = 18
+UNKNOWNS = 19
 
 # Smallest log blur. The pixel itself blurs by 0.29 px.
 MIN_LOG_BLUR = math.log(0.29)
-# Standard deviations of the prior of the log blur (px) and of the edge shift.
+# Standard deviations of the prior of the log blur (px), of the edge shift and of the elongation.
 _LOG_BLUR_SIGMA = 0.6
 _SHIFT_SIGMA = 0.35
+_ELONGATION_SIGMA = 0.3
 
 #: One pixel of a fit.
 PIXEL = np.dtype(
@@ -176,12 +188,14 @@ def select_pixels(pixels, black, homography, log_blur, shift):
     for p in range(len(pixels)):
         pixel = pixels[p]
         keep_flat = p % _FLAT_STRIDE == 0
-        u, v, sigma_u, sigma_v, r = view_of_print(pixel, homography)
+        u, v, sigma_u, sigma_v, r, _, _ = view_of_print(pixel, homography, 0.0, 0.0)
         sigma_u *= blur
         sigma_v *= blur
         if not keep_flat and is_inside_cell(u, v, sigma_u, sigma_v, len(black)):
             continue
-        share, by_u, by_v, _ = blurred_print(u, v, sigma_u, sigma_v, r, black, cells_u, cells_v)
+        share, by_u, by_v, _, _, _ = blurred_print(
+            u, v, sigma_u, sigma_v, r, black, cells_u, cells_v
+        )
         flat = abs(by_u) + abs(by_v) < _FLAT_SLOPE * blur
         if flat and not keep_flat:
             continue
@@ -222,7 +236,7 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
         pixels: (k,) of ``PIXEL``.
         black: (n, n) 1 where the print is black.
         homography: (3, 3) from undistorted coordinates to the print.
-        unknowns: (16,) or with a halo (17,). The first eight are not used.
+        unknowns: (16,), (18,) or (19,). The first eight are not used.
         noise: Standard deviation of a pixel for the robust weights, grey levels. Infinity: no
             weights.
         halo_blur: Width of the halo, px. Not used without a halo.
@@ -231,9 +245,12 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
         Gram matrix of the weighted Jacobian with the weighted residuals as its last column.
     """
     size = len(unknowns)
+    elongated = size >= ELONGATED_UNKNOWNS
     with_halo = size == UNKNOWNS
     blur = math.exp(unknowns[LOG_BLUR])
     shift = unknowns[SHIFT]
+    along_rows = unknowns[ELONGATION] if elongated else 0.0
+    along_diagonal = unknowns[ELONGATION + 1] if elongated else 0.0
     halo = unknowns[HALO] if with_halo else 0.0
     wide_blur = math.sqrt(blur * blur + halo_blur * halo_blur)
     ratio = blur / wide_blur
@@ -244,13 +261,24 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
     cells_v = np.empty((3, len(black)))
     for p in range(len(pixels)):
         pixel = pixels[p]
-        u, v, sigma_u, sigma_v, r = view_of_print(pixel, homography)
-        white, by_u, by_v, by_blur, by_shift = print_value(
+        u, v, sigma_u, sigma_v, r, row_slopes, diagonal_slopes = view_of_print(
+            pixel, homography, along_rows, along_diagonal
+        )
+        white, by_u, by_v, by_sigma_u, by_sigma_v, by_r, by_shift = print_value(
             u, v, sigma_u * blur, sigma_v * blur, r, shift, black, cells_u, cells_v
         )
+        by_blur = by_sigma_u + by_sigma_v
         by_halo = 0.0
         if with_halo:
-            wide, wide_by_u, wide_by_v, wide_by_blur, wide_by_shift = print_value(
+            (
+                wide,
+                wide_by_u,
+                wide_by_v,
+                wide_by_sigma_u,
+                wide_by_sigma_v,
+                wide_by_r,
+                wide_by_shift,
+            ) = print_value(
                 u,
                 v,
                 sigma_u * wide_blur,
@@ -263,12 +291,15 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
             )
             by_halo = white - wide
             # The wide blur and its edge shift both depend on the blur.
-            wide_by_blur *= ratio * ratio
+            wide_by_blur = ratio * ratio * (wide_by_sigma_u + wide_by_sigma_v)
             wide_by_blur += wide_by_shift * shift * ratio * (1.0 - ratio * ratio)
             white += halo * by_halo
             by_u += halo * (by_u - wide_by_u)
             by_v += halo * (by_v - wide_by_v)
             by_blur += halo * (by_blur - wide_by_blur)
+            by_sigma_u += halo * (by_sigma_u - wide_by_sigma_u)
+            by_sigma_v += halo * (by_sigma_v - wide_by_sigma_v)
+            by_r += halo * (by_r - wide_by_r)
             by_shift += halo * (by_shift - wide_by_shift * ratio)
 
         dark = unknowns[DARK] + unknowns[DARK + 1] * u + unknowns[DARK + 2] * v
@@ -297,6 +328,15 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
         rows[CONTRAST, at] = root_weight * white
         rows[CONTRAST + 1, at] = root_weight * white * u
         rows[CONTRAST + 2, at] = root_weight * white * v
+        if elongated:
+            rows[ELONGATION, at] = slope * (
+                by_sigma_u * row_slopes[0] + by_sigma_v * row_slopes[1] + by_r * row_slopes[2]
+            )
+            rows[ELONGATION + 1, at] = slope * (
+                by_sigma_u * diagonal_slopes[0]
+                + by_sigma_v * diagonal_slopes[1]
+                + by_r * diagonal_slopes[2]
+            )
         if with_halo:
             rows[HALO, at] = slope * by_halo
         rows[size, at] = root_weight * residual
@@ -334,6 +374,11 @@ def add_prior(gram, unknowns, prior_mean, noise):
         matrix[i, i] += _RELATIVE_DAMPING * matrix[i, i] + _ABSOLUTE_DAMPING
     matrix[LOG_BLUR, LOG_BLUR] += blur_information
     matrix[SHIFT, SHIFT] += shift_information
+    if size >= ELONGATED_UNKNOWNS:
+        for i in range(ELONGATION, ELONGATION + 2):
+            information = (noise / _ELONGATION_SIGMA) ** 2
+            right[i] -= information * unknowns[i]
+            matrix[i, i] += information
     return matrix, right
 
 
@@ -359,11 +404,19 @@ def mirror(matrix):
 
 
 @inlined
-def view_of_print(pixel, homography):
+def view_of_print(pixel, homography, along_rows, along_diagonal):
     """Return where a pixel sees the print, and what a blur of 1 px is there.
 
+    Args:
+        pixel: Of ``PIXEL``.
+        homography: (3, 3) from undistorted coordinates to the print.
+        along_rows: Elongation of the blur along the rows of the picture.
+        along_diagonal: Elongation of the blur along the diagonal of the picture.
+
     Returns:
-        u, v; the standard deviations along u and v of a blur of 1 px, and their correlation.
+        u, v; the standard deviations along u and v of the blur, and their correlation; the
+        derivatives by each elongation of the logarithms of the standard deviations, and of the
+        correlation.
     """
     h = homography
     depth = 1.0 / (h[2, 0] * pixel.x + h[2, 1] * pixel.y + h[2, 2])
@@ -377,20 +430,64 @@ def view_of_print(pixel, homography):
     u_by_py = u_by_x * pixel.x_by_py + u_by_y * pixel.y_by_py
     v_by_px = v_by_x * pixel.x_by_px + v_by_y * pixel.y_by_px
     v_by_py = v_by_x * pixel.x_by_py + v_by_y * pixel.y_by_py
-    sigma_u = math.sqrt(u_by_px * u_by_px + u_by_py * u_by_py)
-    sigma_v = math.sqrt(v_by_px * v_by_px + v_by_py * v_by_py)
-    correlation = (u_by_px * v_by_px + u_by_py * v_by_py) / (sigma_u * sigma_v)
-    return u, v, sigma_u, sigma_v, correlation
+    # Covariance in the print of a round blur, and its derivatives by the elongations.
+    uu_by_rows = u_by_px * u_by_px - u_by_py * u_by_py
+    uv_by_rows = u_by_px * v_by_px - u_by_py * v_by_py
+    vv_by_rows = v_by_px * v_by_px - v_by_py * v_by_py
+    uu_by_diagonal = 2.0 * u_by_px * u_by_py
+    uv_by_diagonal = u_by_px * v_by_py + u_by_py * v_by_px
+    vv_by_diagonal = 2.0 * v_by_px * v_by_py
+    uu = u_by_px * u_by_px + u_by_py * u_by_py
+    uv = u_by_px * v_by_px + u_by_py * v_by_py
+    vv = v_by_px * v_by_px + v_by_py * v_by_py
+    uu += along_rows * uu_by_rows + along_diagonal * uu_by_diagonal
+    uv += along_rows * uv_by_rows + along_diagonal * uv_by_diagonal
+    vv += along_rows * vv_by_rows + along_diagonal * vv_by_diagonal
+    sigma_u = math.sqrt(uu)
+    sigma_v = math.sqrt(vv)
+    inverse = 1.0 / (sigma_u * sigma_v)
+    r = uv * inverse
+    row_slopes = ellipse_slopes(uu, vv, r, inverse, uu_by_rows, uv_by_rows, vv_by_rows)
+    diagonal_slopes = ellipse_slopes(
+        uu, vv, r, inverse, uu_by_diagonal, uv_by_diagonal, vv_by_diagonal
+    )
+    return u, v, sigma_u, sigma_v, r, row_slopes, diagonal_slopes
+
+
+@inlined
+def ellipse_slopes(uu, vv, r, inverse, by_uu, by_uv, by_vv):
+    """Return the changes of log sigma_u, log sigma_v and r with a change of the covariance.
+
+    Args:
+        uu: Variance along u.
+        vv: Variance along v.
+        r: Correlation.
+        inverse: 1 / (sigma_u * sigma_v).
+        by_uu: Change of ``uu``.
+        by_uv: Change of the covariance.
+        by_vv: Change of ``vv``.
+    """
+    by_sigma_u = 0.5 * by_uu / uu
+    by_sigma_v = 0.5 * by_vv / vv
+    return by_sigma_u, by_sigma_v, by_uv * inverse - r * (by_sigma_u + by_sigma_v)
 
 
 @inlined
 def print_value(u, v, sigma_u, sigma_v, correlation, shift, black, cells_u, cells_v):
-    """Return G(S, k) and its derivatives by u, v, log blur and k."""
-    share, by_u, by_v, by_blur = blurred_print(
+    """Return G(S, k) and its derivatives by u, v, log sigma_u, log sigma_v, correlation and k."""
+    share, by_u, by_v, by_sigma_u, by_sigma_v, by_r = blurred_print(
         u, v, sigma_u, sigma_v, correlation, black, cells_u, cells_v
     )
     value, by_share, by_shift = shift_edges(share, shift)
-    return value, by_share * by_u / sigma_u, by_share * by_v / sigma_v, by_share * by_blur, by_shift
+    return (
+        value,
+        by_share * by_u / sigma_u,
+        by_share * by_v / sigma_v,
+        by_share * by_sigma_u,
+        by_share * by_sigma_v,
+        by_share * by_r,
+        by_shift,
+    )
 
 
 @inlined
@@ -408,8 +505,8 @@ def blurred_print(u, v, sigma_u, sigma_v, correlation, black, cells_u, cells_v):
         cells_v: (3, n) working memory.
 
     Returns:
-        Share of white; its derivatives by u / sigma_u, by v / sigma_v and by the logarithm of the
-        blur.
+        Share of white; its derivatives by u / sigma_u, by v / sigma_v, by the logarithms of sigma_u
+        and of sigma_v, and by the correlation.
     """
     n = black.shape[0]
     left, right = integrate_cells(u, sigma_u, n, cells_u)
@@ -418,7 +515,9 @@ def blurred_print(u, v, sigma_u, sigma_v, correlation, black, cells_u, cells_v):
     white = 1.0
     by_u = 0.0
     by_v = 0.0
-    by_blur = 0.0
+    by_sigma_u = 0.0
+    by_sigma_v = 0.0
+    by_r = 0.0
     for j in range(top, bottom):
         v0 = cells_v[0, j]
         v1 = cells_v[1, j]
@@ -431,8 +530,10 @@ def blurred_print(u, v, sigma_u, sigma_v, correlation, black, cells_u, cells_v):
                 white -= u0 * v0 + r * (u1 * v1 + 0.5 * r * u2 * v2)
                 by_u -= u1 * v0 - r * u2 * v1
                 by_v -= u0 * v1 - r * u1 * v2
-                by_blur += u2 * v0 + u0 * v2
-    return white, by_u, by_v, by_blur
+                by_sigma_u += u2 * v0
+                by_sigma_v += u0 * v2
+                by_r -= u1 * v1 + r * u2 * v2
+    return white, by_u, by_v, by_sigma_u, by_sigma_v, by_r
 
 
 @inlined

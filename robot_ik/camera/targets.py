@@ -141,7 +141,7 @@ class Target(ABC):
     @property
     @abstractmethod
     def squares(self) -> Squares:
-        """Squares that views are planned for: id -> (side in metres, ``pose_target_square``).
+        """Squares that views are planned for, id -> (side in metres, ``pose_target_square``).
 
         The frame of a square is that of a marker.
         """
@@ -149,7 +149,7 @@ class Target(ABC):
     @property
     @abstractmethod
     def pose_target_stand(self) -> Pose:
-        """Frame in which a robot is drawn on the target: x right, y up, z out of the print."""
+        """Frame in which a robot is drawn, with x right, y up and z out of the print."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure."""
+"""``robot-ik bench``: solvers × robots on seeded problem sets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
-    Json,
     Overwrite,
     Range,
     positive,
@@ -46,8 +45,7 @@ class BenchOptions:
     A time is that of the whole Python call: 4×4 matrix in, joint array out, limits obeyed. Kernels are
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
-    Writes bench.json and plots; Ctrl-C keeps what is done. See also:
-    `robot-ik bench figure --help`.
+    Writes bench.json and plots; Ctrl-C keeps what is done.
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
@@ -219,40 +217,3 @@ def show_quantities(of: str, rows: Iterable[tuple[str, Quantity]], *remarks: str
         console.table(of, "quantity", "measured", "wanted", "", rows=cells),
         "; ".join([f"{sum(judged)} of {len(judged)} as wanted", *remarks]),
     )
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik bench figure``: the figure's motion beside what is wanted of it, judged by MuJoCo.
-
-
-@dataclass(frozen=True)
-class BenchFigureOptions:
-    """Measures walks, reaches, bends and jumps on the true shapes by MuJoCo's inverse dynamics.
-
-    Exit code 0 where every figure that was measured is as wanted, else 1. The comparison needs
-    `pip install mink daqp`; without it that row says so.
-    """
-
-    model: Annotated[str, arg(metavar="NAME|PATH")] = "humanoid"
-    """A model whose robot.toml has a table [figure]."""
-    count: Annotated[int, Range(1, what=" balls")] = 20
-    """Balls reached, bent and jumped for."""
-    seed: int = 0
-    """Of the balls."""
-    json: Json = False
-
-
-def run_figure(options: BenchFigureOptions) -> int:
-    """Measures and prints."""
-    from robot_ik.bench.figure import measure_figure
-    from robot_ik.figure.abilities import load_abilities
-    from robot_ik.figure.figure import load_figure
-
-    with console.busy("measuring the figure"):
-        abilities = load_abilities(load_figure(options.model))
-        rows = list(measure_figure(abilities, options.count, options.seed))
-    if options.json:
-        console.print_json({"schema": 2, "rows": [{"motion": motion, **one.facts()} for motion, one in rows]})
-    else:
-        show_quantities("motion", rows)
-    return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE

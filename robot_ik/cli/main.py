@@ -42,16 +42,12 @@ class CommandRow:
 # Name -> file of ``robot_ik/cli/`` and one line of help, in the order of ``robot-ik --help``.
 ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
-    "reach": ("reach", "detect a marker, reach it, and verify the result with a camera"),
     "reachability": ("reachability", "where an arm can reach: a map, slices and a point cloud"),
     "plan": ("plan", "a motion around obstacles, proven free"),
     "robots": ("listing", "the bundled robots, or one in detail"),
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
-    "bench figure": (
-        "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
-    ),
     "run": ("run", "a scripted test run on simulated or real servos, faults included"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),

@@ -70,7 +70,11 @@ class Row:
 GROUPS: dict[str, tuple[Row, ...]] = {
     "Solve and move": (
         Row("solve", "Find joint angles for a goal.", "solve:Solve"),
-        Row("reach", "Detect a marker, reach it, and verify the result with a camera."),
+        Row(
+            "reach",
+            "Detect a marker, reach it, and verify the result with a camera.",
+            "reach:Reach",
+        ),
         Row("plan", "Plan a motion around obstacles and prove it free."),
         Row("reachability", "Map where an arm can reach: slices and a point cloud."),
         Row("run", "Run a scripted test on simulated or real servos, faults included."),

@@ -16,9 +16,11 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from robot_ik.errors import OptionError
+from robot_ik.files import make_folder
 from robot_ik.hardware import BUSES
 
 if TYPE_CHECKING:
+    from robot_ik.commands.terminal import Terminal
     from robot_ik.goals import PoseGoal, PositionGoal
 
 NO_BUS = "none"
@@ -139,6 +141,15 @@ class FolderOption(OverwriteOption):
             help="Result folder. Default: runs/<time>-<command>.",
         ),
     ] = None
+
+    def result_folder(self, terminal: Terminal) -> Path | None:
+        """Return the folder that ``main`` has reserved.
+
+        A call from Python writes files only if the class was given ``out``.
+        """
+        if terminal.folder is None and self.out is not None:
+            return make_folder(self.out)
+        return terminal.folder
 
 
 @dataclass(frozen=True, kw_only=True)

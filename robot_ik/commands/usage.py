@@ -170,7 +170,8 @@ def _unknown_option(error: Any, app: App, names: Sequence[str], hint: str) -> Op
         where = ", ".join(owners[:4]) + (", …" if len(owners) > 4 else "")
         problem = f"{command} has no option {option} (an option of: {where})"
         return OptionError("", problem, hint=hint)
-    close = close_matches(option, own, 1)
+    beginning = [name for name in own if len(option) > 3 and name.startswith(option)]
+    close = beginning if len(beginning) == 1 else close_matches(option, own, 1)
     if close:
         return OptionError("", f"unknown option {option}{_meant(close)}", hint=hint)
     return OptionError("", f"{command} has no option {option}", hint=hint)

@@ -1,6 +1,7 @@
-"""Reach, bend and rest: each a run of frames with an exact end; and how one goes over into the next.
+"""Actions that keep the feet where they are: reach, bend and the return to rest.
 
-All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end.
+An action is a sequence of frames with an exact end. All actions are computed in the frame of the
+stance (``Figure.stance``) and moved into the world at the end.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
+from robot_ik.figure.balance import compensate, zero_moment_points
+from robot_ik.figure.curves import smooth
 from robot_ik.figure.figure import DT, GRAVITY, Figure, in_stance_frame
-from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
-from robot_ik.figure.gait import FLAT, Footprint, Walk, walk_slices
-from robot_ik.figure.poses import REACH, STIFF, find_pose, support, touches_itself
+from robot_ik.figure.frames import FrameRows, Frames
+from robot_ik.figure.gait import FLAT
+from robot_ik.figure.pose_search import find_pose
+from robot_ik.figure.poses import REACH, STIFFNESS, support, touches_itself
+from robot_ik.figure.walk import Walk
 from robot_ik.geometry import (
     axis_rotations,
     matrix_to_quat,
@@ -23,304 +27,383 @@ from robot_ik.geometry import (
     rotation_exp,
     rotation_log,
 )
-from robot_ik.motion.timing import minimum_jerk
+from robot_ik.motion.timing import QUINTIC_PEAK_VELOCITY, minimum_jerk
 from robot_ik.ports import Array
 
-# Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
-# durations, s.
-_REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
-# Fastest glance, rad/s (head rotations take 3 to 6, a usual value).
-_GLANCE = 2.5
-# Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
-_UPRIGHT = 0.966
-# A zero-moment point so far inside the soles, m, is let be; else the frames are corrected, so often.
-_INSIDE, _ROUNDS = 0.005, 3
-# Frames that lose balance or change a joint's speed by more than this, rad/s a frame, are planned again so
-# much slower; those that touch the body with the elbow so much farther from it, rad; so often.
-_ABRUPT, _SLOWER, _AWAY, _TRIES = 1.8, 1.35, 0.35, 4
-# A hand that the posture leads is drawn to its ball from this share of the path on, so strongly.
-_LATE, _CLOSE = 0.8, 300.0
-# How long a hand stays at its ball, s.
-_HOLD = 0.2
-# Self-contact is checked in every so many frames.
-_CHECK_EVERY = 2
-# A motion that is left decays into the next in this time, s.
-BLEND = 0.4
+
+@dataclass(frozen=True)
+class ActionOptions:
+    """Numbers of reach, bend and rest.
+
+    Attributes:
+        reach_speed: Peak speed of a hand that reaches, m/s (Flash & Hogan 1985: 0.3 to 0.5 m in
+            0.5 to 0.8 s).
+        bend_speed: Peak speed of a hand while the figure bends, m/s.
+        least_time: Shortest duration of a motion, s.
+        glance_speed: Peak angular speed of the gaze, rad/s (heads rotate at 3 to 6 rad/s).
+        glance_time: Shortest time of a glance, s.
+        upright: Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
+        inside: A zero-moment point at least this far inside the soles needs no correction, m.
+        rounds: Rounds of the correction of the zero-moment point.
+        largest_error: Largest error of the zero-moment point that one round corrects, m.
+        error_time: Time over which errors of the zero-moment point are smoothed, s.
+        abrupt: Largest change of a joint's speed in a frame, rad/s.
+        slower: Factor of the duration where a motion loses balance or is abrupt.
+        elbow_away: Angle of the elbows away from the body in a further try where bodies touch, rad.
+        tries: Number of tries.
+        late: Share of the way after which a hand that follows the posture is drawn to its ball.
+        late_weight: Weight of the hand then.
+        hold: Time for which the hand stays at its ball, s.
+        check_every: Self-contact is checked in every such frame.
+        reach_joint_speed: Share of the joint speed limits that a motion uses.
+        bend_joint_speed: Largest joint speed of a bend, rad/s.
+        rest_joint_share: Share of the joint speed limits that the return to rest uses.
+        rest_joint_speed: Largest joint speed of the return to rest, rad/s.
+        gaze_weight: Weight of the gaze.
+    """
+
+    reach_speed: float = 1.6
+    bend_speed: float = 0.7
+    least_time: float = 0.45
+    glance_speed: float = 2.5
+    glance_time: float = 0.45
+    upright: float = 0.966
+    inside: float = 0.005
+    rounds: int = 3
+    largest_error: float = 0.12
+    error_time: float = 0.02
+    abrupt: float = 1.8
+    slower: float = 1.35
+    elbow_away: float = 0.35
+    tries: int = 4
+    late: float = 0.8
+    late_weight: float = 300.0
+    hold: float = 0.2
+    check_every: int = 2
+    reach_joint_speed: float = 0.75
+    bend_joint_speed: float = 3.0
+    rest_joint_share: float = 0.6
+    rest_joint_speed: float = 2.5
+    gaze_weight: float = 8.0
+
+
+ACTING = ActionOptions()
+"""The numbers of all actions."""
+
+_LEAST_DISTANCE = 0.1
+"""Metres. Smallest distance of a ball from the eyes for the direction of a glance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Frames of an action."""
+    """Frames of an action.
 
-    action: str  # ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``
-    q: Array  # (n, nq)
-    contact: NDArray[np.int64]  # (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``
-    error: Array  # (n,) largest error of what must hold, m or rad
-    zmp: Array  # (n, 2) planned zero-moment point
-    free: NDArray[np.bool_]  # (n,) whether the motion may be left after this frame
-    speeds: str = "daily"  # set of joint speed limits that it holds
+    Attributes:
+        action: ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``.
+        q: (n, nq) frames.
+        contact: (n, 2) state of each foot: ``gait.AIR``, ``HEEL``, ``FLAT`` or ``TOE``.
+        error: (n,) largest error of a hard row, m or rad.
+        zmp: (n, 2) planned zero-moment point.
+        interruptible: (n,) whether another motion may follow each frame.
+        speeds: Set of joint speed limits that the motion keeps.
+    """
+
+    action: str
+    q: Array
+    contact: NDArray[np.int64]
+    error: Array
+    zmp: Array
+    interruptible: NDArray[np.bool_]
+    speeds: str = "daily"
 
     def __len__(self) -> int:
         return len(self.q)
 
 
-def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
-    """``q`` seen from the middle between its feet, and that stance (x, y, heading)."""
+def to_stance_frame(figure: Figure, q: Array) -> tuple[Array, Array]:
+    """Return ``q`` (nq,) in the frame of its stance, and that stance (x, y, heading)."""
     stance = figure.stance(q)
     x, y = -(axis_rotations("z", -stance[2])[:2, :2] @ stance[:2])
     return figure.placed(q, x, y, -stance[2]), stance
 
 
 def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
-    """A motion of a figure at the origin, put where its stance is."""
-    matrix = axis_rotations("z", float(stance[2]))
+    """Return a motion in the frame of a stance, moved into the world."""
+    rotation = axis_rotations("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
-    return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2])
+    return replace(motion, q=q, zmp=motion.zmp @ rotation[:2, :2].T + stance[:2])
 
 
-def _standing(figure: Figure, action: str, frames: Frames, center: Array, stance: Array) -> Motion:
-    """Frames seen from the feet, which stay flat where the stance is."""
-    n = len(frames.q)
+def _standing_motion(
+    figure: Figure, action: str, frames: Frames, center: Array, stance: Array
+) -> Motion:
+    """Return a motion with flat feet, from frames in the frame of a stance."""
+    count = len(frames.q)
     motion = Motion(
-        action, frames.q, np.full((n, 2), FLAT), frames.error, np.broadcast_to(center, (n, 2)),
-        np.ones(n, dtype=bool),
-    )  # fmt: skip
+        action=action,
+        q=frames.q,
+        contact=np.full((count, 2), FLAT),
+        error=frames.error,
+        zmp=np.broadcast_to(center, (count, 2)),
+        interruptible=np.ones(count, dtype=bool),
+    )
     return placed_motion(figure, motion, stance)
 
 
-def _gaze(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
-    """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
+def _add_glance(
+    figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float
+) -> None:
+    """Add rows to ``rows`` that turn the gaze to a ball. A sudden target would jerk the neck.
+
+    Args:
+        figure: The figure.
+        rows: Receives the rows.
+        q: (nq,) where the motion begins.
+        ball: (3,) the ball.
+        t: (n,) times of the frames, s.
+        within: Shortest time of the glance, s.
+    """
     if figure.gaze is None:
         return
-    eyes, matrix = figure.pose(q, figure.gaze)
-    distance = max(float(np.linalg.norm(ball - eyes)), 0.1)
-    forward, to = matrix[:, 0], (ball - eyes) / distance
-    angle = float(np.arccos(np.clip(forward @ to, -1.0, 1.0)))
+    eyes, rotation = figure.pose(q, figure.gaze)
+    distance = max(float(np.linalg.norm(ball - eyes)), _LEAST_DISTANCE)
+    forward = rotation[:, 0]
+    to_ball = (ball - eyes) / distance
+    angle = float(np.arccos(np.clip(forward @ to_ball, -1.0, 1.0)))
     s = minimum_jerk(t / max(within, glance_time(figure, q, ball)))[:, None]
-    # Along the arc: half way between two points that are seen in opposite directions lies the head.
-    bent = angle > 1e-3
-    shares = (np.sin((1 - s) * angle), np.sin(s * angle)) if bent else (1 - s, s)
-    arc = shares[0] * forward + shares[1] * to
+
+    # The target moves along an arc. The straight way between two opposite directions would pass
+    # through the head.
+    if angle > 1e-3:
+        arc = np.sin((1 - s) * angle) * forward + np.sin(s * angle) * to_ball
+    else:
+        arc = (1 - s) * forward + s * to_ball
     arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
-    rows.aim((eyes + distance * arc) * (1 - s) + ball * s, 8.0)
+    rows.aim((eyes + distance * arc) * (1 - s) + ball * s, ACTING.gaze_weight)
 
 
 def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
-    """How long the eyes take to a ball, s: a motion that ends before would stop the neck."""
+    """Return the time that the gaze needs to a ball, s. A shorter motion would stop the neck."""
     if figure.gaze is None or ball is None:
         return 0.0
-    eyes, matrix = figure.pose(q, figure.gaze)
-    to = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), 0.1)
-    return 1.875 * float(np.arccos(np.clip(matrix[:, 0] @ to, -1.0, 1.0))) / _GLANCE
+    eyes, rotation = figure.pose(q, figure.gaze)
+    to_ball = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), _LEAST_DISTANCE)
+    angle = float(np.arccos(np.clip(rotation[:, 0] @ to_ball, -1.0, 1.0)))
+    return QUINTIC_PEAK_VELOCITY * angle / ACTING.glance_speed
 
 
-def rest_slices(figure: Figure, q: Array, *, gaze_target: Array | None = None) -> Slices[Motion]:
-    """Back to standing at ease, the feet where they are."""
-    start, stance = to_stance(figure, q)
+def return_to_rest(figure: Figure, q: Array, *, gaze_target: Array | None = None) -> Motion:
+    """Return the motion back to standing at ease, the feet where they are.
+
+    Args:
+        figure: The figure.
+        q: (nq,) where it begins.
+        gaze_target: (3,) where the figure looks, in the world. None: no wish.
+    """
+    start, stance = to_stance_frame(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
-    limit = np.minimum(0.6 * figure.speeds["daily"][6:], 2.5)
-    least = max(_LEAST, 1.875 * float((np.abs(difference) / limit).max()))
-    seen = None if gaze_target is None else in_stance_frame(stance, gaze_target)
-    least = max(least, glance_time(figure, start, seen))
+    limits = np.minimum(
+        ACTING.rest_joint_share * figure.speeds["daily"][6:], ACTING.rest_joint_speed
+    )
+    target = None if gaze_target is None else in_stance_frame(stance, gaze_target)
+    duration = max(
+        ACTING.least_time,
+        QUINTIC_PEAK_VELOCITY * float((np.abs(difference) / limits).max()),
+        glance_time(figure, start, target),
+    )
 
-    def look(rows: FrameRows, t: Array, duration: float) -> None:
-        if seen is not None:
-            _gaze(figure, rows, start, seen, t)
+    def add_rows(rows: FrameRows, t: Array, _duration: float) -> None:
+        if target is not None:
+            _add_glance(figure, rows, start, target, t, ACTING.glance_time)
 
-    arms = tuple(figure.hands)
-    way = _Way(figure, start, figure.home, 0.1, figure.stiffnesses(STIFF), 3.0, arms, look)
-    frames = yield from way.fastest(least)
-    return _standing(figure, "rest", frames, figure.center_at_home[:2], stance)
+    transfer = _Transfer(
+        figure=figure,
+        start=start,
+        goal=figure.home,
+        hold=0.1,
+        stiffness=figure.stiffnesses(STIFFNESS),
+        trunk_weight=3.0,
+        arms=tuple(figure.hands),
+        add_rows=add_rows,
+    )
+    frames = transfer.fastest(duration)
+    return _standing_motion(figure, "rest", frames, figure.center_at_home[:2], stance)
 
 
-def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
-    """(n, 3, 3) from one rotation to another along the shortest arc."""
-    vector = rotation_log(matrix_to_quat(end @ start.T))
-    return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
+def reach_ball(
+    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None
+) -> Motion:
+    """Return the motion of a hand to a ball.
+
+    The posture is led to the pose at the end. The hand is drawn to the ball and not forced along a
+    line, because a line asks too much of the joints on the way.
+
+    Args:
+        figure: The figure.
+        q: (nq,) where it begins.
+        ball: (3,) the ball in the world.
+        arm: Side of the hand.
+        kind: ``reach`` stands upright, the hand on a nearly straight way. ``bend`` leans.
+        end: (nq,) pose at the ball, in the frame of the stance. Default: the pose is searched.
+    """
+    start, stance = to_stance_frame(figure, q)
+    ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
+    hand = figure.pose(start, figure.hands[arm])[0]
+    goal = find_pose(figure, ball, arm, kind).q if end is None else end
+    trunk_up = figure.pose(goal, figure.trunk)[1][2, 2]
+
+    # A straight way of the hand while the trunk leans would straighten elbow and knees.
+    is_upright = kind == REACH and trunk_up > ACTING.upright
+    difference = figure.robot.difference(start, goal)[6:]
+    largest_speed = np.inf if is_upright else ACTING.bend_joint_speed
+    limits = np.minimum(ACTING.reach_joint_speed * figure.speeds["daily"][6:], largest_speed)
+    hand_speed = ACTING.reach_speed if is_upright else ACTING.bend_speed
+    duration = max(
+        ACTING.least_time,
+        QUINTIC_PEAK_VELOCITY * float(np.linalg.norm(ball - hand)) / hand_speed,
+        QUINTIC_PEAK_VELOCITY * float((np.abs(difference) / limits).max()),
+        glance_time(figure, start, ball),
+    )
+
+    def add_rows(rows: FrameRows, t: Array, duration: float) -> None:
+        if is_upright:
+            s = minimum_jerk(t / duration)
+            weight = 30.0 * 10.0 ** (2 * s)
+            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], weight)
+            _add_glance(figure, rows, start, ball, t, within=0.6)
+        else:
+            share = minimum_jerk((t / duration - ACTING.late) / (1 - ACTING.late))
+            rows.position(figure.hands[arm], ball, ACTING.late_weight * share)
+            _add_glance(figure, rows, start, ball, t, within=0.7 * duration)
+
+    transfer = _Transfer(
+        figure=figure,
+        start=start,
+        goal=goal,
+        hold=ACTING.hold,
+        stiffness=figure.stiffnesses(STIFFNESS | {"*hip_pitch": 1.0, "*knee_pitch": 1.0}),
+        trunk_weight=20.0 if is_upright else 3.0,
+        arms=(arm,),
+        add_rows=add_rows,
+    )
+    frames = transfer.fastest(duration)
+    return _standing_motion(figure, kind, frames, figure.center(goal)[:2], stance)
+
+
+def walk_motion(walk: Walk) -> Motion:
+    """Return a walk as a motion. It may be interrupted when both feet stand flat at its end."""
+    times = np.arange(1, len(walk.frames.q) + 1) * DT
+    return Motion(
+        action="walk",
+        q=walk.frames.q,
+        contact=walk.contact,
+        error=walk.frames.error,
+        zmp=walk.zmp,
+        interruptible=times > walk.strikes[-1] + 0.5,
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
-    """From a pose to another, the feet where they are."""
+class _Transfer:
+    """A motion from a pose to another, the feet where they are.
+
+    Attributes:
+        figure: The figure.
+        start: (nq,) first pose, in the frame of the stance.
+        goal: (nq,) pose to which posture, centre of mass and trunk are led.
+        hold: Time for which the goal is held, s.
+        stiffness: (nv,) weights of the posture.
+        trunk_weight: Weight of the rotation of the trunk.
+        arms: Sides of the arms whose elbows leave a body that they touch.
+        add_rows: Adds rows to the frames at times (n,), s, of a motion of a duration, s.
+    """
 
     figure: Figure
-    start: Array  # (nq,) seen from the feet
-    goal: Array  # (nq,) to which the posture, the centre of mass and the trunk are led
-    hold: float  # how long it is held, s
-    stiffness: Array  # (nv,) of the posture
-    upright: float  # weight of the trunk's rotation
-    arms: Sequence[str]  # whose elbows go away from a body that they touch
-    # Adds further rows for frames at times (n,), s, of a motion that takes so long, s.
-    add: Callable[[FrameRows, Array, float], None]
+    start: Array
+    goal: Array
+    hold: float
+    stiffness: Array
+    trunk_weight: float
+    arms: Sequence[str]
+    add_rows: Callable[[FrameRows, Array, float], None]
 
-    def fastest(self, duration: float) -> Slices[Frames]:
-        """In a duration, s, or the least that keeps balance and in which no bodies touch; or the best try."""
+    def fastest(self, duration: float) -> Frames:
+        """Return the frames of the shortest duration that keeps balance and touches no body.
+
+        Args:
+            duration: Duration of the first try, s.
+
+        Returns:
+            The best try, if none keeps balance without a self-contact.
+        """
         best: Frames | None = None
-        most, abduction = (False, False, -np.inf), 0.0
-        for _ in range(_TRIES):
-            frames, inside, steady = yield from self._try(duration, abduction)
-            touching = touches_itself(self.figure, frames.q[::_CHECK_EVERY])
-            good = not touching, steady, inside
-            if best is None or good > most:
-                best, most = frames, good
-            if steady and not touching:
+        best_rating = (False, False, -np.inf)
+        abduction = 0.0
+        for _ in range(ACTING.tries):
+            frames, margin, is_steady = self._try(duration, abduction)
+            touches = touches_itself(self.figure, frames.q[:: ACTING.check_every])
+            rating = (not touches, is_steady, margin)
+            if best is None or rating > best_rating:
+                best = frames
+                best_rating = rating
+            if is_steady and not touches:
                 break
-            duration *= 1.0 if steady else _SLOWER
-            abduction += _AWAY if touching else 0.0
+            if not is_steady:
+                duration *= ACTING.slower
+            if touches:
+                abduction += ACTING.elbow_away
         if best is None:
             raise RuntimeError("no duration was tried")
         return best
 
-    def _try(self, duration: float, abduction: float) -> Slices[tuple[Frames, float, bool]]:
-        """Frames whose zero-moment point, by the whole body's dynamics, is where the weight was led.
+    def _try(self, duration: float, abduction: float) -> tuple[Frames, float, bool]:
+        """Return frames whose zero-moment point follows the planned centre of mass.
 
-        And how far inside the soles that point stays, m, and whether it is slow enough.
+        Args:
+            duration: Duration of the way, s.
+            abduction: Angle of the elbows away from the body in the middle of the way, rad.
+
+        Returns:
+            The frames, the least distance of the zero-moment point from the border of the soles,
+            m, and whether the motion keeps balance and is not abrupt.
         """
-        figure, start, goal = self.figure, self.start, self.goal
+        figure = self.figure
         t = np.arange(1, round((duration + self.hold) / DT) + 1, dtype=np.float64) * DT
         s = minimum_jerk(t / duration)
-        away = abduction * 16 * (s * (1 - s)) ** 2  # on the way, elbows from the body
+        away = abduction * 16 * (s * (1 - s)) ** 2
         rolls = {f"{side}_shoulder_roll": away for side in self.arms}
-        aside = figure.posture(rolls, np.zeros((len(s), figure.robot.nq)))
-        posture = start + (goal - start) * s[:, None] + aside
-        trunk = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
-        here, there = figure.center(start)[:2], figure.center(goal)[:2]
-        center = point = here + (there - here) * s[:, None]
+        elbows = figure.posture(rolls, np.zeros((len(s), figure.robot.nq)))
+        posture = self.start + (self.goal - self.start) * s[:, None] + elbows
+        first_rotation = figure.pose(self.start, figure.trunk)[1]
+        last_rotation = figure.pose(self.goal, figure.trunk)[1]
+        first_center = figure.center(self.start)[:2]
+        last_center = figure.center(self.goal)[:2]
+        planned = first_center + (last_center - first_center) * s[:, None]
+        center = planned
         normal, offset = support(figure)
         omega2 = np.full(len(t), GRAVITY / figure.center_at_home[2])
-        for left in reversed(range(_ROUNDS)):
+        for remaining_rounds in reversed(range(ACTING.rounds)):
             rows = FrameRows(figure, len(t))
-            rows.feet(figure.feet_at(start))
+            rows.feet(figure.feet_at(self.start))
             rows.center(center, axes="xy")
-            rows.orientation(figure.trunk, _interpolated_rotation(*trunk, s), self.upright)
-            self.add(rows, t, duration)
-            frames = yield from rows.slices(posture, self.stiffness, start)
-            found, _ = yield from zero_moment_slices(figure, frames.q)
-            inside = float((found[1:-1] @ normal.T - offset).min())
-            if inside >= _INSIDE or not left:
+            trunk = _interpolated_rotations(first_rotation, last_rotation, s)
+            rows.orientation(figure.trunk, trunk, self.trunk_weight)
+            self.add_rows(rows, t, duration)
+            frames = rows.solve(posture, self.stiffness, self.start)
+            points, _ = zero_moment_points(figure, frames.q)
+            margin = float((points[1:-1] @ normal.T - offset).min())
+            if margin >= ACTING.inside or not remaining_rounds:
                 break
-            error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / DT)
-            error[:2], error[-2:] = 0.0, 0.0
+            largest = ACTING.largest_error
+            error = smooth(np.clip(points - planned, -largest, largest), ACTING.error_time / DT)
+            error[:2] = 0.0
+            error[-2:] = 0.0
             center = center + compensate(error, omega2)
-        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / DT  # of a joint's speed
-        yield
-        return frames, inside, inside >= 0.0 and change <= _ABRUPT
+        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / DT
+        return frames, margin, margin >= 0.0 and change <= ACTING.abrupt
 
 
-def take_slices(
-    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None
-) -> Slices[Motion]:  # fmt: skip
-    """The hand to a ball, a few milliseconds at a time.
-
-    The end is solved for first, and the posture led there: a hand that must follow its line asks too much of
-    the joints on the way; this one is drawn to it.
-
-    Args:
-        figure: Who.
-        q: (nq,) where it begins.
-        ball: (3,) in the world.
-        arm: Which hand.
-        kind: ``reach``: standing, along a nearly straight line of least jerk; ``bend``: hips back.
-        end: (nq,) the pose at the ball, seen from the feet (``Abilities.pose``); default: searched for.
-    """
-    start, stance = to_stance(figure, q)
-    ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
-    hand = figure.pose(start, figure.hands[arm])[0]
-    goal = find_pose(figure, ball, arm, kind).q if end is None else end
-    # A hand that is led along a line while the trunk leans far straightens elbow and knees on the way.
-    upright = kind == REACH and figure.pose(goal, figure.trunk)[1][2, 2] > _UPRIGHT
-    difference = figure.robot.difference(start, goal)[6:]
-    limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
-    slowest = 1.875 * float((np.abs(difference) / limit).max())
-    length = float(np.linalg.norm(ball - hand))
-
-    def lead(rows: FrameRows, t: Array, duration: float) -> None:
-        if upright:
-            s = minimum_jerk(t / duration)
-            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-        else:  # the last millimetres
-            last = minimum_jerk((t / duration - _LATE) / (1 - _LATE))
-            rows.position(figure.hands[arm], ball, _CLOSE * last)
-        _gaze(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
-
-    # Of a minimum-jerk path: its peak speed is 15/8 of the mean.
-    straight = 1.875 * length / (_REACH_SPEED if upright else _BEND_SPEED)
-    least = max(_LEAST, straight, slowest, glance_time(figure, start, ball))
-    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
-    held = 20.0 if upright else 3.0
-    frames = yield from _Way(figure, start, goal, _HOLD, stiff, held, (arm,), lead).fastest(least)
-    return _standing(figure, kind, frames, figure.center(goal)[:2], stance)
-
-
-take = at_once(take_slices)
-
-
-def walk_motion(found: Walk) -> Motion:
-    """A walk as a motion; it may be left when both feet stand flat."""
-    done = np.arange(1, len(found.frames.q) + 1) * DT > found.strikes[-1] + 0.5
-    return Motion("walk", found.frames.q, found.contact, found.frames.error, found.zmp, done)
-
-
-def join(figure: Figure, second: Array, first: Array, motion: Motion) -> Motion:
-    """``motion`` after another that was at ``second`` and then at ``first`` (nq,), without a jump.
-
-    Where the old motion would go on to, less where the new one is, decays joint by joint with its speed; the
-    feet are pinned again to what the new motion says.
-    """
-    n = min(len(motion), round(BLEND / DT) + 3)
-    speed = figure.robot.difference(second, first) / DT
-    predicted = figure.robot.integrate(first, speed * DT)
-    gap = figure.robot.difference(motion.q[0], predicted)
-    own = figure.robot.difference(motion.q[0], motion.q[1]) / DT if len(motion) > 1 else 0 * speed
-    if n < 2 or max(np.abs(speed - own).max(), np.abs(gap).max()) < 1e-3:
-        return motion
-    t = np.arange(n, dtype=np.float64) * DT
-    offset = decay(gap, speed - own, BLEND)(t)
-    for foot in figure.feet.values():  # toes on the floor: what little they are off would press them into it
-        if foot.toes is not None and abs(gap[foot.toes[1]]) < 0.1:
-            offset[:, foot.toes[1]] = 0.0
-    wanted = np.array(list(map(figure.robot.integrate, motion.q[:n], offset)))
-    rows = FrameRows(figure, n)
-    rows.feet({side: figure.poses(motion.q[:n], foot.frame) for side, foot in figure.feet.items()})
-    center = np.array([figure.center(row) for row in motion.q[:n]])
-    was, its = (figure.center(first) - figure.center(second)) / DT, (center[1] - center[0]) / DT
-    shift = decay(figure.center(first) + was * DT - center[0], was - its, BLEND)(t)
-    rows.center(center + shift, axes="xy")
-    rows.orientation(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
-    frames = rows.solve(
-        wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds
-    )
-    q, error = motion.q.copy(), motion.error.copy()
-    q[:n], error[:n] = frames.q, frames.error
-    return replace(motion, q=q, error=error)
-
-
-def stop_walk(figure: Figure, found: Walk, frame: int) -> Slices[Walk]:
-    """A walk that begins as another and ends with the step in hand, a short one and the closing one.
-
-    The feet move as they did until the step in hand is over, so that the other walk may be left at any frame
-    until then: only the centre of mass goes over into its new plan (``join``).
-
-    Args:
-        figure: Who walks.
-        found: The walk.
-        frame: The last frame that is shown of it.
-    """
-    now = (frame + 1) * DT
-    landing = next((k for k, strike in enumerate(found.strikes) if strike > now), len(found.strikes))
-    keep = landing + 3  # the two where it stood, those that landed, and the one that swings
-    prints = list(found.prints)
-    if keep + 2 < len(prints):
-        # Three quarters of the next step, from where the same foot stood; the other foot comes beside it.
-        a, b, share = prints[keep - 2], prints[keep], 0.75
-        x, y, yaw = a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.yaw + (b.yaw - a.yaw) * share
-        apart = (1 - 2 * b.side) * 2 * figure.apart
-        beside = (x + apart * np.sin(yaw), y - apart * np.cos(yaw), yaw)
-        prints = [*prints[:keep], Footprint(b.side, x, y, yaw), Footprint(prints[keep - 1].side, *beside)]
-    return (yield from walk_slices(figure, found.start, prints, found.gait))
-
-
-def rest_of(motion: Motion, frame: int) -> Motion:
-    """The frames from ``frame`` on."""
-    rows = {name: getattr(motion, name)[frame:] for name in ("q", "contact", "error", "zmp", "free")}
-    return replace(motion, **rows)
+def _interpolated_rotations(first: Array, last: Array, s: Array) -> Array:
+    """Return rotations (n, 3, 3) on the shortest arc between two, at shares ``s`` (n,)."""
+    vector = rotation_log(matrix_to_quat(last @ first.T))
+    return np.array([quat_to_matrix(rotation_exp(vector * share)) @ first for share in s])

@@ -1,25 +1,27 @@
-"""``Figure``: a model with feet and hands, and the shapes of its soles.
+"""``Figure``: a model with two feet that can stand, walk, reach and jump.
 
-Everything is found in the model and in the table ``[figure]`` of its ``robot.toml``; any model that names
-two feet there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0.
+All of it is read from the model and from the table ``[figure]`` of its ``robot.toml``. Every model
+whose table names two feet can walk. Angles are in rad and lengths in m. World axes have z up, and
+the floor is z = 0.
 """
 
 from __future__ import annotations
 
+import copy
 import functools
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cached_property
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError
 from robot_ik.figure.parts import figure_parts
+from robot_ik.figure.soles import Sole, rolling_sole
 from robot_ik.geometry import axis_rotations, quat_to_matrix
 from robot_ik.goals import mass_table
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
@@ -28,139 +30,111 @@ from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
 SIDES = ("left", "right")
+
 GRAVITY = 9.81
+"""m/s²."""
+
 RATE = 60.0
-"""Frames a second."""
+"""Frames per second."""
+
 DT = 1.0 / RATE
 """Time between two frames, s."""
 
-_PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
-_GEOM = mujoco.mjtGeom
-_Made = TypeVar("_Made")
-_More = ParamSpec("_More")
+_SAME_POINT = 1e-3
+"""Metres. Joints whose anchors are nearer than this rotate about one point."""
+
+_Value = TypeVar("_Value")
+_Arguments = ParamSpec("_Arguments")
 
 
-def once_each(
-    make: Callable[Concatenate[Figure, _More], _Made],
-) -> Callable[Concatenate[Figure, _More], _Made]:
-    """A function of a figure (and names, numbers) whose results the figure keeps."""
+def cached_per_figure(
+    compute: Callable[Concatenate[Figure, _Arguments], _Value],
+) -> Callable[Concatenate[Figure, _Arguments], _Value]:
+    """Cache the results of a function of a figure, names and numbers in the figure."""
 
-    @functools.wraps(make)
-    def kept(figure: Figure, /, *more: _More.args, **named: _More.kwargs) -> _Made:
-        key = (make, *more, *named.items())
-        if key not in figure.memory:
-            figure.memory[key] = make(figure, *more, **named)
-        found: _Made = figure.memory[key]
-        return found
+    @functools.wraps(compute)
+    def cached(figure: Figure, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Value:
+        key = (compute, *args, *kwargs.items())
+        if key not in figure.cache:
+            figure.cache[key] = compute(figure, *args, **kwargs)
+        value: _Value = figure.cache[key]
+        return value
 
-    return kept
+    return cached
 
 
 def in_stance_frame(stance: Array, point: Array) -> Array:
-    """A point (3,) of the world seen from a stance (x, y, heading)."""
+    """Return a world point (3,) in the frame of a stance (x, y, heading)."""
     return np.asarray(axis_rotations("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
-
-
-def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
-    """(k, a, 3) points of a geom, in its body's frame, one of which is its lowest: ends, corners.
-
-    A shape that lies on the floor touches it with all of them.
-
-    Args:
-        model: The model.
-        g: A sphere, capsule, ellipsoid, box or cylinder.
-        up: (a, 3) what is up, seen from the body.
-
-    Raises:
-        ModelError: A geom of another kind (a mesh has no exact lowest point here).
-    """
-    matrix, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
-    mujoco.mju_quat2Mat(matrix, model.geom_quat[g])
-    axes = matrix.reshape(3, 3)
-    down = -up @ axes
-    ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])[:, None]
-    if kind == _GEOM.mjGEOM_SPHERE:
-        local = size[0] * down[None]
-    elif kind == _GEOM.mjGEOM_CAPSULE:
-        local = size[0] * down + ends
-    elif kind == _GEOM.mjGEOM_ELLIPSOID:
-        local = (size**2 * down / np.linalg.norm(size * down, axis=1, keepdims=True))[None]
-    elif kind == _GEOM.mjGEOM_BOX:
-        corners = size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
-        local = np.broadcast_to(corners[:, None], (8, len(up), 3))
-    elif kind == _GEOM.mjGEOM_CYLINDER:
-        flat = down * [1.0, 1.0, 0.0]
-        local = size[0] * flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12) + ends
-    else:
-        raise ModelError(
-            f"the foot's shape {model.geom(g).name!r} is no sphere, capsule, ellipsoid, box or cylinder",
-            hint="give the foot simple collision shapes, and its mesh contype=0 conaffinity=0",
-        )
-    return np.asarray(model.geom_pos[g] + local @ axes.T)
-
-
-def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
-    """(a, g) heights and (a, g, 3) positions of the lowest points of geoms; as ``shape_points``."""
-    height, position = np.empty((len(up), len(geoms))), np.empty((len(up), len(geoms), 3))
-    rows = np.arange(len(up))
-    for index, g in enumerate(geoms):
-        points = shape_points(model, g, up)
-        heights = np.einsum("kai,ai->ka", points, up)
-        low = heights.argmin(axis=0)
-        height[:, index], position[:, index] = heights[low, rows], points[low, rows]
-    return height, position
-
-
-@dataclass(frozen=True)
-class Sole:
-    """How a foot rolls on a floor: its frame when the foot, pitched, stands on its lowest point."""
-
-    pitch: Array  # (a,) toes down positive
-    height: Array  # (a,) of the foot's frame over the floor
-    rolled: Array  # (a,) forward from flat: rolling without slip moves it by dx = h dθ
-    front: float  # x of the end of the flat part where the weight may stand, in the foot's frame
-    rear: float  # likewise
-
-    def stand(self, pitch: ArrayLike) -> tuple[Array, Array]:
-        """(forward, height) of the foot's frame at ``pitch``."""
-        at = np.asarray(pitch, dtype=float)
-        return np.interp(at, self.pitch, self.rolled), np.interp(at, self.pitch, self.height)
 
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it."""
+    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it.
 
-    frame: str  # on the sole under the ankle, x to the toes, z up
-    parts: tuple[tuple[int, tuple[int, ...]], ...]  # body and collision geoms of foot and toes
-    toes: tuple[int, int] | None  # index in q and in dq of their hinge, if there is one
-    sole: Sole  # how it rolls
-    thigh: float  # m
-    shank: float  # m
-    ankle: Array  # (3,) seen from the frame
-    hip: Array  # (3,) seen from the frame ``pelvis``
+    Attributes:
+        frame: Frame on the sole below the ankle, x to the toes and z up.
+        parts: Body and collision geoms of the foot and of its toes.
+        toes: Index of the toes' hinge in q and in dq. None for a foot without toes.
+        sole: How the foot rolls.
+        thigh: Length of the thigh, m.
+        shank: Length of the shank, m.
+        ankle: (3,) the ankle in the foot's frame, m.
+        hip: (3,) the hip in the frame of the pelvis, m.
+    """
+
+    frame: str
+    parts: tuple[tuple[int, tuple[int, ...]], ...]
+    toes: tuple[int, int] | None
+    sole: Sole
+    thigh: float
+    shank: float
+    ankle: Array
+    hip: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """What a figure is.  Made by ``load_figure``; never changes."""
+    """A model with the frames of a figure. ``load_figure`` makes it.
 
-    robot: Robot  # all joints active
-    hands: Mapping[str, str]  # frame of each by side; empty for a figure without arms
-    feet: Mapping[str, Foot]  # by side, left and right
-    gaze: str | None  # frame whose x axis looks
-    neck: tuple[str, ...]  # joints that may serve it
-    pelvis: str  # frame
-    trunk: str  # frame
-    home: Array  # (nq,) standing at ease
-    bent: Array  # (nq,) deeply bent
-    speeds: Mapping[str, Array]  # (nv,) joint speed limits, rad/s, by name of the set
-    apart: float  # half the distance of the feet at home
-    masses: Array = field(repr=False)  # (n + 1, 4) of ``goals.mass_table``
+    The description never changes. ``data`` and ``cache`` are memory of calculations, so one thread
+    uses a figure at a time. ``duplicate`` returns one for another thread.
+
+    Attributes:
+        robot: The robot. All its joints are active.
+        hands: Frame of each hand by side. Empty for a figure without arms.
+        feet: Feet by side, left and right.
+        gaze: Frame whose x axis looks, or None.
+        neck: Joints that may serve the gaze.
+        pelvis: Frame of the pelvis.
+        trunk: Frame of the trunk.
+        home: (nq,) standing at ease.
+        bent: (nq,) deeply bent.
+        speeds: (nv,) joint speed limits, rad/s, by name of the set.
+        half_width: Half the distance of the feet at home, m.
+        masses: (n + 1, 4) masses and centres of ``goals.mass_table``.
+        inertia: (n, 9) inertia of the nodes.
+        free_model: The model without contacts and joint limits, for inverse dynamics.
+        data: MuJoCo's data.
+        cache: Results of functions with ``cached_per_figure``.
+    """
+
+    robot: Robot
+    hands: Mapping[str, str]
+    feet: Mapping[str, Foot]
+    gaze: str | None
+    neck: tuple[str, ...]
+    pelvis: str
+    trunk: str
+    home: Array
+    bent: Array
+    speeds: Mapping[str, Array]
+    half_width: float
+    masses: Array = field(repr=False)
     inertia: Array = field(repr=False)
+    free_model: mujoco.MjModel = field(repr=False)
     data: mujoco.MjData = field(repr=False)
-    # Of ``once_each``; tables that solves fill in, too: one thread uses a figure at a time.
-    memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+    cache: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -169,18 +143,26 @@ class Figure:
 
     @property
     def mass(self) -> float:
-        """Of the whole body, kg."""
+        """Mass of the whole body, kg."""
         return float(self.masses[:, 0].sum())
 
+    def duplicate(self) -> Figure:
+        """Return the same figure with its own data and cache, for another thread."""
+        return replace(self, data=mujoco.MjData(self.model))
+
     def addresses(self, name: str) -> tuple[int, int]:
-        """Addresses of a hinge or slide in q and in dq."""
+        """Return the addresses of a hinge or slide in q and in dq."""
         node = self.robot.joints.index(name)
         return int(self.robot.tree.qadr[node]), int(self.robot.tree.vadr[node])
 
     def posture(self, angles: Mapping[str, float | Array], base: Array | None = None) -> Array:
-        """``base`` (nq,) or (n, nq), by default home, with some joints elsewhere: numbers, or (n,) each.
+        """Return a posture with some joints at other values.
 
-        Joints that the model does not have are left out: a figure without clavicles reaches without them.
+        Joints that the model does not have are ignored, so a figure without clavicles can reach.
+
+        Args:
+            angles: Values of joints by name: a number, or (n,) numbers for n frames.
+            base: (nq,) or (n, nq) values of the other joints. Default: home.
         """
         q = (self.home if base is None else base).copy()
         for name, value in angles.items():
@@ -189,200 +171,247 @@ class Figure:
         return q
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
-        """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
+        """Return posture weights (nv,) by patterns of joint names.
+
+        A later pattern replaces an earlier one. The weight of the free base is zero.
+        """
         return _stiffnesses(self, tuple(rows.items()))
 
-    def at(self, q: Array) -> mujoco.MjData:
-        """MuJoCo's data with all bodies where they are at ``q`` (nq,); good until the next call."""
+    def data_at(self, q: Array) -> mujoco.MjData:
+        """Return MuJoCo's data with the bodies at ``q`` (nq,), valid until the next call."""
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         return self.data
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
-        """(3,) position and (3, 3) rotation of a frame, by MuJoCo."""
-        positions, matrices = self.poses(q[None], frame)
-        return positions[0], matrices[0]
+        """Return position (3,) and rotation (3, 3) of a frame at ``q`` (nq,), by MuJoCo."""
+        positions, rotations = self.poses(q[None], frame)
+        return positions[0], rotations[0]
 
     def poses(self, q: Array, frame: str) -> tuple[Array, Array]:
-        """(n, 3) positions and (n, 3, 3) rotations of a frame in frames (n, nq)."""
-        at = self.robot.frame(frame)
-        position, matrix = np.empty((len(q), 3)), np.empty((len(q), 9))
+        """Return positions (n, 3) and rotations (n, 3, 3) of a frame at ``q`` (n, nq)."""
+        attached = self.robot.frame(frame)
+        positions = np.empty((len(q), 3))
+        matrices = np.empty((len(q), 9))
         for i, row in enumerate(q):
-            data = self.at(row)
-            position[i], matrix[i] = data.xpos[at.body], data.xmat[at.body]
-        matrices = matrix.reshape(-1, 3, 3)
-        return position + matrices @ at.local.position, matrices @ at.local.rotation
+            data = self.data_at(row)
+            positions[i] = data.xpos[attached.body]
+            matrices[i] = data.xmat[attached.body]
+        rotations = matrices.reshape(-1, 3, 3)
+        local = attached.local
+        return positions + rotations @ local.position, rotations @ local.rotation
 
     def feet_at(self, q: Array) -> dict[str, tuple[Array, Array]]:
-        """(3,) position and (3, 3) rotation of the feet at ``q`` (nq,), by side."""
+        """Return position (3,) and rotation (3, 3) of each foot at ``q`` (nq,), by side."""
         return {side: self.pose(q, foot.frame) for side, foot in self.feet.items()}
 
     @cached_property
     def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
-        """As ``feet_at``."""
+        """Poses of the feet at home, as ``feet_at``."""
         return self.feet_at(self.home)
 
     @cached_property
     def hands_at_home(self) -> dict[str, Array]:
-        """(3,) positions of the hands at home."""
+        """Positions (3,) of the hands at home, by side."""
         return {side: self.pose(self.home, frame)[0] for side, frame in self.hands.items()}
 
     @cached_property
     def center_at_home(self) -> Array:
-        """(3,) centre of mass at home."""
+        """Centre of mass (3,) at home."""
         return self.center(self.home)
 
     def center(self, q: Array) -> Array:
-        """(3,) centre of mass, by MuJoCo."""
-        mujoco.mj_comPos(self.model, self.at(q))
+        """Return the centre of mass (3,) at ``q`` (nq,), by MuJoCo."""
+        mujoco.mj_comPos(self.model, self.data_at(q))
         return np.array(self.data.subtree_com[0])
 
+    def centers(self, q: Array) -> Array:
+        """Return the centres of mass (n, 3) at ``q`` (n, nq), by MuJoCo."""
+        return np.array([self.center(row) for row in q])
+
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
-        """``q`` (nq,) moved as a whole: rotated about the world's origin by ``heading``, then shifted."""
+        """Return ``q`` (nq,) after a rotation about the world's z axis and a shift by x and y."""
         moved = q.copy()
         Displacement(x, y, heading).move(moved[:7])
         return moved
 
     def stance(self, q: Array) -> Array:
-        """(3,) x, y and heading of the middle between the feet."""
-        poses = list(self.feet_at(q).values())
-        middle = (poses[0][0] + poses[1][0]) / 2
-        forward = poses[0][1][:, 0] + poses[1][1][:, 0]
+        """Return x, y and heading (3,) of the middle between the feet."""
+        left, right = self.feet_at(q).values()
+        middle = (left[0] + right[0]) / 2
+        forward = left[1][:, 0] + right[1][:, 0]
         return np.array([middle[0], middle[1], np.arctan2(forward[1], forward[0])])
 
 
 def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
-    """A figure by catalogue name, by path, or of a robot.
+    """Return a figure by the catalogue name or the path of its model, or of a robot.
 
     Raises:
-        ModelError: It names no two feet, has no floating base, or joints other than hinges and slides.
-        UnknownRobotError, UnknownFrameError, UnknownJointError: With the close names.
+        ModelError: The model names no two feet, has no floating base, or has ball joints.
+        UnknownRobotError: No robot has that name.
+        UnknownFrameError: A frame of the table does not exist.
+        UnknownJointError: A joint of the table does not exist.
     """
     robot = name if isinstance(name, Robot) else load_robot(name)
     parts = figure_parts(robot)
     if parts is None or set(parts.feet) != set(SIDES):
         raise ModelError(
             f"{robot.name!r} is no figure: its robot.toml names no left and right foot",
-            path=robot.path, hint='add [figure] with feet = { left = "…", right = "…" }, pelvis and trunk',
-        )  # fmt: skip
+            path=robot.path,
+            hint='add [figure] with feet = { left = "…", right = "…" }, pelvis and trunk',
+        )
     kinds = robot.tree.kind
-    if robot.nq != robot.model.nq or kinds[0] != FREE or not np.isin(kinds[1:], (HINGE, SLIDE)).all():
+    is_complete = robot.nq == robot.model.nq and kinds[0] == FREE
+    if not is_complete or not np.isin(kinds[1:], (HINGE, SLIDE)).all():
         raise ModelError(
-            f"{robot.name!r} cannot move as a figure: it needs a free base and hinges that all move",
-            path=robot.path, hint="load it without `joints=`; split ball joints into hinges",
-        )  # fmt: skip
-    feet = {side: _foot(robot, parts.feet[side], parts.pelvis) for side in SIDES}
-    bent = robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy()
+            f"{robot.name!r} cannot move as a figure: it needs a free base and hinges that all "
+            "move",
+            path=robot.path,
+            hint="load it without `joints=`; split ball joints into hinges",
+        )
     left, right = (float(robot.forward(robot.home, parts.feet[side]).position[1]) for side in SIDES)
+    speeds = {"daily": np.full(robot.nv, np.inf)}
+    for key, rows in robot.file.speeds.items():
+        speeds[key] = _values_by_pattern(robot, rows, np.inf)
     return Figure(
         robot=robot,
         hands={side: parts.hands[side] for side in SIDES if side in parts.hands},
-        feet=feet,
+        feet={side: _foot(robot, parts.feet[side], parts.pelvis) for side in SIDES},
         gaze=parts.gaze,
         neck=parts.neck,
         pelvis=parts.pelvis,
         trunk=parts.trunk,
         home=robot.home.copy(),
-        bent=bent,
-        speeds={"daily": np.full(robot.nv, np.inf)}
-        | {key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()},
-        apart=abs(left - right) / 2,
+        bent=robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy(),
+        speeds=speeds,
+        half_width=abs(left - right) / 2,
         masses=mass_table(robot),
         inertia=_inertia_table(robot),
+        free_model=_without_contacts_and_limits(robot.model),
         data=mujoco.MjData(robot.model),
-    )  # fmt: skip
+    )
 
 
-@once_each
+@cached_per_figure
 def _stiffnesses(figure: Figure, rows: tuple[tuple[str, float], ...]) -> Array:
-    return _by_pattern(figure.robot, dict(rows), 0.0)
+    return _values_by_pattern(figure.robot, dict(rows), 0.0)
 
 
-def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
-    """(nv,) values of joints by patterns of their names, a later pattern wins; ``free`` for the base."""
-    found = np.full(robot.nv, free)
+def _values_by_pattern(robot: Robot, rows: Mapping[str, float], base_value: float) -> Array:
+    """Return values (nv,) of joints by patterns of their names; a later pattern wins."""
+    values = np.full(robot.nv, base_value)
     for node, name in enumerate(robot.joints):
-        if robot.tree.kind[node] != FREE:
-            for pattern, value in rows.items():
-                if fnmatch(name, pattern):
-                    found[robot.tree.vadr[node]] = value
-    return found
+        if robot.tree.kind[node] == FREE:
+            continue
+        for pattern, value in rows.items():
+            if fnmatch(name, pattern):
+                values[robot.tree.vadr[node]] = value
+    return values
+
+
+def _without_contacts_and_limits(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model whose inverse dynamics has no contact and no limit forces."""
+    free = copy.copy(model)
+    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    return free
 
 
 def _inertia_table(robot: Robot) -> Array:
     """Return the inertia (n, 9) of each node about its centre of mass, in its axes, row by row."""
-    model, mass = robot.model, mass_table(robot)[: robot.tree.size]
-    whole = np.zeros((robot.tree.size, 3, 3))
+    model = robot.model
+    masses = mass_table(robot)[: robot.tree.size]
+    total = np.zeros((robot.tree.size, 3, 3))
     for body in range(1, model.nbody):
         node, local = robot.attachment(body)
         if node < 0:
             continue
         rotation = local[3:].reshape(3, 3)
-        away = local[:3] + rotation @ model.body_ipos[body] - mass[node, 1:]
+        offset = local[:3] + rotation @ model.body_ipos[body] - masses[node, 1:]
         axes = rotation @ quat_to_matrix(model.body_iquat[body])
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
-        whole[node] += inertia + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
-    return whole.reshape(-1, 9)
+        steiner = offset @ offset * np.eye(3) - np.outer(offset, offset)
+        total[node] += inertia + model.body_mass[body] * steiner
+    return total.reshape(-1, 9)
 
 
 def _foot(robot: Robot, frame: str, pelvis: str) -> Foot:
-    model, data = robot.model, mujoco.MjData(robot.model)
+    """Return the foot of a frame.
+
+    Raises:
+        ModelError: The foot has no shape, or its leg has no hip, knee and ankle.
+    """
+    model = robot.model
+    data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     body = robot.frame(frame).body
-    below = [b for b in range(model.nbody) if model.body_parentid[b] == body and model.body_jntnum[b] == 1]
-    parts = tuple(
-        (b, tuple(g for g in range(model.ngeom) if model.geom_bodyid[g] == b and model.geom_contype[g]))
-        for b in (body, *below[:1])
-    )
-    if not parts[0][1]:
+    toe_bodies = [
+        child
+        for child in range(model.nbody)
+        if model.body_parentid[child] == body and model.body_jntnum[child] == 1
+    ]
+    parts = tuple((part, _collision_geoms(model, part)) for part in (body, *toe_bodies[:1]))
+    geoms = parts[0][1]
+    if not geoms:
         raise ModelError(f"the foot {frame!r} has no collision shape", path=robot.path)
     toes = None
-    if below:
-        joint = int(model.body_jntadr[below[0]])
-        toes = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    position, matrix = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
+    if toe_bodies:
+        joint = int(model.body_jntadr[toe_bodies[0]])
+        toes = (int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint]))
+
+    position = np.array(robot.frame(frame).local.position)
+    rotation = np.asarray(robot.frame(frame).local.rotation)
     leg = rotation_points(model, data, body, robot.frame(pelvis).body)
     if len(leg) != 3:
         raise ModelError(
             f"the leg of {frame!r} rotates about {len(leg)} points, not about hip, knee and ankle"
         )
     ankle, knee, hip = leg
-    foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-    at = robot.measure(model.qpos0, pelvis).position
+    foot_position = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
+    pelvis_position = robot.measure(model.qpos0, pelvis).position
     return Foot(
-        frame, parts, toes, _sole(model, parts[0][1], position, np.asarray(matrix)),
-        float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
-    )  # fmt: skip
+        frame=frame,
+        parts=parts,
+        toes=toes,
+        sole=rolling_sole(model, geoms, position, rotation),
+        thigh=float(np.linalg.norm(hip - knee)),
+        shank=float(np.linalg.norm(knee - ankle)),
+        ankle=ankle - foot_position,
+        hip=hip - pelvis_position,
+    )
+
+
+def _collision_geoms(model: mujoco.MjModel, body: int) -> tuple[int, ...]:
+    """Return the geoms of a body that collide."""
+    return tuple(
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] == body and model.geom_contype[geom]
+    )
 
 
 def rotation_points(model: mujoco.MjModel, data: mujoco.MjData, body: int, top: int) -> list[Array]:
-    """The points (3,), world, about which the joints of a limb rotate, from its last body up to ``top``."""
-    found: list[Array] = []
-    for part in chain(model, body, top):
+    """Return the world points (3,) about which the joints of a limb rotate.
+
+    Args:
+        model: The model.
+        data: Data with the bodies at the pose.
+        body: Last body of the limb; its points come first.
+        top: Body at which the limb begins; its joints are not included.
+    """
+    points: list[Array] = []
+    for part in bodies_between(model, body, top):
         first = int(model.body_jntadr[part])
         for anchor in data.xanchor[first : first + int(model.body_jntnum[part])]:
-            if not any(np.linalg.norm(anchor - other) < 1e-3 for other in found):
-                found.append(anchor.copy())
-    return found
+            if not any(np.linalg.norm(anchor - point) < _SAME_POINT for point in points):
+                points.append(anchor.copy())
+    return points
 
 
-def chain(model: mujoco.MjModel, body: int, top: int) -> list[int]:
-    """A body and those above it, below ``top``."""
-    found = []
+def bodies_between(model: mujoco.MjModel, body: int, top: int) -> list[int]:
+    """Return a body and its ancestors below ``top``."""
+    bodies = []
     while body not in (0, top):
-        found.append(body)
+        bodies.append(body)
         body = int(model.body_parentid[body])
-    return found
-
-
-def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], position: Array, matrix: Array) -> Sole:
-    """``position`` and ``matrix``: the foot's frame in its body."""
-    up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ matrix.T
-    lowest, points = lowest_points(model, list(geoms), up)
-    height = up @ position - lowest.min(axis=1)
-    steps = (height[1:] + height[:-1]) / 2 * np.diff(_PITCHES)
-    rolled = np.concatenate([[0.0], np.cumsum(steps)])
-    flat = int(np.abs(_PITCHES).argmin())
-    # Where the sole ends: the lowest points just before and behind flat.
-    ends = [float(((points[i, lowest[i].argmin()] - position) @ matrix)[0]) for i in (flat - 8, flat + 8)]
-    return Sole(_PITCHES, height, rolled - rolled[flat], front=ends[1], rear=ends[0])
+    return bodies

@@ -1,11 +1,11 @@
-"""Frames of a figure's whole body: what they shall do, row by row, solved a few at a time."""
+"""Frames of a figure's whole body: constraints row by row, solved frame by frame."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,172 +16,266 @@ from robot_ik.kernels.block import Block
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.ports import Array
 
-# Work that is done a little at a time yields between its parts and returns its result.
-_Result = TypeVar("_Result")
-_Given = ParamSpec("_Given")
-Slices = Generator[None, None, _Result]
-SLICE, _STEPS = 60, 8
-"""Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
-_REST, _CLOSE = 1e-3, 1e-6
-"""A step shorter than the first (rad, m) is a frame's last if its hard rows are as close as the second."""
+_MAX_STEPS = 8
+"""Usual limit of steps per frame."""
+
+_REST_STEP = 1e-3
+"""A step shorter than this (rad, m) is the last of a frame whose hard rows are met."""
+
+_HARD_TOLERANCE = 1e-6
+"""Error (m, rad) at which a hard row counts as met."""
 
 
-def finished(slices: Slices[_Result]) -> _Result:
-    """The result of work in slices, done at once."""
-    while True:
-        try:
-            next(slices)
-        except StopIteration as end:
-            return cast(_Result, end.value)
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One constraint in all frames, as ``kernels.whole_body`` reads it.
 
+    Attributes:
+        kind: What the row constrains.
+        node: Node of the frame. -1 for the whole body.
+        local: (12,) pose of the frame in its node: position and rotation matrix.
+        axes: Bits of the axes that count.
+        share: (nv,) 1 for joints that serve the row, 0 for the others.
+        target: (frames, 12) targets.
+        weight: (frames,) weights.
+    """
 
-def at_once(work: Callable[_Given, Slices[_Result]]) -> Callable[_Given, _Result]:
-    """Work in slices as a function that does all of it."""
-    return lambda *given, **options: finished(work(*given, **options))
+    kind: int
+    node: int
+    local: Array
+    axes: int
+    share: Array
+    target: Array
+    weight: Array
 
 
 class FrameRows:
-    """What a run of frames shall do: rows of ``kernels.whole_body``, frame by frame."""
+    """Constraints of a sequence of frames.
+
+    Args:
+        figure: The figure.
+        frames: Number of frames.
+    """
 
     def __init__(self, figure: Figure, frames: int) -> None:
-        self.figure, self.frames = figure, frames
-        # Of each row its kind, node, local, axes and share, as the kernel has them, its targets and weights.
-        self._rows: list[tuple[int, int, Array, int, Array, Array, Array]] = []
+        self.figure = figure
+        self.frames = frames
+        self._rows: list[_Row] = []
 
     def _add(
-        self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
+        self,
+        kind: int,
+        frame: str | None,
+        target: Array,
+        weight: ArrayLike,
+        axes: str = "xyz",
         joints: tuple[str, ...] = (),
-    ) -> None:  # fmt: skip
-        node, local = self.figure.robot.attachment(frame) if frame else (-1, np.zeros(12))
-        share = np.ones(self.figure.robot.nv)
+    ) -> None:
+        robot = self.figure.robot
+        node, local = robot.attachment(frame) if frame else (-1, np.zeros(12))
+        share = np.ones(robot.nv)
         if joints:
             share[:] = 0.0
             share[[self.figure.addresses(joint)[1] for joint in joints]] = 1.0
-        row = np.zeros((self.frames, 12))
-        row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
+        targets = np.zeros((self.frames, 12))
+        first = 3 if kind == whole_body.ROTATION else 0
+        targets[:, first:][:, : target.shape[-1]] = target
         bits = sum(1 << "xyz".index(axis) for axis in axes)
         weights = np.broadcast_to(np.asarray(weight, dtype=float), self.frames)
-        self._rows.append((kind, node, local, bits, share, row, weights))
+        self._rows.append(_Row(kind, node, local, bits, share, targets, weights))
 
-    def position(self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
-        """A frame's origin at (3,) or (n, 3)."""
+    def position(
+        self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz"
+    ) -> None:
+        """Constrain the origin of a frame to (3,) or (n, 3)."""
         self._add(whole_body.POSITION, frame, target, weight, axes)
 
     def orientation(self, frame: str, target: Array, weight: ArrayLike = HARD) -> None:
-        """A frame's rotation (3, 3) or (n, 3, 3)."""
+        """Constrain the rotation of a frame to (3, 3) or (n, 3, 3)."""
         self._add(whole_body.ROTATION, frame, target.reshape(*target.shape[:-2], 9), weight)
 
     def center(self, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
-        """The centre of mass at (3,) or (n, 3)."""
+        """Constrain the centre of mass to (3,) or (n, 3)."""
         self._add(whole_body.CENTER_OF_MASS, None, target, weight, axes)
 
     def aim(self, target: Array, weight: ArrayLike) -> None:
-        """The eyes, if there are any, at (3,) or (n, 3), by the neck where there is one: no trunk bends."""
+        """Aim the gaze at (3,) or (n, 3) with the joints of the neck.
+
+        A figure without a gaze gets no constraint. A figure without a neck uses all joints.
+        """
         if self.figure.gaze is not None:
             self._add(whole_body.AIM, self.figure.gaze, target, weight, joints=self.figure.neck)
 
     def momentum(self, weight: ArrayLike = HARD) -> None:
-        """No angular momentum about the centre of mass between a frame and the one before."""
+        """Constrain the angular momentum about the centre of mass between two frames to zero."""
         self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
 
     def feet(self, poses: Mapping[str, tuple[Array, Array]], weight: ArrayLike = HARD) -> None:
-        """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
-        for side, foot in self.figure.feet.items():
-            self.position(foot.frame, poses[side][0], weight)
-            self.orientation(foot.frame, poses[side][1], weight)
-
-    def slices(
-        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily",
-        steps: int = _STEPS,
-    ) -> Slices[Frames]:  # fmt: skip
-        """The frames, some at a time.
+        """Constrain the poses of both feet.
 
         Args:
-            posture: (nq,) or (n, nq) wanted where the rows leave freedom.
+            poses: By side, position (3,) or (n, 3) and rotation (3, 3) or (n, 3, 3).
+            weight: Weight of all these rows.
+        """
+        for side, foot in self.figure.feet.items():
+            position, rotation = poses[side]
+            self.position(foot.frame, position, weight)
+            self.orientation(foot.frame, rotation, weight)
+
+    def solve(
+        self,
+        posture: Array,
+        stiffness: Array,
+        start: Array,
+        second: Array | None = None,
+        *,
+        limits: tuple[Array, Array] | None = None,
+        speeds: str | None = "daily",
+        max_steps: int = _MAX_STEPS,
+    ) -> Frames:
+        """Solve the frames, one after the other.
+
+        Args:
+            posture: (nq,) or (n, nq) wanted posture where the rows leave freedom.
             stiffness: (nv,) or (n, nv) weights of the posture.
             start: (nq,) the frame before the first.
-            second: (nq,) the frame before that; default: at rest.
-            limits: (nv,) lower and upper limits inside the model's.
-            speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
-            steps: Most steps a frame.
+            second: (nq,) the frame before ``start``. Default: the figure was at rest.
+            limits: (nv,) lower and upper limits inside those of the model.
+            speeds: Set of joint speed limits that every frame keeps. None: no speed limits.
+            max_steps: Largest number of steps per frame.
         """
-        each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
-        ready = self.prepare(posture, each[0], limits=limits, speeds=speeds)
-        n, nq = self.frames, self.figure.robot.nq
-        changes = np.flatnonzero((np.diff(each, axis=0) != 0.0).any(axis=1)) + 1
-        found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
-        before, here = np.array(start if second is None else second), np.array(start)
-        some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
-        cuts = sorted({*range(0, n, some), *changes.tolist(), n})
-        for a, b in itertools.pairwise(cuts):
-            ready.body.arrays["stiffness"][:] = each[a]
-            ready.solve(found, a, b, here, before, steps, _REST, _CLOSE)
-            before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
-            if b < n and b % some == 0:
-                yield
-        return found
+        stiffnesses = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
+        prepared = self.prepare(posture, stiffnesses[0], limits=limits, speeds=speeds)
+        count = self.frames
+        solved = Frames(
+            np.empty((count, self.figure.robot.nq)),
+            np.empty(count),
+            np.empty(count, dtype=np.int64),
+        )
+        last = np.array(start)
+        last_but_one = np.array(start if second is None else second)
 
-    solve = at_once(slices)
+        # One call of the kernel solves frames with equal stiffness.
+        changes = np.flatnonzero((np.diff(stiffnesses, axis=0) != 0.0).any(axis=1)) + 1
+        for first, end in itertools.pairwise([0, *changes.tolist(), count]):
+            prepared.body.arrays["stiffness"][:] = stiffnesses[first]
+            prepared.solve(
+                solved, first, end, last, last_but_one, max_steps, _REST_STEP, _HARD_TOLERANCE
+            )
+            last_but_one = solved.q[end - 2].copy() if end > first + 1 else last
+            last = solved.q[end - 1].copy()
+        return solved
 
     def prepare(
-        self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
+        self,
+        posture: Array,
+        stiffness: Array,
+        *,
+        limits: tuple[Array, Array] | None = None,
         speeds: str | None = "daily",
-    ) -> PreparedRows:  # fmt: skip
-        """The rows with their tables, for many solves; arguments as those of ``solve``."""
-        robot, groups = self.figure.robot, len(self._rows)
-        kind, node, local, axes, share, targets, weights = zip(*self._rows, strict=True)
+    ) -> PreparedRows:
+        """Return the rows with the memory of their solves. Arguments are those of ``solve``."""
+        robot = self.figure.robot
+        rows = self._rows
+        groups = len(rows)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
-        n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
-        sizes |= {"n": n, "b": n + 1, "k": max(3 * groups, robot.nv)}
-        given: dict[str, NDArray[Any] | Block] = {
+        no_limits = np.full(robot.nv, np.inf)
+        sizes = {
+            "g": groups,
+            "h": 3 * groups,
+            "nq": robot.nq,
+            "nv": robot.nv,
+            "n": robot.tree.size,
+            "b": robot.tree.size + 1,
+            "k": max(3 * groups, robot.nv),
+        }
+        inputs: dict[str, NDArray[Any] | Block] = {
             "tree": robot.tree.block,
             "masses": self.figure.masses,
-            "kind": np.array(kind, dtype=np.int64),
-            "node": np.array(node, dtype=np.int64),
-            "local": np.array(local).reshape(groups, 12),
-            "axes": np.array(axes, dtype=np.int64),
-            "share": np.array(share),
+            "kind": np.array([row.kind for row in rows], dtype=np.int64),
+            "node": np.array([row.node for row in rows], dtype=np.int64),
+            "local": np.array([row.local for row in rows]).reshape(groups, 12),
+            "axes": np.array([row.axes for row in rows], dtype=np.int64),
+            "share": np.array([row.share for row in rows]),
             "inertia": self.figure.inertia,
             "stiffness": np.array(stiffness, order="C"),
             "lower": lower,
             "upper": upper,
-            "stride": self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * DT,
+            "stride": self.figure.speeds.get(speeds or "", no_limits) * DT,
         }
         return PreparedRows(
-            whole_body.WHOLE_BODY.allocate(sizes, given),
-            np.ascontiguousarray(np.stack(targets, axis=1)),
-            np.ascontiguousarray(np.stack(weights, axis=1)),
+            whole_body.WHOLE_BODY.allocate(sizes, inputs),
+            np.ascontiguousarray(np.stack([row.target for row in rows], axis=1)),
+            np.ascontiguousarray(np.stack([row.weight for row in rows], axis=1)),
             np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
         )
 
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with the memory of their solves.  All of it may change between solves, in place."""
+    """Rows with the memory of their solves. All of it may be changed between solves, in place.
 
-    body: Block  # of ``WHOLE_BODY``: what the kernel writes is as the last step left it
-    target: Array  # (frames, groups, 12), in the order in which the rows were added
-    weight: Array  # (frames, groups)
-    posture: Array  # (frames, nq)
+    Attributes:
+        body: Memory of ``WHOLE_BODY``. After a solve it holds the state of the last step.
+        target: (frames, groups, 12) targets in the order in which the rows were added.
+        weight: (frames, groups) weights.
+        posture: (frames, nq) wanted postures.
+    """
+
+    body: Block
+    target: Array
+    weight: Array
+    posture: Array
 
     def solve(
-        self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
+        self,
+        solved: Frames,
+        first: int,
+        end: int,
+        last: Array,
+        last_but_one: Array,
+        max_steps: int,
+        rest_step: float,
+        hard_tolerance: float,
     ) -> None:
-        """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
-        self.body["max_steps"] = steps
-        self.body["rest"] = rest
-        self.body["close"] = close
+        """Write frames ``first`` to ``end - 1`` into ``solved``.
+
+        Args:
+            solved: Receives the frames.
+            first: First frame.
+            end: Frame after the last.
+            last: (nq,) the frame before the first.
+            last_but_one: (nq,) the frame before ``last``.
+            max_steps: Largest number of steps per frame.
+            rest_step: A shorter step is the last of a frame whose hard rows are met.
+            hard_tolerance: Error at which a hard row counts as met.
+        """
+        self.body["max_steps"] = max_steps
+        self.body["rest"] = rest_step
+        self.body["close"] = hard_tolerance
         whole_body.solve_frames(
-            self.body.address, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
-            found.q[a:b], here, before, found.error[a:b], found.steps[a:b],
-        )  # fmt: skip
+            self.body.address,
+            self.target[first:end].reshape(-1, 12),
+            self.weight[first:end],
+            self.posture[first:end],
+            solved.q[first:end],
+            last,
+            last_but_one,
+            solved.error[first:end],
+            solved.steps[first:end],
+        )
 
 
 @dataclass(frozen=True)
 class Frames:
-    """What ``FrameRows.solve`` found."""
+    """Solved frames.
 
-    q: Array  # (n, nq)
-    error: Array  # (n,) largest error of a hard row in each frame, m or rad
-    steps: NDArray[np.int64]  # (n,) steps taken
+    Attributes:
+        q: (n, nq) joint values.
+        error: (n,) largest error of a hard row in each frame, m or rad.
+        steps: (n,) steps taken.
+    """
+
+    q: Array
+    error: Array
+    steps: NDArray[np.int64]

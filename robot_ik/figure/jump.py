@@ -1,7 +1,8 @@
-"""The jump: crouch, push, flight with the palm on the ball at the apex, landing.
+"""The jump: crouch, push, flight with the palm at the ball at the apex, and landing.
 
-The centre of mass goes by quintics up to take-off and from landing, and by the parabola between; forwards
-it follows a zero-moment point from mid foot to the toes and back.  In flight there is no angular momentum.
+The centre of mass follows quintics until take-off and from landing on, and a parabola between. It
+moves forwards after a zero-moment point that goes from mid foot to the toes and back. In flight the
+angular momentum is zero.
 """
 
 from __future__ import annotations
@@ -12,73 +13,178 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.actions import Motion, glance_time, placed_motion, to_stance
-from robot_ik.figure.balance import monotone_curve, quintic, smooth, zero_moment_slices
-from robot_ik.figure.figure import DT, GRAVITY, SIDES, Figure, in_stance_frame, once_each
-from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
+from robot_ik.figure.actions import Motion, glance_time, placed_motion, to_stance_frame
+from robot_ik.figure.balance import zero_moment_points
+from robot_ik.figure.curves import monotone_curve, quintic, smooth
+from robot_ik.figure.figure import (
+    DT,
+    GRAVITY,
+    SIDES,
+    Figure,
+    cached_per_figure,
+    in_stance_frame,
+)
+from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import AIR, FLAT, TOE
-from robot_ik.figure.poses import STIFF, touches_itself
+from robot_ik.figure.poses import STIFFNESS, touches_itself
 from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
-TAKE_OFF = 2.6
-"""Fastest take-off of the centre of mass, m/s: trained men without run-up reach 2.4 to 2.9 (Bobbert et al.
-1996)."""
-_CROUCH, _READY, _STRETCH, _CALM = 0.18, 0.02, 0.015, 0.4
-"""How far the centre goes down before the push; how much lower than home it waits, for straight knees hold no
-height; what is left of the legs at take-off; m; and how long the body takes to turn upright after landing,
-s."""
-_PITCH_DEG, _LANDED, _ABSORB = 50.0, 0.85, 0.7
-"""Sole at take-off, and the share of it at landing; depth of the landing as a share of the push: deeper,
-ankles reach their limit before the heels are down."""
-_TUCK = 0.02
-"""How far the feet are drawn up in flight, m: feet drawn up, and an idle arm held up, leave the acting one
-less high over the centre of mass."""
-_LEAST = 1.7
-"""A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
-a bent arm."""
-_FINE = 0.002
-_CORRECTIONS = 3
-"""Rounds of the dynamics filter."""
-_EARLY, _LEFT = 0.12, 0.9
-"""The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
-_HEELS = 0.6
-"""Share of the absorption after which the heels are down."""
-_PULL, _YIELD, _LEAN = 6.7, 3.0, 0.5
-"""Powers of ten at the apex: by which the hand's weight has grown, and by which the feet and the trunk give
-way: a ball at the rim needs a body that leans."""
-_AFTER_TAKE_OFF, _BEFORE_LANDING = 0.08, 0.12
-"""Parts of the flight in which the feet are held, s."""
-_SOFT, _TIED, _TYING, _LOOSING = 0.04, 2.0, 0.15, 0.1
-"""What is free in a frame is tied to its neighbours, else legs and spine whip about the apex: rounds after
-the first are drawn in flight to the frames of the round before, smoothed over so long, s, and so strongly,
-more and more in so long before take-off, s, and less and less in so long before landing, s."""
-_WAYS = (0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9)
-"""Abduction of the other arm, rad, and by how much faster it jumps, m/s, so that the acting arm need
-not stretch over the head: the next of these where bodies touch."""
-_MIDDLE = 0.01
-"""Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
-crouch."""
+
+@dataclass(frozen=True)
+class JumpOptions:
+    """Numbers of a jump. Lengths in m, times in s.
+
+    Attributes:
+        fastest: Largest speed of the centre of mass at take-off, m/s. Trained men without run-up
+            reach 2.4 to 2.9 (Bobbert et al. 1996).
+        slowest: Least speed at take-off, m/s. A shorter flight leaves the arm too little time; a
+            lower ball is met with a bent arm.
+        crouch: Depth of the crouch below the waiting height.
+        ready_depth: Depth of the waiting height below home. Straight knees cannot hold a height.
+        leg_reserve: What the legs could still stretch at take-off.
+        ankle_distance: Position of the weight at rest, in front of the ankles. The hips are
+            behind, so that the heels stay on the floor in the crouch.
+        sole_deg: Pitch of the sole at take-off, degrees.
+        landing_pitch: Pitch of the sole at landing, as a share of that at take-off.
+        landing_depth: Depth of the landing as a share of the push. In a deeper landing the ankles
+            reach their limits before the heels are on the floor.
+        heels_down: Share of the landing after which the heels are on the floor.
+        calm: Time in which the trunk turns upright after landing.
+        wait_time: Duration of the transition to the waiting height.
+        crouch_time: Duration of the crouch.
+        rise_time: Longest duration of the rise after landing.
+        stand_time: Time at rest after the rise.
+        heel_rise: Share of the push before take-off in which the heels rise.
+        tuck: How far the feet are drawn up in flight. Feet drawn up leave the acting arm less high
+            above the centre of mass.
+        foot_hold_after: Time after take-off in which the feet are held.
+        foot_hold_before: Time before landing in which the feet are held.
+        swing_early: Time before the push at which the arms begin to swing forwards.
+        swing_left: Angle that the arms still have to go at take-off, rad.
+        hand_decades: Powers of ten by which the weight of the hand grows until the apex.
+        foot_decades: Powers of ten by which the weight of the feet falls until the apex. A body
+            that reaches a ball at the rim leans.
+        trunk_decades: Powers of ten by which the weight of the trunk falls until the apex.
+        corrections: Rounds in which the dynamics of the whole body correct the motion.
+        time_step: Time step of the integration of the centre of mass.
+        largest_error: Largest error of the zero-moment point that one round corrects.
+        feedback: Share of the error that later rounds correct.
+        error_time: Time over which errors of the zero-moment point are smoothed.
+        loaded: Share of the weight above which a zero-moment point counts.
+        tie_smooth: Rounds after the first are drawn in flight to the frames of the round before,
+            smoothed over this time. Without it legs and spine whip about the apex.
+        tie_stiffness: Stiffness of that pull.
+        tie_begin: Time before take-off in which the pull grows.
+        tie_end: Time before landing in which the pull fades.
+        ways: (abduction of the other arm in rad, additional speed in m/s). The next of them is
+            tried where bodies touch: the acting arm then need not stretch over the head.
+        gaze_weight: Weight of the gaze.
+    """
+
+    fastest: float = 2.6
+    slowest: float = 1.7
+    crouch: float = 0.18
+    ready_depth: float = 0.02
+    leg_reserve: float = 0.015
+    ankle_distance: float = 0.01
+    sole_deg: float = 50.0
+    landing_pitch: float = 0.85
+    landing_depth: float = 0.7
+    heels_down: float = 0.6
+    calm: float = 0.4
+    wait_time: float = 0.45
+    crouch_time: float = 0.5
+    rise_time: float = 0.7
+    stand_time: float = 0.3
+    heel_rise: float = 0.7
+    tuck: float = 0.02
+    foot_hold_after: float = 0.08
+    foot_hold_before: float = 0.12
+    swing_early: float = 0.12
+    swing_left: float = 0.9
+    hand_decades: float = 6.7
+    foot_decades: float = 3.0
+    trunk_decades: float = 0.5
+    corrections: int = 3
+    time_step: float = 0.002
+    largest_error: float = 0.25
+    feedback: float = 0.7
+    error_time: float = 0.02
+    loaded: float = 0.42
+    tie_smooth: float = 0.04
+    tie_stiffness: float = 2.0
+    tie_begin: float = 0.15
+    tie_end: float = 0.1
+    ways: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9))
+    gaze_weight: float = 6.0
+
+
+JUMPING = JumpOptions()
+"""The numbers of all jumps."""
+
+_MAX_STEPS = 20
+"""Largest number of solver steps per frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class JumpPlan:
-    """Times and heights of a jump, all in closed form."""
+    """Times and heights of a jump, in closed form. The figure stands at the origin.
+
+    Attributes:
+        figure: The figure.
+        ready: (nq,) pose in which it waits.
+        ball: (3,) the ball.
+        arm: Side of the acting hand.
+        speed: Speed of the centre of mass at take-off, m/s.
+        wait: Height of the centre of mass at the waiting height, m.
+        low: Height in the crouch, m.
+        high: Height at take-off, m.
+        landed: Height at the end of the landing, m.
+        ends: (6,) end of waiting, crouch, push, flight, landing and rise, s.
+        heel_time: Time before take-off in which the heels rise, s.
+        abduction: Angle of the other arm away from the trunk in flight, rad.
+    """
 
     figure: Figure = field(repr=False)
     ready: Array = field(repr=False)
     ball: Array
     arm: str
-    speed: float  # of the centre of mass at take-off, m/s
-    wait: float  # height of the centre at first, m
-    low: float  # in the crouch
-    high: float  # at take-off
-    landed: float  # when the landing is absorbed
-    ends: Array  # of waiting, crouch, push, flight, absorption and rising, s
-    rising: float  # from when on before take-off the heels rise, s
-    abduction: float  # of the other arm from the trunk in flight, rad
+    speed: float
+    wait: float
+    low: float
+    high: float
+    landed: float
+    ends: Array
+    heel_time: float
+    abduction: float
+
+    @property
+    def push_start(self) -> float:
+        """End of the crouch, s."""
+        return float(self.ends[1])
+
+    @property
+    def take_off(self) -> float:
+        """Time of take-off, s."""
+        return float(self.ends[2])
+
+    @property
+    def landing(self) -> float:
+        """Time at which the feet meet the floor, s."""
+        return float(self.ends[3])
+
+    @property
+    def landed_time(self) -> float:
+        """End of the landing, s."""
+        return float(self.ends[4])
+
+    @property
+    def end(self) -> float:
+        """End of the rise, s."""
+        return float(self.ends[5])
 
     @property
     def flight(self) -> float:
@@ -88,336 +194,544 @@ class JumpPlan:
     @property
     def apex(self) -> float:
         """Time of the apex, s."""
-        return float(self.ends[2]) + self.flight / 2
+        return self.take_off + self.flight / 2
 
     def height(self, t: Array) -> Array:
-        """(n,) height of the centre of mass."""
-        n, v = np.array, self.speed
-        d, e = self.high - self.low, self.high - self.landed
-        push, absorb = 1.5 * v * v / (2 * d), 1.35 * v * v / (2 * e)
-        spans = np.diff(np.concatenate([[0.0], self.ends]))
-        rest = (n(self.wait), n(0.0), n(0.0))
+        """Return heights (n,) of the centre of mass at times ``t`` (n,)."""
+        number = np.array
+        rest = (number(self.wait), number(0.0), number(0.0))
+        speed = self.speed
+        push = 1.5 * speed * speed / (2 * (self.high - self.low))
+        brake = 1.35 * speed * speed / (2 * (self.high - self.landed))
+        low = (number(self.low), number(0.0), number(push))
+        take_off = (number(self.high), number(speed), number(-GRAVITY))
+        touch_down = (number(self.high), number(-speed), number(-GRAVITY))
+        landed = (number(self.landed), number(0.0), number(brake))
+        starts = np.concatenate([[0.0], self.ends])
+        spans = np.diff(starts)
         pieces = [
             quintic(*rest, *rest, spans[0]),
-            quintic(*rest, n(self.low), n(0.0), n(push), spans[1]),
-            quintic(n(self.low), n(0.0), n(push), n(self.high), n(v), n(-GRAVITY), spans[2]),
-            np.array([0.0, 0.0, 0.0, -GRAVITY / 2, v, self.high]),
-            quintic(n(self.high), n(-v), n(-GRAVITY), n(self.landed), n(0.0), n(absorb), spans[4]),
-            quintic(n(self.landed), n(0.0), n(absorb), *rest, spans[5]),
+            quintic(*rest, *low, spans[1]),
+            quintic(*low, *take_off, spans[2]),
+            np.array([0.0, 0.0, 0.0, -GRAVITY / 2, speed, self.high]),
+            quintic(*touch_down, *landed, spans[4]),
+            quintic(*landed, *rest, spans[5]),
             quintic(*rest, *rest, 1.0),
         ]
-        starts = np.concatenate([[0.0], self.ends])
-        which = np.clip(np.searchsorted(self.ends, t, side="left"), 0, 6)
-        return np.array([np.polyval(pieces[k], u - starts[k]) for k, u in zip(which, t, strict=True)])
+        numbers = np.clip(np.searchsorted(self.ends, t, side="left"), 0, 6)
+        return np.array(
+            [np.polyval(pieces[k], time - starts[k]) for k, time in zip(numbers, t, strict=True)]
+        )
 
 
 def highest_take_off(figure: Figure) -> float:
-    """Height of the centre of mass at take-off: legs all but straight, heels up, m."""
-    wait = float(figure.center(figure.home)[2]) - _READY
-    return wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
+    """Return the height of the centre of mass at take-off, legs nearly straight and heels up, m."""
+    wait = float(figure.center(figure.home)[2]) - JUMPING.ready_depth
+    _, sole_height = figure.feet["left"].sole.stand(np.radians(JUMPING.sole_deg))
+    return wait + float(sole_height) - JUMPING.leg_reserve
 
 
-@once_each
+@cached_per_figure
 def forward_at_take_off(figure: Figure) -> float:
-    """How far before the middle of the feet the centre of mass takes off, m, in a jump of middling height."""
+    """Return how far in front of the middle of the feet the centre of mass takes off, m.
+
+    The jump is one of medium height.
+    """
     plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)
-    return float(_forward(plan, np.array([plan.apex]))[0][0])
+    return float(_forward_motion(plan, np.array([plan.apex]))[0][0])
 
 
-def plan_jump(figure: Figure, ball: Array, arm: str, speed: float, abduction: float = 0.0) -> JumpPlan:
-    """A jump of a figure at home in its own frame with that speed at take-off, m/s.
+def plan_jump(
+    figure: Figure, ball: Array, arm: str, speed: float, abduction: float = 0.0
+) -> JumpPlan:
+    """Return the plan of a jump of a figure at the origin.
+
+    Args:
+        figure: The figure.
+        ball: (3,) the ball.
+        arm: Side of the acting hand.
+        speed: Speed of the centre of mass at take-off, m/s.
+        abduction: Angle of the other arm away from the trunk in flight, rad.
 
     Raises:
-        InvalidGoalError: Faster than a man jumps.
+        InvalidGoalError: The speed is larger than that of the fastest jump.
     """
-    if not 0.0 < speed <= TAKE_OFF:
+    if not 0.0 < speed <= JUMPING.fastest:
         raise InvalidGoalError(
-            f"the ball at {ball[2]:.2f} m needs {speed:.2f} m/s at take-off, more than {TAKE_OFF} m/s",
-            hint="a lower ball",
+            f"the ball at {ball[2]:.2f} m needs {speed:.2f} m/s at take-off, more than "
+            f"{JUMPING.fastest} m/s",
+            hint="use a lower ball",
         )
-    speed = max(speed, _LEAST)
-    ready = _ready(figure)
+    speed = max(speed, JUMPING.slowest)
+    ready = _ready_pose(figure)
     wait = float(figure.center(ready)[2])
-    high = highest_take_off(figure) + wait - float(figure.center(figure.home)[2]) + _READY
-    crouch = _CROUCH * float(np.clip(speed / 2.0, 0.5, 1.0))
-    low, d = wait - crouch, high - wait + crouch
-    landed = high - _ABSORB * d
-    push, flight, absorb = 1.84 * d / speed, 2 * speed / GRAVITY, 1.76 * d / speed
+    home_height = float(figure.center(figure.home)[2])
+    high = highest_take_off(figure) + wait - home_height + JUMPING.ready_depth
+    crouch = JUMPING.crouch * float(np.clip(speed / 2.0, 0.5, 1.0))
+    way = high - wait + crouch
+    landed = high - JUMPING.landing_depth * way
+    push = 1.84 * way / speed
+    flight = 2 * speed / GRAVITY
+    landing = 1.76 * way / speed
     brake = 1.35 * speed**2 / (2 * (high - landed))
-    rise = min(0.7, float(np.sqrt(17 * (wait - landed) / brake)))  # longer overshoots: a0 <= 20 d / T²
-    ends = np.cumsum([0.45, 0.5, push, flight, absorb, rise])
-    return JumpPlan(figure, ready, ball, arm, speed, wait, low, high, landed, ends, 0.7 * push, abduction)
+    # A longer rise overshoots: the acceleration may be at most 20 times the way / T².
+    rise = min(JUMPING.rise_time, float(np.sqrt(17 * (wait - landed) / brake)))
+    return JumpPlan(
+        figure=figure,
+        ready=ready,
+        ball=ball,
+        arm=arm,
+        speed=speed,
+        wait=wait,
+        low=wait - crouch,
+        high=high,
+        landed=landed,
+        ends=np.cumsum([JUMPING.wait_time, JUMPING.crouch_time, push, flight, landing, rise]),
+        heel_time=JUMPING.heel_rise * push,
+        abduction=abduction,
+    )
 
 
-@once_each
-def _ready(figure: Figure) -> Array:
-    """Standing with slightly bent knees."""
-    rows = FrameRows(figure, 12)
+@cached_per_figure
+def _ready_pose(figure: Figure) -> Array:
+    """Return the pose (nq,) of standing with slightly bent knees."""
+    frames = 12
+    rows = FrameRows(figure, frames)
     home = figure.home
     rows.feet(figure.feet_at_home)
     center = figure.center(home)
-    share = minimum_jerk(np.linspace(0.1, 1, 12))[:, None]
-    goal = np.array([_MIDDLE, 0.0, center[2] - _READY])
+    share = minimum_jerk(np.linspace(0.1, 1, frames))[:, None]
+    goal = np.array([JUMPING.ankle_distance, 0.0, center[2] - JUMPING.ready_depth])
     rows.center(center + (goal - center) * share)
     rows.orientation(figure.trunk, np.eye(3), 40.0)
-    return rows.solve(home, figure.stiffnesses(STIFF), home, speeds=None).q[-1]
+    return rows.solve(home, figure.stiffnesses(STIFFNESS), home, speeds=None).q[-1]
 
 
-def _forward(plan: JumpPlan, times: Array, error: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
-    """At ``times`` (n,) the centre of mass forwards, and the zero-moment point that moves it; (n,) each.
+def _forward_motion(
+    plan: JumpPlan, times: Array, error: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
+    """Return the forward position of the centre of mass and its zero-moment point.
 
-    x'' = ω² (x − p), ω² = (g + z'') / z: at rest at take-off, after landing and at the end.  p goes from mid
-    foot to the toes and back, and bumps of it meet the end conditions, which are linear in their sizes.
-    ``error``: times and what the whole body's zero-moment point was off by.
+    They follow x'' = ω² (x − p) with ω² = (g + z'') / z, at rest at take-off, after landing and at
+    the end. The point p goes from mid foot to the toes and back. Bumps of p meet the conditions at
+    the ends, which are linear in the sizes of the bumps.
+
+    Args:
+        plan: The plan of the jump.
+        times: (n,) times, s.
+        error: Times (k,), and errors (k,) of the zero-moment point of the whole body at them.
+
+    Returns:
+        Two arrays (n,), m.
     """
-    T, dt = plan.ends, _FINE
-    t = np.arange(0, T[5] + 0.3, dt)
+    dt = JUMPING.time_step
+    t = np.arange(0, plan.end + 0.3, dt)
     z = plan.height(t)
-    w2 = (np.gradient(np.gradient(z, dt), dt) + GRAVITY) / z
-    off = np.zeros(len(t)) if error is None else np.interp(t, *error)
-    sole = plan.figure.feet["left"].sole
-    # On the toes when the heels are up: there is no other support.
-    toe = sole.front + (0.02 if plan.figure.feet["left"].toes else -0.017)
-    mid = _MIDDLE
-    out = np.zeros(len(t))
-    up, down, n = int(T[2] / dt), int(T[3] / dt), len(t)
+    omega2 = (np.gradient(np.gradient(z, dt), dt) + GRAVITY) / z
+    correction = np.zeros(len(t)) if error is None else np.interp(t, *error)
 
-    def bump(a: float, b: float) -> Array:
-        return 64 * (np.clip((t - a) / (b - a), 0, 1) * np.clip((b - t) / (b - a), 0, 1)) ** 3
+    # With the heels up the toes are the only support.
+    left_foot = plan.figure.feet["left"]
+    toe = left_foot.sole.front + (0.02 if left_foot.toes else -0.017)
+    middle = JUMPING.ankle_distance
+    position = np.zeros(len(t))
+    take_off = int(plan.take_off / dt)
+    landing = int(plan.landing / dt)
+    count = len(t)
 
-    def run(p: Array, x: float, i: int, j: int) -> tuple[float, float]:
-        v = 0.0
-        for k, (w, q) in enumerate(zip(w2[i:j].tolist(), p[i:j].tolist(), strict=True), start=i):
-            out[k] = x
-            v += w * (x - q) * dt
-            x += v * dt
-        return x, v
+    def bump(start: float, end: float) -> Array:
+        rising = np.clip((t - start) / (end - start), 0, 1)
+        falling = np.clip((end - t) / (end - start), 0, 1)
+        return 64 * (rising * falling) ** 3
 
-    p = mid + (toe - mid) * minimum_jerk((t - T[1]) / (T[2] - plan.rising * 0.7 - T[1])) - off
-    b = bump(T[0], T[2] - plan.rising)
-    v0, v1 = run(p, mid, 0, up)[1], run(p + b, mid, 0, up)[1]
-    size = -v0 / (v1 - v0)
-    x = run(p + size * b, mid, 0, up)[0]
-    out[up:down] = x
-    absorb = T[4] - T[3]
-    s = minimum_jerk((t - T[3] - 0.7 * _HEELS * absorb) / (0.6 * _HEELS * absorb))
-    early = bump(T[3] + 0.7 * _HEELS * absorb, T[5])
-    after = lambda a, m: toe * (1 - s) + m * s + a * early - off  # noqa: E731
-    residual = lambda a, m: np.array(run(after(a, m), x, down, n)) - [m, 0.0]  # noqa: E731
-    r0 = residual(0.0, 0.0)
-    sizes = np.linalg.solve(np.stack([residual(1.0, 0.0) - r0, residual(0.0, 1.0) - r0], axis=1), -r0)
-    residual(*sizes)
-    wanted = np.where(t < T[2], p + size * b, after(*sizes)) + off
-    return np.interp(times, t, out), np.interp(times, t, wanted)
+    def integrate(p: Array, x: float, first: int, end: int) -> tuple[float, float]:
+        """Write positions from ``first`` to ``end``; return the last position and speed."""
+        speed = 0.0
+        pairs = zip(omega2[first:end].tolist(), p[first:end].tolist(), strict=True)
+        for k, (w, point) in enumerate(pairs, start=first):
+            position[k] = x
+            speed += w * (x - point) * dt
+            x += speed * dt
+        return x, speed
+
+    # Until take-off one bump brings the speed to zero.
+    roll_time = plan.take_off - plan.heel_time * 0.7 - plan.push_start
+    p = middle + (toe - middle) * minimum_jerk((t - plan.push_start) / roll_time) - correction
+    push_bump = bump(float(plan.ends[0]), plan.take_off - plan.heel_time)
+    _, speed_without = integrate(p, middle, 0, take_off)
+    _, speed_with = integrate(p + push_bump, middle, 0, take_off)
+    size = -speed_without / (speed_with - speed_without)
+    x, _ = integrate(p + size * push_bump, middle, 0, take_off)
+    position[take_off:landing] = x
+
+    # From landing on a bump and the end point bring position and speed to rest.
+    heel_time = JUMPING.heels_down * (plan.landed_time - plan.landing)
+    s = minimum_jerk((t - plan.landing - 0.7 * heel_time) / (0.6 * heel_time))
+    landing_bump = bump(plan.landing + 0.7 * heel_time, plan.end)
+
+    def after_landing(bump_size: float, end_point: float) -> Array:
+        return toe * (1 - s) + end_point * s + bump_size * landing_bump - correction
+
+    def residual(bump_size: float, end_point: float) -> Array:
+        reached = integrate(after_landing(bump_size, end_point), x, landing, count)
+        return np.array(reached) - [end_point, 0.0]
+
+    without = residual(0.0, 0.0)
+    columns = [residual(1.0, 0.0) - without, residual(0.0, 1.0) - without]
+    bump_size, end_point = np.linalg.solve(np.stack(columns, axis=1), -without)
+    residual(bump_size, end_point)
+    is_before = t < plan.take_off
+    points = np.where(is_before, p + size * push_bump, after_landing(bump_size, end_point))
+    return np.interp(times, t, position), np.interp(times, t, points + correction)
 
 
-def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Pitch, height over the floor of the lowest point and contact of both feet."""
-    up, down, absorb = plan.ends[2], plan.ends[3], plan.ends[4] - plan.ends[3]
-    top = np.radians(_PITCH_DEG)
-    air = (t > up) & (t < down)
-    s = np.clip((t - up) / plan.flight, 0, 1)
-    rising = top * minimum_jerk((t - up + plan.rising) / plan.rising)
-    falling = _LANDED * top * (1 - minimum_jerk((t - down) / (_HEELS * absorb)))
-    pitch = np.where(air, top * (1 - (1 - _LANDED) * minimum_jerk(s)), np.where(t <= up, rising, falling))
-    tuck = _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3
-    lift = np.where(air, plan.height(t) - plan.high + tuck, 0.0)
-    contact = np.where(air, AIR, np.where(pitch > 1e-4, TOE, FLAT))
+def _foot_motion(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return pitch (n,), height (n,) of the lowest point above the floor and contact (n,)."""
+    top = np.radians(JUMPING.sole_deg)
+    share = JUMPING.landing_pitch
+    in_air = (t > plan.take_off) & (t < plan.landing)
+    s = np.clip((t - plan.take_off) / plan.flight, 0, 1)
+    rising = top * minimum_jerk((t - plan.take_off + plan.heel_time) / plan.heel_time)
+    heel_time = JUMPING.heels_down * (plan.landed_time - plan.landing)
+    falling = share * top * (1 - minimum_jerk((t - plan.landing) / heel_time))
+    flying = top * (1 - (1 - share) * minimum_jerk(s))
+    pitch = np.where(in_air, flying, np.where(t <= plan.take_off, rising, falling))
+    tuck = JUMPING.tuck * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3
+    lift = np.where(in_air, plan.height(t) - plan.high + tuck, 0.0)
+    contact = np.where(in_air, AIR, np.where(pitch > 1e-4, TOE, FLAT))
     return pitch, lift, contact
 
 
-def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
-    """Angles of the arms: backwards in the crouch, forwards and up in the push; at the apex as ``top``."""
-    figure, arm, T = plan.figure, plan.arm, plan.ends
-    other = "left" if arm == "right" else "right"
-    apex = (plan.apex - 0.05, plan.apex + 0.05)
-    knots = np.array([0.0, T[1] - _EARLY, T[2] - 0.03, *apex, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3])
+def _arm_angles(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
+    """Return angles (n,) of the arms' joints by name.
+
+    The arms go backwards in the crouch, and forwards and up in the push. An arm that rises in
+    flight rotates the whole body, so most of its motion comes before.
+
+    Args:
+        plan: The plan of the jump.
+        t: (n,) times, s.
+        top: (nq,) pose of the acting arm at the apex.
+    """
+    figure = plan.figure
+    other = "left" if plan.arm == "right" else "right"
+    knots = np.array(
+        [
+            0.0,
+            plan.push_start - JUMPING.swing_early,
+            plan.take_off - 0.03,
+            plan.apex - 0.05,
+            plan.apex + 0.05,
+            plan.landing + 0.05,
+            plan.landed_time + 0.2,
+            plan.end + 0.3,
+        ]
+    )
     grid = np.arange(0.0, knots[-1] + 0.1, 0.005)
 
     def curve(values: list[float]) -> Array:
-        return np.interp(t, grid, smooth(monotone_curve(knots, np.array(values), grid), 0.03 / 0.005))
+        through_knots = monotone_curve(knots, np.array(values), grid)
+        return np.interp(t, grid, smooth(through_knots, 0.03 / 0.005))
 
-    # An arm that rises in flight rotates the whole body: most of its motion is done before.
-    elbow = {"elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
-    out: dict[str, Array] = {}
+    angles: dict[str, Array] = {}
     for joint in figure.robot.joints:
-        part = joint.removeprefix(f"{arm}_")
-        if part != joint and any(k in part for k in ("shoulder", "elbow", "wrist", "clavicle")):
-            a = figure.addresses(joint)[0]
-            x0, x1 = float(figure.home[a]), float(top[a])
-            w = elbow.get(part, [x0, x0 + 0.6 * (x1 - x0), x0 + 0.5 * (x1 - x0), x0])
-            if part == "shoulder_pitch":
-                w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
-            out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
-    out[f"{other}_shoulder_pitch"] = curve([0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02])
-    out[f"{other}_elbow_pitch"] = curve([0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3])
+        part = joint.removeprefix(f"{plan.arm}_")
+        if part == joint or not any(
+            name in part for name in ("shoulder", "elbow", "wrist", "clavicle")
+        ):
+            continue
+        address = figure.addresses(joint)[0]
+        home = float(figure.home[address])
+        apex = float(top[address])
+        # Values in the crouch, in the push, on the way down and after landing.
+        middle = [home, home + 0.6 * (apex - home), home + 0.5 * (apex - home), home]
+        if part == "elbow_pitch":
+            middle = [0.35, 0.7, 0.7, 0.6]
+        elif part == "shoulder_pitch":
+            swing_left = JUMPING.swing_left
+            middle = [-0.3, apex - swing_left, apex - 1.2 * swing_left, 0.5]
+        angles[joint] = curve([home, *middle[:2], apex, apex, *middle[2:], home])
+    swing = [0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02]
+    angles[f"{other}_shoulder_pitch"] = curve(swing)
+    angles[f"{other}_elbow_pitch"] = curve([0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3])
     roll = f"{other}_shoulder_roll"
     if plan.abduction and roll in figure.robot.joints:
-        out[roll] = figure.home[figure.addresses(roll)[0]] + curve([0.0, 0.0, *[plan.abduction] * 5, 0.0])
-    return out
+        aside = curve([0.0, 0.0, *[plan.abduction] * 5, 0.0])
+        angles[roll] = figure.home[figure.addresses(roll)[0]] + aside
+    return angles
 
 
-def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
-    """(nq,) the arm's angles with the palm at its position beside the centre of mass, the trunk upright."""
-    figure, arm = plan.figure, plan.arm
+def _arm_at_apex(plan: JumpPlan, palm: Array) -> Array:
+    """Return a pose (nq,) with upright trunk and the palm at the apex.
+
+    Args:
+        plan: The plan of the jump.
+        palm: (3,) position of the palm beside the centre of mass.
+    """
+    figure = plan.figure
+    arm = plan.arm
+    frames = 8
     q = figure.home
-    raised = {f"{arm}_shoulder_pitch": 2.75, f"{arm}_elbow_pitch": 0.3, f"{arm}_clavicle_roll": 0.5}
+    raised = {
+        f"{arm}_shoulder_pitch": 2.75,
+        f"{arm}_elbow_pitch": 0.3,
+        f"{arm}_clavicle_roll": 0.5,
+    }
+    share = np.linspace(0.125, 1, frames)[:, None]
     for _ in range(3):
-        rows = FrameRows(figure, 8)
-        hand, goal = figure.pose(q, figure.hands[arm])[0], figure.center(q) + palm
-        rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
+        rows = FrameRows(figure, frames)
+        hand = figure.pose(q, figure.hands[arm])[0]
+        goal = figure.center(q) + palm
+        rows.position(figure.hands[arm], hand + (goal - hand) * share)
         rows.orientation(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
-        stiff = figure.stiffnesses(STIFF)
-        frames = yield from rows.slices(figure.posture(raised), stiff, q, speeds=None, steps=20)
-        q = frames.q[-1]
-        yield
+        stiffness = figure.stiffnesses(STIFFNESS)
+        solved = rows.solve(figure.posture(raised), stiffness, q, speeds=None, max_steps=_MAX_STEPS)
+        q = solved.q[-1]
     return q
 
 
-def _frames(
-    plan: JumpPlan, x: Array, palm: Array, top: Array, t: Array, start: Array, before: Array | None
-) -> Slices[tuple[Frames, NDArray[np.int64]]]:
-    """Frames at times ``t`` (n,) with the centre of mass at ``x`` (n,) forwards; and the feet's contact."""
-    figure, T = plan.figure, plan.ends
-    n = len(t)
-    pitch, lift, contact = _feet(plan, t)
-    rows = FrameRows(figure, n)
+def _solve(
+    plan: JumpPlan,
+    x: Array,
+    palm: Array,
+    top: Array,
+    t: Array,
+    start: Array,
+    before: Array | None,
+) -> tuple[Frames, NDArray[np.int64]]:
+    """Return the frames of a jump and the contact (n,) of both feet.
+
+    Args:
+        plan: The plan of the jump.
+        x: (n,) forward position of the centre of mass.
+        palm: (3,) position of the palm beside the centre of mass at the apex.
+        top: (nq,) pose of the acting arm at the apex.
+        t: (n,) times, s.
+        start: (nq,) where the jump begins.
+        before: (n, nq) frames of the round before.
+    """
+    figure = plan.figure
+    count = len(t)
+    pitch, lift, contact = _foot_motion(plan, t)
+    in_air = contact == AIR
+    rows = FrameRows(figure, count)
+
+    # In the middle of the flight the feet yield to the centre of mass and the momentum. At take-off
+    # and landing they are where the floor requires them.
+    release = plan.take_off + JUMPING.foot_hold_after
+    catch = plan.landing - JUMPING.foot_hold_before
+    is_released = (t > release) & (t < catch)
+    near_apex = minimum_jerk((t - release) / (plan.apex - release))
+    near_apex = near_apex * minimum_jerk((catch - t) / (catch - plan.apex))
+    released_weight = 10.0 ** (3.5 - JUMPING.foot_decades * near_apex)
     rolled, height = figure.feet["left"].sole.stand(pitch)
-    air = contact == AIR
-    # In the middle of the flight the feet give way before the centre of mass and the momentum do; where they
-    # leave the floor and come back to it they are where the floor wants them.
-    up, down = T[2] + _AFTER_TAKE_OFF, T[3] - _BEFORE_LANDING
-    loose = (t > up) & (t < down)
-    near_apex = minimum_jerk((t - up) / (plan.apex - up)) * minimum_jerk((down - t) / (down - plan.apex))
-    standing = np.where(loose, 10.0 ** (3.5 - _YIELD * near_apex), HARD)
     poses = {}
     for side, foot in figure.feet.items():
-        at = figure.pose(plan.ready, foot.frame)[0]
-        position = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
-        poses[side] = position, axis_rotations("y", pitch)
-    rows.feet(poses, standing)
+        stand = figure.pose(plan.ready, foot.frame)[0]
+        position = np.column_stack([stand[0] + rolled, np.full(count, stand[1]), height + lift])
+        poses[side] = (position, axis_rotations("y", pitch))
+    rows.feet(poses, np.where(is_released, released_weight, HARD))
+
+    # The centre of mass begins where the figure stands.
     z = plan.height(t)
-    center = np.column_stack([x, np.zeros(n), z])
-    begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
-    was = figure.center(start)
-    rows.center(was + (center - was) * begin)
-    rows.momentum(np.where(air, HARD, 0.0))
-    # Before and after the flight it comes and goes by and by: rows that are there at once snap the trunk.
-    still = minimum_jerk((t - (T[1] + T[2]) / 2) / ((T[2] - T[1]) / 2)) * (t <= T[2])
-    still = still + (1 - minimum_jerk((t - T[3]) / _CALM)) * (t >= T[3])
-    rows.momentum(500.0 * still**2)
-    deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
-    on_floor = 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0
-    upright = np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), on_floor)
-    rows.orientation(figure.trunk, axis_rotations("y", np.radians(60.0) * deep), upright)
+    center = np.column_stack([x, np.zeros(count), z])
+    begin = minimum_jerk(t / plan.ends[0])[:, None]
+    start_center = figure.center(start)
+    rows.center(start_center + (center - start_center) * begin)
+
+    # Before and after the flight the momentum row comes and goes gradually. A sudden row would jerk
+    # the trunk.
+    rows.momentum(np.where(in_air, HARD, 0.0))
+    half_push = (plan.take_off - plan.push_start) / 2
+    push_middle = (plan.push_start + plan.take_off) / 2
+    stillness = minimum_jerk((t - push_middle) / half_push) * (t <= plan.take_off)
+    calming = 1 - minimum_jerk((t - plan.landing) / JUMPING.calm)
+    stillness = stillness + calming * (t >= plan.landing)
+    rows.momentum(500.0 * stillness**2)
+
+    depth = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
+    settling = np.where(t <= plan.take_off, 1.0, minimum_jerk((t - plan.landing) / 0.4))
+    flying_weight = 4.0 * 10.0 ** (-JUMPING.trunk_decades * near_apex)
+    trunk_weight = np.where(in_air, flying_weight, 40.0 * settling + 4.0)
+    lean = axis_rotations("y", np.radians(60.0) * depth)
+    rows.orientation(figure.trunk, lean, trunk_weight)
     if figure.gaze is not None:
-        eyes, gaze = figure.pose(start, figure.gaze)
-        seen = eyes + gaze[:, 0] * np.linalg.norm(plan.ball - eyes)
-        within = min(max(0.6, glance_time(figure, start, plan.ball)), 1.0)  # before the push at the latest
-        to = seen + (plan.ball - seen) * minimum_jerk(t / within)[:, None]
-        rows.aim(to, 6.0)
-    # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
-    near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))
-    near = near * (1 - minimum_jerk((t - plan.apex - 0.01) / (T[3] - plan.apex)))
-    rows.position(figure.hands[plan.arm], center + palm, 10.0 ** (_PULL * near - 3))
-    posture = _posture(plan, t, deep, top, pitch, contact)
+        eyes, rotation = figure.pose(start, figure.gaze)
+        first_target = eyes + rotation[:, 0] * np.linalg.norm(plan.ball - eyes)
+        # The glance ends before the push.
+        within = min(max(0.6, glance_time(figure, start, plan.ball)), 1.0)
+        target = first_target + (plan.ball - first_target) * minimum_jerk(t / within)[:, None]
+        rows.aim(target, JUMPING.gaze_weight)
+
+    # The weight of the hand grows by a constant factor per frame. A power of time would seize the
+    # arm within two frames.
+    reach_time = plan.apex - 0.01 - plan.take_off + 0.05
+    nearness = minimum_jerk((t - plan.take_off + 0.05) / reach_time)
+    leave_time = plan.landing - plan.apex
+    nearness = nearness * (1 - minimum_jerk((t - plan.apex - 0.01) / leave_time))
+    hand_weight = 10.0 ** (JUMPING.hand_decades * nearness - 3)
+    rows.position(figure.hands[plan.arm], center + palm, hand_weight)
+
+    posture = _posture(plan, t, depth, top, pitch, contact)
     posture = start + (posture - start) * begin
-    stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
+    patterns = STIFFNESS | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5}
+    stiffness = figure.stiffnesses(patterns)
     if before is not None:
-        posture, stiff = _tied(plan, t, smooth(before, _SOFT / DT), posture, stiff)
-    frames = yield from rows.slices(posture, stiff, start, speeds="jump", steps=20)
+        smoothed = smooth(before, JUMPING.tie_smooth / DT)
+        posture, stiffness = _tied(plan, t, smoothed, posture, stiffness)
+    frames = rows.solve(posture, stiffness, start, speeds="jump", max_steps=_MAX_STEPS)
     return frames, contact
 
 
-def _tied(plan: JumpPlan, t: Array, drawn: Array, posture: Array, stiff: Array) -> tuple[Array, Array]:
-    """(n, nq) posture and (n, nv) stiffness that give way in flight to a pull to frames ``drawn`` (n, nq)."""
-    share = minimum_jerk((t - plan.ends[2]) / _TYING + 1.0) * minimum_jerk((plan.ends[3] - t) / _LOOSING)
-    tied = plan.figure.stiffnesses({"*": _TIED, "*toe*": 0.0})
-    # Two springs at a joint are one, between where they pull to and as strong as both.
-    own = stiff * np.where(tied > 0.0, 1.0 - share[:, None], 1.0)
-    both = own + share[:, None] * tied
-    part = 1.0 - own[:, 6:] / both[:, 6:]
-    return np.concatenate([posture[:, :7], posture[:, 7:] + part * (drawn - posture)[:, 7:]], axis=1), both
+def _tied(
+    plan: JumpPlan, t: Array, target: Array, posture: Array, stiffness: Array
+) -> tuple[Array, Array]:
+    """Return posture (n, nq) and stiffness (n, nv) that pull to frames in flight.
+
+    Two springs at a joint equal one between their targets with the sum of their stiffnesses.
+
+    Args:
+        plan: The plan of the jump.
+        t: (n,) times, s.
+        target: (n, nq) frames.
+        posture: (n, nq) posture without the pull.
+        stiffness: (nv,) its stiffness.
+    """
+    begin = minimum_jerk((t - plan.take_off) / JUMPING.tie_begin + 1.0)
+    share = begin * minimum_jerk((plan.landing - t) / JUMPING.tie_end)
+    tied = plan.figure.stiffnesses({"*": JUMPING.tie_stiffness, "*toe*": 0.0})
+    free = stiffness * np.where(tied > 0.0, 1.0 - share[:, None], 1.0)
+    total = free + share[:, None] * tied
+    part = 1.0 - free[:, 6:] / total[:, 6:]
+    joints = posture[:, 7:] + part * (target - posture)[:, 7:]
+    return np.concatenate([posture[:, :7], joints], axis=1), total
 
 
 def _posture(
-    plan: JumpPlan, t: Array, deep: Array, top: Array, pitch: Array, contact: NDArray[np.int64]
+    plan: JumpPlan,
+    t: Array,
+    depth: Array,
+    top: Array,
+    pitch: Array,
+    contact: NDArray[np.int64],
 ) -> Array:
-    figure = plan.figure
-    bent = {"hip_pitch": 0.06 + 1.2 * deep, "knee_pitch": 0.12 + 1.5 * deep, "ankle_pitch": 0.06 + 0.4 * deep}
-    level = pitch * np.where(t > plan.ends[3], 1.0, 1 - minimum_jerk((t - plan.ends[2]) / 0.3))
-    back = minimum_jerk((t - plan.apex) / (plan.ends[3] - plan.apex))  # level again before they touch
-    level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
-    moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bent.items()}
-    moves |= _arms(plan, t, top)
-    out = figure.posture(moves, np.tile(figure.home, (len(t), 1)))
-    for foot in figure.feet.values():
-        if foot.toes is not None:
-            out[:, foot.toes[0]] = level
-    return out
-
-
-def jump_slices(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0
-) -> Slices[Motion]:
-    """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
+    """Return postures (n, nq) of a jump.
 
     Args:
-        figure: Who jumps.
+        plan: The plan of the jump.
+        t: (n,) times, s.
+        depth: (n,) depth of the crouch, from 0 to 1.2.
+        top: (nq,) pose of the acting arm at the apex.
+        pitch: (n,) pitch of the soles, rad.
+        contact: (n,) contact of the feet.
+    """
+    figure = plan.figure
+    bends = {
+        "hip_pitch": 0.06 + 1.2 * depth,
+        "knee_pitch": 0.12 + 1.5 * depth,
+        "ankle_pitch": 0.06 + 0.4 * depth,
+    }
+    moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bends.items()}
+    moves |= _arm_angles(plan, t, top)
+    postures = figure.posture(moves, np.tile(figure.home, (len(t), 1)))
+
+    # The toes are level on the floor. They straighten in flight and are level again before they
+    # touch the floor.
+    straightening = 1 - minimum_jerk((t - plan.take_off) / 0.3)
+    level = pitch * np.where(t > plan.landing, 1.0, straightening)
+    back = minimum_jerk((t - plan.apex) / (plan.landing - plan.apex))
+    level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
+    for foot in figure.feet.values():
+        if foot.toes is not None:
+            postures[:, foot.toes[0]] = level
+    return postures
+
+
+def jump(figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0) -> Motion:
+    """Return a jump with the palm at a ball overhead at the apex. It ends where it began.
+
+    Args:
+        figure: The figure.
         q: (nq,) standing near home.
-        ball: (3,) in the world.
-        arm: Which hand.
-        speed: At take-off, m/s (``Abilities.take_off`` knows it); more where bodies would touch.
+        ball: (3,) the ball in the world.
+        arm: Side of the acting hand.
+        speed: Speed at take-off, m/s (``Abilities.take_off``). It is increased where bodies would
+            touch.
 
     Raises:
-        InvalidGoalError: Faster than a man jumps.
+        InvalidGoalError: The speed is larger than that of the fastest jump.
     """
-    start, stance = to_stance(figure, q)
+    start, stance = to_stance_frame(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
-    found: Motion | None = None
-    ways = ((max(speed, min(speed + more, TAKE_OFF)), abduction) for abduction, more in _WAYS)
-    for faster, abduction in dict.fromkeys(ways):  # near the fastest take-off some are the same
-        motion = yield from _motion(plan_jump(figure, ball, arm, faster, abduction), start)
-        found = found or motion
+    first: Motion | None = None
+    for way_speed, abduction in _ways(speed):
+        motion = _jump_at_origin(plan_jump(figure, ball, arm, way_speed, abduction), start)
         if not touches_itself(figure, motion.q):
-            found = motion
-            break
-        yield
-    if found is None:
+            return placed_motion(figure, motion, stance)
+        first = first or motion
+    if first is None:
         raise RuntimeError("no way to jump was tried")
-    return placed_motion(figure, found, stance)
+    return placed_motion(figure, first, stance)
 
 
-jump = at_once(jump_slices)
+def _ways(speed: float) -> list[tuple[float, float]]:
+    """Return (speed, abduction) of the tries. Near the fastest take-off some are equal."""
+    ways = [
+        (max(speed, min(speed + additional, JUMPING.fastest)), abduction)
+        for abduction, additional in JUMPING.ways
+    ]
+    return list(dict.fromkeys(ways))
 
 
-def _motion(plan: JumpPlan, start: Array) -> Slices[Motion]:
-    """The jump from a stance at the origin."""
-    figure = plan.figure
-    # A frame at the apex: the moment of the touch.
-    t = np.arange(1, int((plan.ends[5] + 0.3) / DT) + 1) * DT
+def _jump_at_origin(plan: JumpPlan, start: Array) -> Motion:
+    """Return the jump of a plan from ``start`` (nq,), in the frame of the stance."""
+    # One frame is at the apex, the moment of the touch.
+    t = np.arange(1, int((plan.end + JUMPING.stand_time) / DT) + 1) * DT
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
-    error: tuple[Array, Array] | None = None
-    before: Array | None = None
-    for k in range(_CORRECTIONS + 1):
-        x, p = _forward(plan, t, error)
-        # The ball seen from the centre of mass at the apex.
-        palm = plan.ball - [np.interp(plan.apex, t, x), 0.0, plan.height(np.array([plan.apex]))[0]]
-        yield
-        if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
-            top = yield from _arm_at_apex(plan, palm)
-        frames, contact = yield from _frames(plan, x, palm, top, t, start, before)
-        if k == _CORRECTIONS:
-            break
-        before = frames.q
-        points, force = yield from zero_moment_slices(figure, frames.q)
-        held = (contact != AIR) & (force > 0.42 * figure.mass * GRAVITY)
-        off = np.where(held, np.clip(points[:, 0] - p, -0.25, 0.25), 0.0)
-        off[:2], off[-2:] = 0.0, 0.0
-        off = smooth(off, 0.02 / DT)
-        error = (t, off if error is None else error[1] + 0.7 * off)
-    zmp = np.column_stack([p, np.zeros(len(t))])
-    both = np.column_stack([contact, contact])
-    free = (t > plan.ends[5] + 0.1) | (t < 0.2)
-    return Motion("jump", frames.q, both, frames.error, zmp, free, "jump")
+    apex_height = plan.height(np.array([plan.apex]))[0]
+    x, points = _forward_motion(plan, t)
+
+    # The palm moves by millimetres in later rounds. Its row corrects that.
+    top = _arm_at_apex(plan, _palm_at_apex(plan, t, x, apex_height))
+    frames, contact = _solve(plan, x, _palm_at_apex(plan, t, x, apex_height), top, t, start, None)
+    error = np.zeros(len(t))
+    for round_number in range(JUMPING.corrections):
+        remaining = _pressure_error(plan, frames.q, points, contact)
+        error = remaining if round_number == 0 else error + JUMPING.feedback * remaining
+        x, points = _forward_motion(plan, t, (t, error))
+        palm = _palm_at_apex(plan, t, x, apex_height)
+        frames, contact = _solve(plan, x, palm, top, t, start, frames.q)
+    return Motion(
+        action="jump",
+        q=frames.q,
+        contact=np.column_stack([contact, contact]),
+        error=frames.error,
+        zmp=np.column_stack([points, np.zeros(len(t))]),
+        interruptible=(t > plan.end + 0.1) | (t < 0.2),
+        speeds="jump",
+    )
+
+
+def _palm_at_apex(plan: JumpPlan, t: Array, x: Array, apex_height: float) -> Array:
+    """Return the position (3,) of the ball beside the centre of mass at the apex."""
+    return plan.ball - np.array([np.interp(plan.apex, t, x), 0.0, apex_height])
+
+
+def _pressure_error(plan: JumpPlan, q: Array, points: Array, contact: NDArray[np.int64]) -> Array:
+    """Return the smoothed error (n,) of the zero-moment point of the whole body, forwards.
+
+    Args:
+        plan: The plan of the jump.
+        q: (n, nq) frames.
+        points: (n,) planned zero-moment point.
+        contact: (n,) contact of the feet.
+    """
+    actual, force = zero_moment_points(plan.figure, q)
+    weight = plan.figure.mass * GRAVITY
+    is_loaded = (contact != AIR) & (force > JUMPING.loaded * weight)
+    largest = JUMPING.largest_error
+    error = np.where(is_loaded, np.clip(actual[:, 0] - points, -largest, largest), 0.0)
+    error[:2] = 0.0
+    error[-2:] = 0.0
+    return smooth(error, JUMPING.error_time / DT)

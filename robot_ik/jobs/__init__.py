@@ -1,18 +1,24 @@
 """Whole jobs built from the parts: what the commands run.
 
-Jobs that look (``reach``, ``locate``, ``ar.job``, those of ``arm_camera``) have one shape.
-A frozen request says what to do. ``run_…`` opens what all of it needs and runs the phases, each of which
-fills in its part of the report, so that the report says how far a run got; samples on file are judged by the
-last phase alone. Files and exit codes are the command's, which is handed samples and report; ``ar`` writes
-its film itself.
+Jobs with a camera (``locate``, ``ar.job``, those of ``arm_camera``) have one shape. A frozen request
+has the inputs. ``run_…`` opens robot, arm and camera and runs the phases. Each phase fills in its part
+of the report, so the report shows how far a run got. The last phase alone can judge samples on file.
+Files and exit codes belong to the command. ``ar`` writes its film itself.
 """
 
 from collections.abc import Callable
 
-#: Called with the phase ("looking", "moving", …) and the share of it that is done.
 Progress = Callable[[str, float], None]
+"""Called with the phase ("looking", "moving") and the share of the phase that is done."""
 
 
 def share_of(progress: Progress, phase: str, done: int, parts: int) -> Callable[[float], None]:
-    """Takes the share of one part that is done, of a job of so many alike; ``done``: those before it."""
+    """Return a progress function for one of several equal parts of a phase.
+
+    Args:
+        progress: Progress of the job.
+        phase: The phase.
+        done: Number of parts before this one.
+        parts: Number of parts.
+    """
     return lambda share: progress(phase, (done + share) / parts)

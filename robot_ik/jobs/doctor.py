@@ -143,11 +143,11 @@ def check_gl(backend: str, until: float) -> CheckFinding:
 
 
 def check_display(until: float) -> CheckFinding:
-    """Whether the viewer window (--view) can open."""
+    """Whether the viewer window (--viewer) can open."""
     probe = in_time(drawing_probe.probe_display(timeout=time_left(until)))
     if not probe.ok:
-        return NOTE, probe.text, "only --view needs one; pictures are written without it"
-    do = "run through mjpython to use --view" if sys.platform == "darwin" else ""
+        return NOTE, probe.text, "only --viewer needs one; pictures are written without it"
+    do = "run through mjpython to use --viewer" if sys.platform == "darwin" else ""
     return OK, f"{probe.text} ({os.environ.get('DISPLAY', '')})", do
 
 

@@ -21,10 +21,11 @@ from robot_ik.config import is_number, read_csv, shown
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Decision
-from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
+from robot_ik.figure.figure import RATE, SIDES, Figure
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession
+from robot_ik.figure.soles import lowest_points
 from robot_ik.geometry import Pose, axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
@@ -295,7 +296,7 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
         return np.full(3, np.nan)
     if frame.contact[side] == FLAT:
         return figure.pose(frame.q, figure.feet[SIDES[side]].frame)[0]
-    foot, data = figure.feet[SIDES[side]], figure.at(frame.q)
+    foot, data = figure.feet[SIDES[side]], figure.data_at(frame.q)
     best = np.array([0.0, 0.0, np.inf])
     for body, geoms in foot.parts:
         matrix = data.xmat[body].reshape(3, 3)

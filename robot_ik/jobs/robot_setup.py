@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.errors import ConfigError, ModelError, UnsupportedJointError
+from robot_ik.errors import ConfigError, ModelError, OptionError, UnsupportedJointError
 from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
@@ -295,10 +295,8 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     without_bus = request.bus == "none"
     virtual = not without_bus and bus_row(request.bus).virtual
     if not virtual and (rehearsal.zero_offset_deg or rehearsal.stuck):
-        raise ConfigError(
-            "servo faults can be rehearsed on simulated servos only",
-            file="command line", key="--rehearse", allowed=SIMULATED,
-        )  # fmt: skip
+        problem = "faults of servos are injected into simulated servos only"
+        raise OptionError("--fault", problem, SIMULATED)
     clock: Clock = RealClock() if request.view else VirtualClock()
     if without_bus and request.arm_file is None:
         robot = _only_what_moves(robot, request.robot, frame)

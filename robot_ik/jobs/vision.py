@@ -16,7 +16,7 @@ from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.goals import worst_sigmas
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.latest_goals import SYNTHETIC_RATE_HZ, LatestGoals
-from robot_ik.camera.lost_policy import WhenLost
+from robot_ik.camera.lost_policy import LostPolicy, WhenLost
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.motion_filter import FilterOptions
 from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
@@ -25,19 +25,18 @@ from robot_ik.camera.targets import MarkerTarget, Observation, marker
 from robot_ik.errors import (
     CalibrationError,
     CameraError,
-    ConfigError,
     FrameTimeoutError,
     MarkerNotFoundError,
+    OptionError,
 )
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import Bound
 from robot_ik.ports import Array, Clock
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.reach import ReachRequest
-    from robot_ik.jobs.robot_setup import RobotSetup
+    from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup
 
 
 # Time for which the synthetic marker rests before and after it wanders, s.
@@ -70,6 +69,41 @@ def wandering(home: Pose, begin: float, seconds: float, size: float, now: float)
     x = size * np.sin(2.0 * np.pi * smooth)
     y = size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
     return home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRequest:
+    """A camera and its target marker.
+
+    Attributes:
+        rehearsal: Faults to simulate.
+        camera: ``synthetic``, or a source for ``open_source``.
+        goal: Goal that is given instead of a marker.
+        intrinsics: Calibration file of a real camera.
+        pose_world_camera: Pose of a real camera. None: the pose in the robot's scene.
+        marker_id: Id of the target marker. None: the scene's.
+        marker_size: Side of its black square, metres. None: the scene's.
+        dictionary: Its dictionary. None: the scene's.
+        follow: Time to follow the marker, s. 0: not at all.
+        when_lost: Policy when the marker is lost while it is followed.
+        lost_after: Time after which the marker counts as lost, s.
+        lead: Prediction beyond the present while the marker is followed, s.
+        seed: Random seed of the synthetic camera.
+    """
+
+    rehearsal: Rehearsal
+    camera: str = "synthetic"
+    goal: Goal | None = None
+    intrinsics: Path | None = None
+    pose_world_camera: Pose | None = None
+    marker_id: int | None = None
+    marker_size: float | None = None
+    dictionary: str | None = None
+    follow: float = 0.0
+    when_lost: LostPolicy = "hold"
+    lost_after: float = 2.0
+    lead: float = 0.0
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -281,7 +315,7 @@ class _ArmGoals(MarkerGoalSource):
 
 
 def open_vision(
-    request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack
+    request: CameraRequest, setup: RobotSetup, stack: contextlib.ExitStack
 ) -> Vision | None:
     """Open the camera of a request. Return None if a goal is given and no camera can watch.
 
@@ -322,17 +356,13 @@ def open_vision(
 
 
 def _real_camera(
-    request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack
+    request: CameraRequest, setup: RobotSetup, stack: contextlib.ExitStack
 ) -> tuple[Scene, FrameSource, str]:
     """Return the scene with the camera's pose and lens, the camera, and why it cannot verify."""
     rehearsal = request.rehearsal
     if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
-        raise ConfigError(
-            "what a camera sees can be rehearsed with the synthetic camera only",
-            file="command line",
-            key="--rehearse",
-            allowed="--camera synthetic",
-        )
+        problem = "faults of pictures are simulated by the synthetic camera only"
+        raise OptionError("--fault", problem, "--camera synthetic")
     if request.marker_size is None:
         raise CameraError(
             "the size of the printed marker is not given, so its distance cannot be known",
@@ -343,12 +373,8 @@ def _real_camera(
     if request.pose_world_camera is not None:
         scene = replace(scene, pose_world_camera=request.pose_world_camera)
     if request.follow > 0.0 and isinstance(source, ImageSource):
-        raise ConfigError(
-            "a photograph does not go on, so there is nothing to follow",
-            file="command line",
-            key="--follow",
-            allowed="a camera, stream, film or folder of pictures",
-        )
+        allowed = "a camera, stream, film or folder of pictures"
+        raise OptionError("--follow", "a photograph shows no motion", allowed)
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
@@ -359,7 +385,7 @@ def _real_camera(
     return scene, source, why
 
 
-def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
+def _scene(request: CameraRequest, setup: RobotSetup) -> Scene:
     """Return the robot's scene with the target marker of the request."""
     scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
     asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}

@@ -36,10 +36,15 @@ Name = Annotated[str, Field(max_length=200)]
 Seconds = Annotated[float, Field(ge=0.0, le=3600.0)]
 Count = Literal[1, 2, 4]
 BallMotion = Literal["curve", "random", "hand"]
-Motion = Literal["curve", "random", "hand", "joints", "timeline"]
-GoalKind = Literal["pose", "position", "aim", "line", "plane"]
+Motion = Literal["curve", "random", "hand", "joints", "timeline", "course"]
+GoalKind = Literal["pose", "position", "orientation", "aim", "line", "plane", "half_space"]
 ArmMode = Literal["follow", "hold", "release", "teach", "replay"]
 FigureMode = Literal["off", "active", "passive"]
+OptionValue = bool | int | float | Name
+Option = Annotated[tuple[Name, OptionValue], Field(strict=False)]
+Options = Annotated[tuple[Option, ...], Field(strict=False, max_length=40)]
+Weight = Annotated[float, Field(ge=0.0, le=1000.0)]
+Priority = Annotated[int, Field(ge=0, le=9)]
 Shape = Literal["box", "sphere", "cylinder"]
 
 COUNTS: tuple[Count, ...] = get_args(Count)
@@ -133,10 +138,11 @@ class SetCount(SetupCommand):
 
 
 class SetMethod(SetupCommand):
-    """Give one instance a method with its default options."""
+    """Give one instance a method. Options that are not named have their defaults."""
 
     instance: Index
     method: Name
+    options: Options = ()
 
 
 class SetOption(SetupCommand):
@@ -144,7 +150,7 @@ class SetOption(SetupCommand):
 
     instance: Index
     name: Name
-    value: bool | int | float | Name
+    value: OptionValue
 
 
 class SetGoalKind(SetupCommand):
@@ -154,17 +160,63 @@ class SetGoalKind(SetupCommand):
 
 
 class SetExtraGoal(SetupCommand):
-    """Switch a goal beside the ball's on or off and set its priority; 0 is served first."""
+    """Switch a goal beside the ball's on or off and set its weight and priority."""
 
     name: Name
     on: bool
-    priority: Annotated[int, Field(ge=0, le=9)] = 0
+    priority: Priority = 0
+    """0 is served first."""
+    weight: Weight = 1.0
+    """Against goals of the same priority; 0 ignores the goal."""
 
 
 class SetLimits(SetupCommand):
-    """Switch joint limits on or off."""
+    """Switch the joint limits of one instance on or off, or of all without an instance."""
 
     on: bool
+    instance: Index | None = None
+
+
+class SetTool(SetupCommand):
+    """Let another frame follow the ball, such as a paw. The goals beside it are the usual ones."""
+
+    frame: Name
+
+
+class SetBase(SetupCommand):
+    """Let only the joints between a frame and the tool move. Empty: all joints move."""
+
+    frame: Name = ""
+
+
+class SetPin(SetupCommand):
+    """Pin a frame to a place in the world. A second pin of a frame replaces the first."""
+
+    frame: Name
+    position: Point
+    wxyz: Wxyz | None = None
+    """Orientation that is kept, too. None: the frame may turn."""
+    weight: Weight = 1.0
+    priority: Priority = 0
+
+
+class RemovePin(SetupCommand):
+    """Remove the pin of a frame."""
+
+    frame: Name
+
+
+class SetStiffness(SetupCommand):
+    """Set the cost of moving a joint; 1 is usual. A stiffer joint moves less."""
+
+    joint: Name
+    value: Annotated[float, Field(ge=0.01, le=100.0)]
+
+
+class SetCourse(SetupCommand):
+    """Show a test course of thesis A00: a chain whose goal makes a step in each frame."""
+
+    number: Annotated[int, Field(ge=1, le=13)]
 
 
 class ShowBranches(SetupCommand):
@@ -371,6 +423,9 @@ class Start(Checked):
         count: Instances side by side.
         methods: One for each instance. Empty for the usual ones.
         seed: Of the ball's random positions.
+        tool: Frame that follows the ball. Empty for that of the model.
+        base: Frame that carries the joints that move. Empty: all joints move.
+        joints: Names of the joints that move. Empty: all.
 
     Raises:
         ConfigError: A value is not allowed.
@@ -380,6 +435,9 @@ class Start(Checked):
     count: Count = 1
     methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
     seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1
+    tool: Name = ""
+    base: Name = ""
+    joints: Annotated[tuple[Name, ...], Field(strict=False, max_length=1000)] = ()
 
 
 @dataclass(frozen=True)

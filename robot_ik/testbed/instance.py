@@ -23,7 +23,8 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import RATE, DragLink
-from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, restarting, retarget
+from robot_ik.testbed.robot_goals import RobotGoals, gaze_axis
+from robot_ik.testbed.setup import BUDGET, restarting, retarget
 
 TRAIL = 120
 """Positions of the tool that a trail has."""
@@ -53,6 +54,8 @@ _HARMLESS_STATUSES = ("converged", "stalled", "iteration limit", "")
 @dataclass(frozen=True)
 class Statistics:
     """Statistics of the last solves, at most ``WINDOW``.
+
+    A frame counts if something was asked in it: the ball moved, or it was not met before.
 
     Attributes:
         count: Number of solves.
@@ -104,6 +107,7 @@ class InstanceView:
         status: How the last solve ended, or why nothing can be solved.
         able: Whether its method can serve the goals.
         note: How its goals differ from those of the others.
+        limited: Whether its joint limits hold.
         error: Metres between the tool and what the ball asks, by MuJoCo's kinematics.
         angle: Radians, likewise.
         met: Whether error and angle are within the tolerances of this instance.
@@ -125,6 +129,7 @@ class InstanceView:
     status: str
     able: bool
     note: str
+    limited: bool
     error: float
     angle: float
     met: bool
@@ -179,18 +184,22 @@ class Instance:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
         self.solver: Solver | None = None
         self.data = mujoco.MjData(robot.model)
-        frame = robot.frame(robot.tool)
-        self._body = frame.body
-        self._local = frame.local
+        self._set_robot(robot)
+        self.limited = True
         self.refused = ""
         self.note = ""
         self.budget = BUDGET
         self.distance = _TOLERANCE.position
         self._restarts = False
         self.reset()
+
+    def _set_robot(self, robot: Robot) -> None:
+        self.robot = robot
+        frame = robot.frame(robot.tool)
+        self._body = frame.body
+        self._local = frame.local
 
     def reset(self) -> None:
         """Go home and empty the statistics."""
@@ -212,12 +221,26 @@ class Instance:
     def _begin_statistics(self) -> None:
         self._solves = np.empty((0, 4))
         self._statistics = Statistics()
+        self._last_ball: Pose | None = None
 
-    def take(self, robot: Robot, solver: Solver, refused: str, note: str) -> None:
-        """Go on with another method, options or limits. A changed method begins new statistics."""
+    def take(self, robot: Robot, solver: Solver, *, limited: bool, refused: str, note: str) -> None:
+        """Go on with another method, options, tool or limits.
+
+        A changed method or robot begins new statistics.
+
+        Args:
+            robot: The robot, with the same joints.
+            solver: The method.
+            limited: Whether the joint limits hold.
+            refused: Why the method cannot serve the goals. Empty if it can.
+            note: How its goals differ from those of the others.
+        """
         if self.solver != solver or self.robot is not robot:
             self._begin_statistics()
-        self.robot = robot
+        if self.robot.tool != robot.tool:
+            self._trail = np.empty((0, 3))
+        self._set_robot(robot)
+        self.limited = limited
         self.solver = solver
         self.refused = refused
         self.note = note
@@ -266,6 +289,7 @@ class Instance:
             self._restarts = restarts
             self._problem = None
         solution = None
+        asked = self._is_asked(ball)
         self._status = self.refused
         before = self.q
         if not self.refused:
@@ -276,13 +300,31 @@ class Instance:
             solution = self._solved(self._problem, wanted)
         self._measure(goals, ball)
         if solution is not None:
-            met = self._is_met()
+            met = self.is_met
             self._unmet_ticks = 0 if met else self._unmet_ticks + 1
-            change = float(np.abs(self.q - before).max(initial=0.0))
+        if solution is not None and asked:
+            change = float(np.abs(self._change_from(before)).max(initial=0.0))
             row = (self._seconds, solution.iterations, met, change)
             self._solves = appended(self._solves, row, WINDOW)
 
-    def _is_met(self) -> bool:
+    def _change_from(self, before: Array) -> Array:
+        """Return the change (nv,) of the joints since ``before`` (nq,), rad or m."""
+        if self.robot.nq == self.robot.nv:
+            return np.asarray(self.q - before)
+        return self.robot.difference(before, self.q)
+
+    def _is_asked(self, ball: Pose) -> bool:
+        """Return whether the ball has moved since the last solve, or that solve did not meet it."""
+        last = self._last_ball
+        self._last_ball = ball
+        if last is None or not self.is_met:
+            return True
+        same_position = np.array_equal(last.position, ball.position)
+        return not (same_position and np.array_equal(last.wxyz, ball.wxyz))
+
+    @property
+    def is_met(self) -> bool:
+        """Whether error and angle are within the tolerances of this instance."""
         return self.error <= self.distance and self.angle <= _TOLERANCE.angle
 
     def stand(self, q: Array, action: str, goals: RobotGoals, ball: Pose) -> None:
@@ -369,9 +411,10 @@ class Instance:
             status=self._status,
             able=not self.refused,
             note=self.note,
+            limited=self.limited,
             error=self.error,
             angle=self.angle,
-            met=self._is_met(),
+            met=self.is_met,
             stuck=is_stuck,
             iterations=self._iterations,
             statistics=self._statistics,
@@ -399,10 +442,14 @@ def tool_error(
             axis = rotation[:, 0 if gaze_axis(goals.robot.tool) == "x" else 2]
             sine = np.cross(axis, offset)
             return 0.0, math.atan2(math.sqrt(sine @ sine), float(axis @ offset))
+        case "orientation":
+            return 0.0, _angle(rotation, ball.rotation)
     normal = ball.rotation[:, 2]
     along = float(offset @ normal)
     if goals.kind == "plane":
         return abs(along), 0.0
+    if goals.kind == "half_space":
+        return max(along, 0.0), 0.0
     across = offset - along * normal
     return math.sqrt(across @ across), 0.0
 

@@ -33,16 +33,9 @@ from robot_ik.kernels import jit, priorities
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver
-from robot_ik.testbed.commands import SetRobot, SetupCommand
-from robot_ik.testbed.setup import (
-    MethodChoice,
-    Ready,
-    RobotGoals,
-    Setup,
-    first_ball,
-    prepare,
-    warm_drag,
-)
+from robot_ik.testbed.commands import SetCourse, SetRobot, SetupCommand
+from robot_ik.testbed.robot_goals import RobotGoals, first_ball
+from robot_ik.testbed.setup import MethodChoice, Ready, Setup, prepare, warm_drag
 
 _log = logging.getLogger(__name__)
 
@@ -201,8 +194,8 @@ class Preparer:
         try:
             wanted = self._setup if command is None else self._setup.after(command)
             robot = self._robot
-            if isinstance(command, SetRobot):
-                self._say(f"loading {command.name} …")
+            if isinstance(command, SetRobot | SetCourse):
+                self._say(f"loading {wanted.robot} …")
                 robot = load_robot(wanted.robot)
             ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:

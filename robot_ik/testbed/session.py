@@ -25,17 +25,18 @@ from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array, Closing
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed import commands
+from robot_ik.testbed.course_run import CourseRun
 from robot_ik.testbed.instance import Instance
 from robot_ik.testbed.obstacles import Obstacles
 from robot_ik.testbed.preparing import Preparer, SetupDone
+from robot_ik.testbed.robot_goals import first_ball
 from robot_ik.testbed.setup import (
     CURVE_PERIOD,
-    MethodChoice,
     Ready,
     Setup,
     branches_of,
     completed,
-    first_ball,
+    selected,
 )
 from robot_ik.testbed.timeline import Timeline
 from robot_ik.testbed.view import BranchView, FigureView, View
@@ -86,8 +87,7 @@ class Session(Closing):
         arm: ArmLink | None = None,
     ) -> None:
         self.start = start or commands.Start()
-        choices = tuple(MethodChoice(method) for method in self.start.methods)
-        setup = Setup(self.start.robot, self.start.count, choices)
+        setup = Setup.of(self.start)
         for choice in setup.choices:
             choice.solver()
         self._queue: queue.SimpleQueue[commands.Command | SetupDone] = queue.SimpleQueue()
@@ -109,10 +109,12 @@ class Session(Closing):
         self.arm = arm
         self.robot: Robot
         self.instances: list[Instance]
-        self._stand(load_robot(setup.robot), setup.count)
+        self._course_run: CourseRun | None = None
+        loaded = load_robot(setup.robot)
+        self._stand(selected(loaded, setup), setup.count)
         self._setup = completed(setup, self.robot)
         done = self._queue.put if beside else self._adopt
-        self._preparer = Preparer(setup, self.robot, done, beside=beside)
+        self._preparer = Preparer(setup, loaded, done, beside=beside)
         if not beside:
             self._preparer.ask(None)
 
@@ -173,6 +175,8 @@ class Session(Closing):
 
     def _step(self, ready: Ready) -> None:
         self._phase += self._speed / commands.RATE
+        if self._motion == "course" and self._course_run is not None and self._drag is None:
+            self._ball = self._course_run.step(self._speed)
         is_moving = self._motion in ("curve", "random") and self._drag is None
         if is_moving and not self._is_locked:
             self._ball = self._moving_ball(ready)
@@ -205,6 +209,8 @@ class Session(Closing):
             solved = self.instances[1:]
         for one in solved:
             one.solve(ready.goals, self._ball, restarts=restarts)
+        if self._motion == "course" and self._course_run is not None:
+            self._course_run.judge([one.is_met for one in self.instances])
 
     def _show_timeline(self, ready: Ready) -> None:
         """Put every instance to the timeline's pose, and the ball to the tool."""
@@ -216,6 +222,16 @@ class Session(Closing):
         self._ball = self.instances[0].tool_pose()
         for one in self.instances:
             one.stand(q, "timeline", ready.goals, self._ball)
+
+    def _pull(self) -> Array | None:
+        """Return the grabbed point and where the mouse pulls it (2, 3), or None without a drag."""
+        drag = self._drag
+        if drag is None:
+            return None
+        data = self.instances[min(drag.instance, len(self.instances) - 1)].data
+        body = self.robot.body_id(drag.body)
+        grip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ np.array(drag.grip)
+        return np.array([grip, drag.to])
 
     def _follow_drag(self, drag: commands.DragLink, ready: Ready) -> None:
         for one in self.instances:
@@ -231,6 +247,7 @@ class Session(Closing):
         setup = self._setup
         if setup.kind is None or setup.extras is None:
             raise RuntimeError("the setup is not completed")
+        run = self._course_run
         return View(
             tick=self._tick,
             now=self._tick / commands.RATE,
@@ -243,9 +260,14 @@ class Session(Closing):
             ball=self._ball,
             kind=setup.kind,
             extras=setup.extras,
-            limits=setup.limits,
+            pins=setup.pins,
+            tool=self.robot.tool,
+            base=setup.base,
+            stiffness=setup.stiffness,
+            course=None if run is None else run.view(self.count),
             show_branches=setup.branches,
             dragged=self._drag.body if self._drag is not None else "",
+            pull=self._pull(),
             instances=tuple(one.view() for one in self.instances),
             branches=self._branches,
             busy=self.busy,
@@ -258,6 +280,11 @@ class Session(Closing):
             obstacles=self._obstacles.view(),
             contact=self._obstacles.contact,
         )
+
+    @property
+    def count(self) -> int:
+        """Instances side by side."""
+        return len(self.instances)
 
     def _figure_view(self) -> FigureView | None:
         if self._figure is None:
@@ -391,6 +418,9 @@ class Session(Closing):
     def _reset(self) -> None:
         self._phase = 0.0
         self._motion = "curve"
+        if self._course_run is not None:
+            self._course_run.begin()
+            self._motion = "course"
         self._running = True
         self._drag = None
         self._timeline.play(False)
@@ -501,27 +531,52 @@ class Session(Closing):
         ready = result.ready
         self._ready = ready
         self._setup = ready.setup
-        if isinstance(result.command, commands.SetRobot):
+        if self._is_another_robot(result.command, ready):
             self._phase = 0.0
             self._motion = "curve"
             self._drag = None
             self._stand(ready.robot, ready.setup.count)
+            self._begin_course(ready)
         elif len(self.instances) != ready.setup.count:
             missing = ready.setup.count - len(self.instances)
             fresh = [Instance(ready.robot) for _ in range(missing)]
             self.instances = [*self.instances, *fresh][: ready.setup.count]
+        is_other_tool = self.robot.tool != ready.robot.tool
         self.robot = ready.robot
         self._branches = ()
         self._set_figure(before, ready)
-        for one, solver, refused in zip(self.instances, ready.solvers, ready.refused, strict=True):
-            flat = ready.goals.flattened(solver)
-            one.take(ready.robot, solver, refused, "all goals at one priority" if flat else "")
+        self._give_methods(ready)
         self._begin_random()
         if before is None:
             self._ball = self._moving_ball(ready)
+        elif is_other_tool and self._motion not in ("curve", "random"):
+            self._drag = None
+            self._ball = self.instances[0].tool_pose()
         for k, reason in enumerate(ready.refused):
             if reason:
                 self.report(f"robot {k + 1}: {reason}")
+
+    def _is_another_robot(self, command: commands.SetupCommand | None, ready: Ready) -> bool:
+        """Return whether the instances must be made anew: other joints, or another model."""
+        if isinstance(command, commands.SetRobot | commands.SetCourse):
+            return True
+        is_same_model = self.robot.model is ready.robot.model
+        return not is_same_model or self.robot.joints != ready.robot.joints
+
+    def _begin_course(self, ready: Ready) -> None:
+        """Begin the course of a setup, if it has one."""
+        self._course_run = None
+        if ready.course is not None:
+            self._course_run = CourseRun(ready.course)
+            self._motion = "course"
+
+    def _give_methods(self, ready: Ready) -> None:
+        """Give each instance its robot and its method."""
+        limits = ready.setup.limits or ()
+        rows = zip(self.instances, ready.robots, ready.solvers, ready.refused, limits, strict=False)
+        for one, robot, solver, refused, limited in rows:
+            note = "all goals at one priority" if ready.goals.flattened(solver) else ""
+            one.take(robot, solver, limited=limited, refused=refused, note=note)
 
     def _set_figure(self, before: Ready | None, ready: Ready) -> None:
         """Begin or end that a figure decides by itself. It begins at home and ends there."""

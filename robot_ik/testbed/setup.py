@@ -22,33 +22,37 @@ from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
 from robot_ik.figure.motion.drag import Drag
 from robot_ik.geometry import Pose
-from robot_ik.goals import (
-    AimGoal,
-    CenterOfMassGoal,
-    Goal,
-    LineGoal,
-    OrientationGoal,
-    PlaneGoal,
-    PoseGoal,
-    PositionGoal,
-    PostureGoal,
-)
+from robot_ik.goals import CenterOfMassGoal, Goal, PostureGoal
 from robot_ik.inverse_kinematics import solve
-from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
+from robot_ik.robot_file import CHAIN
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.analytic.branch import Branch
 from robot_ik.solvers.base import Solver
-from robot_ik.support import supported_frames
 from robot_ik.testbed import commands
-from robot_ik.testbed.gallery_scene import gallery_scene
+from robot_ik.testbed.robot_goals import (
+    ExtraGoal,
+    Pin,
+    RobotGoals,
+    first_ball,
+    is_figure,
+    usual_extras,
+)
+from robot_ik.theses.courses import Course, make_course
 
 BUDGET = Budget(iterations=200, restarts=0)
 """Of one solve. Iterations instead of seconds, so that a replay gives the same bits. Without
 restarts, because an arm that follows must not jump."""
+
+MOST_INSTANCES = 4
+"""Instances that have a method and limits, shown or not."""
+
+POSE_FREEDOMS = 6
+"""Degrees of freedom that meet a pose."""
 
 RESTART_ITERATIONS = 5
 """Factor of the iterations of a solve that may restart."""
@@ -83,11 +87,6 @@ _SHRINK = 0.7
 _SHRINKS = 5
 """How often a curve may shrink."""
 
-_HOLD_GOALS = 6
-"""Frames beside the tool that are offered to be held."""
-
-_GAZE = "gaze"
-
 
 @dataclass(frozen=True)
 class MethodChoice:
@@ -106,23 +105,6 @@ class MethodChoice:
 
 
 @dataclass(frozen=True)
-class ExtraGoal:
-    """A goal beside the ball's.
-
-    Attributes:
-        name: Its name on the page.
-        on: Whether it counts.
-        priority: 0 is served first.
-        about: What it asks.
-    """
-
-    name: str
-    on: bool
-    priority: int
-    about: str
-
-
-@dataclass(frozen=True)
 class Setup:
     """What is solved.
 
@@ -133,9 +115,15 @@ class Setup:
         kind: What the ball asks. None: what suits the robot.
         extras: Goals beside it. The ball's own priority is that of ``ball``. None: what suits the
             robot.
-        limits: Whether joint limits hold.
+        pins: Frames that stay at a place.
+        limits: Whether joint limits of four instances hold. None: what suits the robot.
         branches: Whether all branches of a closed form are searched.
         figure: Whether the first instance decides by itself.
+        tool: Frame that follows the ball. Empty: that of the model.
+        base: Frame that carries the joints that move. Empty: all joints move.
+        joints: Names of the joints that move. Empty: all.
+        stiffness: Joints and their stiffness, where it is not that of the model.
+        course: Number of the course that the ball follows. 0: none.
     """
 
     robot: str
@@ -143,38 +131,97 @@ class Setup:
     choices: tuple[MethodChoice, ...] = ()
     kind: commands.GoalKind | None = None
     extras: tuple[ExtraGoal, ...] | None = None
-    limits: bool = True
+    pins: tuple[Pin, ...] = ()
+    limits: tuple[bool, ...] | None = None
     branches: bool = False
     figure: commands.FigureMode = "off"
+    tool: str = ""
+    base: str = ""
+    joints: tuple[str, ...] = ()
+    stiffness: tuple[tuple[str, float], ...] = ()
+    course: int = 0
+
+    @classmethod
+    def of(cls, start: commands.Start) -> Setup:
+        """Return what a session begins with."""
+        return cls(
+            start.robot,
+            start.count,
+            tuple(MethodChoice(method) for method in start.methods),
+            tool=start.tool,
+            base=start.base,
+            joints=start.joints,
+        )
 
     def after(self, command: commands.SetupCommand) -> Setup:
         """Return what is solved after a command.
 
         Raises:
-            ConfigError: It names an unknown goal.
+            ConfigError: It names an unknown goal or pin.
         """
         match command:
             case commands.SetRobot(name):
                 return Setup(name, self.count, self.choices)
+            case commands.SetCourse(number):
+                return self._with_course(number)
             case commands.SetCount(count):
                 return replace(self, count=count)
-            case commands.SetMethod(k, method):
-                return self._with_choice(k, MethodChoice(method))
+            case commands.SetMethod(k, method, options):
+                return self._with_choice(k, MethodChoice(method, tuple(sorted(options))))
             case commands.SetOption(k, name, value):
                 old = self.choices[k]
                 options = tuple(sorted((dict(old.options) | {name: value}).items()))
                 return self._with_choice(k, MethodChoice(old.method, options))
             case commands.SetGoalKind(kind):
                 return replace(self, kind=kind)
-            case commands.SetLimits(on):
-                return replace(self, limits=on)
+            case commands.SetLimits(on, None):
+                return replace(self, limits=(on,) * MOST_INSTANCES)
+            case commands.SetLimits(on, int(k)):
+                limits = self.limits or (True,) * MOST_INSTANCES
+                return replace(self, limits=(*limits[:k], on, *limits[k + 1 :]))
             case commands.ShowBranches(on):
                 return replace(self, branches=on)
             case commands.SetExtraGoal():
                 return self._with_extra(command)
+            case commands.SetFigure("off"):
+                return replace(self, figure="off")
             case commands.SetFigure(mode):
-                return replace(self, figure=mode)
+                return replace(self, figure=mode, base="", joints=(), extras=None)
+            case _:
+                return self._with_selection(command)
+
+    def _with_selection(self, command: commands.SetupCommand) -> Setup:
+        """Return what is solved after a command about frames, pins or joints."""
+        match command:
+            case commands.SetTool(frame):
+                return replace(self, tool=frame, extras=None)
+            case commands.SetBase(frame):
+                return replace(self, base=frame, figure="off", extras=None)
+            case commands.SetPin(frame, position, wxyz, weight, priority):
+                pin = Pin(frame, position, wxyz, weight, priority)
+                others = tuple(one for one in self.pins if one.frame != frame)
+                return replace(self, pins=(*others, pin))
+            case commands.RemovePin(frame):
+                self._require_pin(frame)
+                return replace(self, pins=tuple(one for one in self.pins if one.frame != frame))
+            case commands.SetStiffness(joint, value):
+                values = dict(self.stiffness) | {joint: value}
+                return replace(self, stiffness=tuple(sorted(values.items())))
         raise TypeError(f"{command!r} changes no setup")
+
+    def _with_course(self, number: int) -> Setup:
+        course = make_course(number)
+        kind: commands.GoalKind = "pose" if course.goal.weights[1] > 0.0 else "position"
+        robot = f"{CHAIN}{len(course.robot.joints)}"
+        return Setup(robot, self.count, self.choices, kind=kind, course=number)
+
+    def _require_pin(self, frame: str) -> None:
+        names = [pin.frame for pin in self.pins]
+        if frame not in names:
+            allowed = ", ".join(names) or "no frame is pinned"
+            raise ConfigError(
+                f"{frame!r} is not pinned", file="command", key="frame", allowed=allowed
+            )
 
     def _with_choice(self, k: int, choice: MethodChoice) -> Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
@@ -188,135 +235,13 @@ class Setup:
                 key="name",
                 allowed=", ".join(extras) or "none with this robot",
             )
-        changed = replace(extras[command.name], on=command.on, priority=command.priority)
+        changed = replace(
+            extras[command.name],
+            on=command.on,
+            priority=command.priority,
+            weight=command.weight,
+        )
         return replace(self, extras=tuple((extras | {command.name: changed}).values()))
-
-
-class RobotGoals:
-    """The goals of one robot, made for each tick from the ball's pose.
-
-    Attributes:
-        robot: The robot.
-        kind: What the ball asks of the tool.
-        priority: Of the ball's goal.
-        kept: Frames that do not move during a drag.
-        balanced: Whether the centre of mass stays over its position.
-    """
-
-    def __init__(
-        self, robot: Robot, kind: commands.GoalKind, extras: tuple[ExtraGoal, ...]
-    ) -> None:
-        self.robot = robot
-        self.kind = kind
-        self.priority = next(extra.priority for extra in extras if extra.name == "ball")
-        others = [extra for extra in extras if extra.on and extra.name != "ball"]
-        self._extras = [(extra, _extra_goal(robot, extra)) for extra in others]
-        names = [extra.name for extra, _ in self._extras]
-        self.kept = tuple(name.removeprefix("keep ") for name in names if name.startswith("keep "))
-        self.balanced = "balance" in names
-
-    def main(self, ball: Pose) -> Goal:
-        """Return what the ball asks of the tool."""
-        rank = self.priority
-        tool = self.robot.tool
-        position = ball.position
-        match self.kind:
-            case "pose":
-                return PoseGoal(tool, position, ball.wxyz, priority=rank)
-            case "position":
-                return PositionGoal(tool, position, priority=rank)
-            case "aim":
-                return AimGoal(tool, position, axis=gaze_axis(tool), priority=rank)
-            case "line":
-                return LineGoal(tool, position, ball.rotation[:, 2], priority=rank)
-            case "plane":
-                return PlaneGoal(tool, position, ball.rotation[:, 2], priority=rank)
-
-    def all(self, ball: Pose, solver: Solver) -> list[Goal]:
-        """Return the ball's goal, then the others.
-
-        A method that cannot order goals gets them at one priority, without the posture.
-        """
-        goals = [goal for _, goal in self.named(ball)]
-        if "priorities" in solver.capabilities:
-            return goals
-        ranked = [goal for goal in goals if not isinstance(goal, PostureGoal)]
-        return [replace(goal, priority=0) for goal in ranked]
-
-    def named(self, ball: Pose) -> list[tuple[str, Goal]]:
-        """Return all goals by their names on the page, the ball's first."""
-        goals: list[tuple[str, Goal]] = [("ball", self.main(ball))]
-        for extra, goal in self._extras:
-            if goal is None:
-                goal = AimGoal(_GAZE, ball.position, axis="x", priority=extra.priority)
-            goals.append((extra.name, goal))
-        return goals
-
-    def flattened(self, solver: Solver) -> bool:
-        """Return whether the method takes goals of several priorities at one priority."""
-        ranks = {self.priority, *(extra.priority for extra, _ in self._extras)}
-        return len(ranks) > 1 and "priorities" not in solver.capabilities
-
-
-def gaze_axis(tool: str) -> str:
-    """Return the axis of a frame that aims: x of eyes, z of hands and tools."""
-    return "x" if tool == _GAZE else "z"
-
-
-def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
-    """Return the goal of an extra, or None for the gaze, whose target is the ball."""
-    home = robot.home
-    verb, _, frame = extra.name.partition(" ")
-    if verb == "keep":
-        pose = robot.forward(home, frame)
-        return PoseGoal(frame, pose.position, pose.wxyz, priority=extra.priority)
-    if verb == "hold":
-        return PositionGoal(frame, robot.forward(home, frame).position, priority=extra.priority)
-    if verb == "level":
-        wxyz = first_ball(robot).wxyz
-        return OrientationGoal(frame, wxyz, free_axis="z", priority=extra.priority)
-    if verb == "balance":
-        centre = robot.center_of_mass(home)
-        return CenterOfMassGoal(None, centre, axes="xy", priority=extra.priority)
-    if verb == "posture":
-        kinds = zip(robot.joints, robot.tree.kind.tolist(), strict=True)
-        free = [joint for joint, kind in kinds if kind == FREE]
-        return PostureGoal(q=home, joints=dict.fromkeys(free, 0.0), priority=extra.priority)
-    return None
-
-
-def is_figure(robot: Robot) -> bool:
-    """Return whether a robot stands on feet: it has a floating base and frames to keep."""
-    return robot.nq > robot.nv and bool(robot.file.keep)
-
-
-def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
-    """Return the goals that the page offers beside the ball's."""
-    return _figure_extras(robot) if is_figure(robot) else _arm_extras(robot)
-
-
-def _arm_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
-    level = "its z axis keeps its direction, as a cup needs it"
-    return (
-        ExtraGoal("ball", True, 0, "what the ball asks of the tool"),
-        ExtraGoal(f"level {robot.tool}", False, 0, level),
-        ExtraGoal("posture", False, 1, "joints as near to home as possible"),
-    )
-
-
-def _figure_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
-    keep = supported_frames(robot, (robot.tool,))
-    tools = robot.file.tools
-    extras = [ExtraGoal(f"keep {frame}", True, 0, f"{frame} stays at home") for frame in keep]
-    extras.append(ExtraGoal("balance", True, 1, "centre of mass above its position at home"))
-    extras.append(ExtraGoal("ball", True, 2, "what the ball asks of the tool"))
-    if _GAZE in tools and robot.tool != _GAZE:
-        extras.append(ExtraGoal(_GAZE, True, 3, "the eyes look at the ball"))
-    others = [name for name in tools if name not in (robot.tool, _GAZE, *keep)]
-    for name in others[:_HOLD_GOALS]:
-        extras.append(ExtraGoal(f"hold {name}", False, 3, f"{name} stays at its position"))
-    extras.append(ExtraGoal("posture", True, 4, "joints as near to home as possible"))
-    return tuple(extras)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,23 +250,47 @@ class Ready:
 
     Attributes:
         setup: The setup, completed with what suits the robot.
-        robot: Robot of every instance, within the limits that hold.
+        robots: One for each instance, within the limits that hold for it.
         goals: What is asked.
         solvers: One for each instance.
-        loaded: The robot within the limits of its model.
+        loaded: The robot as it was loaded.
+        chosen: The robot with the tool, the joints and the stiffness of the setup.
         curve: The ball's path. The tool can follow it.
+        course: The course that the ball follows. None: there is none.
         refused: Why each instance's method cannot serve these goals. Empty if it can.
         abilities: Of a figure that decides by itself. None: it does not.
     """
 
     setup: Setup
-    robot: Robot
+    robots: tuple[Robot, ...]
     goals: RobotGoals
     solvers: tuple[Solver, ...]
     loaded: Robot
+    chosen: Robot
     curve: CurveSource
+    course: Course | None
     refused: tuple[str, ...]
     abilities: Abilities | None
+
+    @property
+    def robot(self) -> Robot:
+        """Robot of the first instance."""
+        return self.robots[0]
+
+
+def selected(loaded: Robot, setup: Setup) -> Robot:
+    """Return a robot with the tool, the joints and the stiffness of a setup.
+
+    Raises:
+        RobotIkError: There is no such frame or joint, or no joint would move.
+    """
+    robot = loaded.with_tool(setup.tool) if setup.tool else loaded
+    if setup.joints:
+        robot = robot.with_joints(setup.joints)
+    if setup.base:
+        robot = robot.with_base(setup.base)
+    stiffness = {joint: value for joint, value in setup.stiffness if joint in robot.joints}
+    return robot.with_stiffness(stiffness) if stiffness else robot
 
 
 def completed(setup: Setup, robot: Robot) -> Setup:
@@ -349,9 +298,24 @@ def completed(setup: Setup, robot: Robot) -> Setup:
     usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
     choices = setup.choices + tuple(MethodChoice(method) for method in usual[len(setup.choices) :])
     extras = usual_extras(robot) if setup.extras is None else setup.extras
-    # An arm of five joints meets a position, but not a pose.
-    usual_kind: commands.GoalKind = "position" if is_figure(robot) or robot.nv < 6 else "pose"
-    return replace(setup, choices=choices, kind=setup.kind or usual_kind, extras=extras)
+    # Optional limits are off until a person asks for them.
+    limits = (not robot.file.optional_limits,) * MOST_INSTANCES
+    return replace(
+        setup,
+        choices=choices,
+        kind=setup.kind or _usual_kind(robot),
+        extras=extras,
+        limits=setup.limits or limits,
+    )
+
+
+def _usual_kind(robot: Robot) -> commands.GoalKind:
+    """Return what the ball asks of a robot unless a person chooses.
+
+    An arm of five joints meets a position, but not a pose. Chains and figures are posed by points.
+    """
+    is_arm = robot.nq == robot.nv and robot.nv >= POSE_FREEDOMS
+    return "pose" if is_arm and not robot.file.figure else "position"
 
 
 First = Callable[[Setup, Robot, RobotGoals, Sequence[Solver]], None]
@@ -377,38 +341,94 @@ def prepare(
     Raises:
         RobotIkError: There is no such method or option.
     """
-    if before is not None and is_figure(before.loaded) is not is_figure(loaded):
+    chosen = selected(loaded, setup)
+    if before is not None and is_figure(before.chosen) is not is_figure(chosen):
         setup = replace(setup, choices=())  # arms and figures need different methods
-    setup = completed(setup, loaded)
-    if setup.kind is None or setup.extras is None:
+    setup = completed(setup, chosen)
+    if setup.kind is None or setup.extras is None or setup.limits is None:
         raise RuntimeError("the setup is not completed")
-    same = before is not None and before.loaded is loaded and before.setup.limits == setup.limits
-    used = before.robot if before and same else loaded if setup.limits else without_limits(loaded)
-    goals = RobotGoals(used, setup.kind, setup.extras)
-    home = first_ball(loaded)
+    kept = before is not None and _same_selection(before, loaded, setup)
+    if before is not None and kept:
+        chosen = before.chosen
+    robots = _limited_robots(chosen, setup.limits[: setup.count], before if kept else None)
+    for pin in setup.pins:
+        chosen.frame(pin.frame)
+    goals = RobotGoals(robots[0], setup.kind, setup.extras, setup.pins)
+    home = first_ball(chosen)
     refused = []
     solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
     if first is not None:
-        first(setup, used, goals, solvers)
-    for solver in solvers:
+        first(setup, robots[0], goals, solvers)
+    for robot, solver in zip(robots, solvers, strict=True):
         say(f"preparing {solver.name} …")
-        refused.append(_tried(used, goals, solver, home))
+        refused.append(_tried(robot, goals, solver, home))
     if setup.branches:
         with contextlib.suppress(RobotIkError):
-            branches_of(used, goals.main(home), used.home)
-    asks_same = before is not None and before.setup.kind == setup.kind
-    if before and same and asks_same and before.setup.extras == setup.extras:
+            branches_of(robots[0], goals.main(home), robots[0].home)
+    if before is not None and kept and _asks_same(before, setup, robots[0]):
         curve = before.curve
     else:
         able = [solver for solver, reason in zip(solvers, refused, strict=True) if not reason]
-        chosen = able[0] if able else MethodChoice(_CURVE_METHOD).solver()
-        curve = reachable_curve(used, goals, chosen)
+        tries = able[0] if able else MethodChoice(_CURVE_METHOD).solver()
+        curve = reachable_curve(robots[0], goals, tries)
+    course = None
+    if setup.course:
+        is_same = before is not None and before.setup.course == setup.course
+        course = before.course if before is not None and is_same else make_course(setup.course)
     abilities = None
     if setup.figure != "off":
         if before is not None and before.loaded is loaded:
             abilities = before.abilities
         abilities = abilities or _abilities(loaded, say)
-    return Ready(setup, used, goals, solvers, loaded, curve, tuple(refused), abilities)
+    return Ready(
+        setup,
+        robots,
+        goals,
+        solvers,
+        loaded,
+        chosen,
+        curve,
+        course,
+        tuple(refused),
+        abilities,
+    )
+
+
+def _same_selection(before: Ready, loaded: Robot, setup: Setup) -> bool:
+    """Return whether tool, joints and stiffness are those of the last setup."""
+    old = before.setup
+    return before.loaded is loaded and (old.tool, old.base, old.joints, old.stiffness) == (
+        setup.tool,
+        setup.base,
+        setup.joints,
+        setup.stiffness,
+    )
+
+
+def _asks_same(before: Ready, setup: Setup, robot: Robot) -> bool:
+    """Return whether the first instance is asked for the same as by the last setup."""
+    old = before.setup
+    same_goals = (old.kind, old.extras, old.pins) == (setup.kind, setup.extras, setup.pins)
+    return same_goals and before.robot is robot
+
+
+def _limited_robots(
+    robot: Robot, limits: tuple[bool, ...], before: Ready | None
+) -> tuple[Robot, ...]:
+    """Return the robot of each instance, with its limits or without.
+
+    Args:
+        robot: The robot.
+        limits: Whether the limits of each instance hold.
+        before: The last setup of this robot, whose robots are used again.
+    """
+    made: dict[bool, Robot] = {}
+    if before is not None and before.setup.limits is not None:
+        made = dict(zip(before.setup.limits, before.robots, strict=False))
+    for on in limits:
+        if on not in made:
+            made[on] = robot.with_optional_limits() if on else without_limits(robot)
+    return tuple(made[on] for on in limits)
 
 
 def _abilities(robot: Robot, say: Callable[[str], None]) -> Abilities:
@@ -477,16 +497,6 @@ def without_limits(robot: Robot) -> Robot:
             lower[at] = -np.inf
             upper[at] = np.inf
     return dataclasses.replace(robot, tree=robot.tree.with_limits(lower, upper))
-
-
-def first_ball(robot: Robot) -> Pose:
-    """Return the first pose of the ball: the goal of the robot's gallery picture, else home."""
-    home = robot.measure(robot.home)  # MuJoCo needs no compilation before the first picture
-    goals = gallery_scene(robot).goals
-    if robot.tool not in goals:
-        return home
-    values = goals[robot.tool]
-    return Pose(values[:3], values[3:] if len(values) == 7 else home.wxyz)
 
 
 def reachable_curve(robot: Robot, goals: RobotGoals, solver: Solver) -> CurveSource:

@@ -14,9 +14,10 @@ from robot_ik.figure.decide import Decision
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.testbed import commands
+from robot_ik.testbed.course_run import CourseView
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.obstacles import ContactView, ObstacleView
-from robot_ik.testbed.setup import ExtraGoal
+from robot_ik.testbed.robot_goals import ExtraGoal, Pin
 from robot_ik.testbed.timeline import TimelineView
 
 if TYPE_CHECKING:
@@ -77,9 +78,14 @@ class View:
         ball: Pose of the ball, world.
         kind: What the ball asks of the tool.
         extras: Goals beside it.
-        limits: Whether joint limits hold.
+        pins: Frames that are pinned.
+        tool: Frame that follows the ball.
+        base: Frame that carries the joints that move. Empty: all joints move.
+        stiffness: Joints and their stiffness, where it is not that of the model.
+        course: The course of thesis A00 that the ball follows. None: there is none.
         show_branches: Whether branches are shown.
         dragged: Body that is dragged. Empty: none.
+        pull: (2, 3) the grabbed point and where the mouse pulls it, world, m. None: no drag.
         instances: One to four.
         branches: Of the first instance, if they are shown.
         busy: What is prepared beside the loop. Empty: nothing.
@@ -104,9 +110,14 @@ class View:
     ball: Pose
     kind: commands.GoalKind
     extras: tuple[ExtraGoal, ...]
-    limits: bool
+    pins: tuple[Pin, ...]
+    tool: str
+    base: str
+    stiffness: tuple[tuple[str, float], ...]
+    course: CourseView | None
     show_branches: bool
     dragged: str
+    pull: Array | None
     instances: tuple[InstanceView, ...]
     branches: tuple[BranchView, ...]
     busy: str
@@ -125,6 +136,11 @@ class View:
         return len(self.instances)  # type: ignore[return-value]
 
     @property
+    def limits(self) -> bool:
+        """Whether the joint limits of all instances hold."""
+        return all(one.limited for one in self.instances)
+
+    @property
     def state(self) -> str:
         """What the session does, in a few words."""
         if self.tick == 0:
@@ -137,7 +153,10 @@ class View:
         """Return a fingerprint of everything that commands decide: no times and no servo arm."""
         fields: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed]
         fields += [self.pace, self.restarts, self.kind, self.limits, self.dragged]
+        fields += [self.tool, self.base, self.stiffness]
         fields += [dataclasses.astuple(extra) for extra in self.extras]
+        fields += [dataclasses.astuple(pin) for pin in self.pins]
+        fields.append(None if self.course is None else dataclasses.astuple(self.course))
         fields.append(None if self.figure is None else dataclasses.astuple(self.figure))
         fields.append(dataclasses.astuple(self.timeline))
         fields += [obstacle.shape for obstacle in self.obstacles]

@@ -17,6 +17,9 @@ from robot_ik.robot import Robot, load_robot
 ROBOT = "seven_segment"
 """The arm. The thesis does not state its lengths."""
 
+TOOL = "tip"
+"""Frame that follows the ball."""
+
 SEGMENTS = 7
 """Bones of the arm. One iteration of CCD turns one bone in the thesis, all of them here."""
 
@@ -107,7 +110,7 @@ def method_options(method: str, gain: float = ALPHA) -> dict[str, Any]:
         # Our rows are lengths divided by the length scale of the goal. λ is a length here, so it
         # is divided, too.
         arm = make_arm(limited=False)
-        scale = length_scale(arm, PositionGoal("tip", (0.0, 0.0, 0.0)))
+        scale = length_scale(arm, PositionGoal(TOOL, (0.0, 0.0, 0.0)))
         options |= {"damping": LAMBDA / scale, "max_step": MAX_STEP}
     return options
 

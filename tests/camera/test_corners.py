@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
-from robot_ik.camera.synthetic.sensor import SensorModel
+from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 
 STRAIGHT = CameraIntrinsics(640, 480, 800.0, 800.0, 319.5, 239.5)
 
@@ -72,6 +74,28 @@ def test_bad_pictures_cost_little(sensor: SensorModel, limit: float) -> None:
             view.image, [found.corners], [found.id], "DICT_4X4_50", STANDARD_CAMERA
         )[0]
         assert result.sigma < 0.3
+        errors.append(result.pixels - view.corners)
+    assert np.sqrt(np.mean(np.square(errors))) <= limit
+
+
+@pytest.mark.parametrize(
+    ("sensor", "limit"),
+    [
+        # With a round blur 0.057 px, with an elongated one 0.023 px.
+        (replace(WEBCAM, motion=4.0), 0.035),
+        # Without a halo 0.035 px, with a negative one 0.017 px.
+        (replace(WEBCAM, bloom=0.3), 0.025),
+    ],
+    ids=["motion", "bloom"],
+)
+def test_motion_and_bloom_are_in_the_model(sensor: SensorModel, limit: float) -> None:
+    errors = []
+    for view in standard_set(0.6, 12, seed=2, sensor=sensor):
+        (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)
+        (result,) = refine_markers(
+            view.image, [found.corners], [found.id], "DICT_4X4_50", STANDARD_CAMERA
+        )
+        assert result.refined
         errors.append(result.pixels - view.corners)
     assert np.sqrt(np.mean(np.square(errors))) <= limit
 

@@ -11,6 +11,7 @@ from robot_ik.camera.corners import marker_black
 from robot_ik.camera.print_model import (
     CONTRAST,
     DARK,
+    ELONGATION,
     HALO,
     LOG_BLUR,
     PIXEL,
@@ -41,12 +42,18 @@ def some_pixels(count: int, seed: int) -> np.ndarray:
     return pixels
 
 
-def unknowns(blur: float = 0.9, shift: float = 0.4, halo: float = 0.0) -> np.ndarray:
+def unknowns(
+    blur: float = 0.9,
+    shift: float = 0.4,
+    elongation: tuple[float, float] = (0.0, 0.0),
+    halo: float = 0.0,
+) -> np.ndarray:
     x = np.zeros(UNKNOWNS)
     x[LOG_BLUR] = math.log(blur)
     x[SHIFT] = shift
     x[DARK] = 30.0
     x[CONTRAST] = 170.0
+    x[ELONGATION:HALO] = elongation
     x[HALO] = halo
     return x
 
@@ -71,22 +78,39 @@ def view(pixel: np.void, homography: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return at(0.0, 0.0), np.column_stack(slopes)
 
 
-@pytest.mark.parametrize(("blur", "shift"), [(0.5, 0.0), (0.9, 0.4), (1.6, -0.3)])
-def test_values_agree_with_exact_integrals(blur: float, shift: float) -> None:
+@pytest.mark.parametrize(
+    ("blur", "shift", "elongation"),
+    [
+        (0.5, 0.0, (0.0, 0.0)),
+        (0.9, 0.4, (0.0, 0.0)),
+        (1.6, -0.3, (0.0, 0.0)),
+        (0.9, 0.4, (0.25, 0.0)),
+        (1.2, 0.2, (-0.1, 0.2)),
+    ],
+)
+def test_values_agree_with_exact_integrals(
+    blur: float, shift: float, elongation: tuple[float, float]
+) -> None:
     pixels = some_pixels(40, seed=1)
-    model = values(pixels, HOMOGRAPHY, unknowns(blur, shift), 1.2)
+    model = values(pixels, HOMOGRAPHY, unknowns(blur, shift, elongation), 1.2)
+    along_rows, along_diagonal = elongation
+    covariance = blur**2 * np.array(
+        [[1.0 + along_rows, along_diagonal], [along_diagonal, 1.0 - along_rows]]
+    )
     for pixel, value in zip(pixels, model, strict=True):
         (u, v), per_pixel = view(pixel, HOMOGRAPHY)
         # 0.15 % of the contrast: an edge has no effect beyond 3.2 standard deviations of the blur.
-        expected = pixel_value(u, v, per_pixel, blur, shift, dark=30.0, contrast=170.0, black=BLACK)
+        expected = pixel_value(
+            u, v, per_pixel, covariance, shift, dark=30.0, contrast=170.0, black=BLACK
+        )
         assert value == pytest.approx(expected, abs=0.25)
 
 
-@pytest.mark.parametrize("halo", [0.0, 0.8])
+@pytest.mark.parametrize("halo", [-0.2, 0.0, 0.8])
 def test_the_gram_matrix_is_that_of_differences(halo: float) -> None:
     """J^T J of the compiled Jacobian against central differences of the compiled values."""
     pixels = some_pixels(300, seed=2)
-    x = unknowns(halo=halo)
+    x = unknowns(elongation=(0.1, -0.05), halo=halo)
     gram = linearise(pixels, BLACK, HOMOGRAPHY, x, math.inf, 1.2)[:UNKNOWNS, :UNKNOWNS]
     jacobian = np.empty((len(pixels), UNKNOWNS))
     # So small that no edge comes within 3.2 standard deviations, where the model has a step.

@@ -15,8 +15,8 @@ from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.targets import marker_grid
 from robot_ik.cli.arguments import pose_text
-from robot_ik.cli.reach import ReachOptions, make_request
-from robot_ik.errors import CalibrationError, ConfigError
+from robot_ik.commands.reach import Reach, load_camera_pose
+from robot_ik.errors import CalibrationError, OptionError
 from robot_ik.geometry import Pose, rotation_exp
 
 SEEN = Pose((0.03, -0.02, 0.6), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, -0.3, 0.2])))
@@ -86,19 +86,16 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
     position, angle = found.pose_parent_camera.distance(true)
     assert position < 1.5e-3 and angle < np.deg2rad(0.15)
     assert position < 4 * found.sigma_position
-    options = ReachOptions(
-        camera="0", intrinsics=Path("camera.yaml"), camera_extrinsics=Path("place.toml")
-    )
-    assert make_request(options).pose_world_camera is not None
+    reach = Reach(camera="0", intrinsics=Path("camera.yaml"), extrinsics=Path("place.toml"))
+    assert load_camera_pose(reach) == found.pose_parent_camera
     dataclasses.replace(STANDARD_CAMERA, fx=802.0).save("other.yaml")
     with pytest.raises(CalibrationError, match="another calibration"):
-        make_request(dataclasses.replace(options, intrinsics=Path("other.yaml")))
-    for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": None}):
-        with pytest.raises(ConfigError, match="extrinsics file"):
-            make_request(dataclasses.replace(options, **wrong))  # type: ignore[arg-type]
+        load_camera_pose(dataclasses.replace(reach, intrinsics=Path("other.yaml")))
+    with pytest.raises(OptionError, match="the calibration is missing"):
+        load_camera_pose(dataclasses.replace(reach, intrinsics=None))
     dataclasses.replace(found, parent="gripper").save("carried.toml")
     with pytest.raises(CalibrationError, match="'gripper'"):
-        make_request(dataclasses.replace(options, camera_extrinsics=Path("carried.toml")))
+        load_camera_pose(dataclasses.replace(reach, extrinsics=Path("carried.toml")))
 
 
 def test_json(robot_ik: Any) -> None:

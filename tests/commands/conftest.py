@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_ik.commands.main import main
+from robot_ik.jobs import vision
+from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_smaller
 from tests.hardware.joints import with_servo
 
 if TYPE_CHECKING:
@@ -22,8 +24,10 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.servo import VirtualServo
 
-#: What fits a terminal of 25 lines together with the prompt.
+__all__ = ["arms", "full_pictures", "healthy", "reach"]
+
 SCREEN = 25
+"""Lines of a terminal, the prompt included."""
 ANSI = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 
 
@@ -255,3 +259,11 @@ def mine(calibrate: Callable[..., Run], desk: Desk, tmp_path: Path) -> Path:
     """A calibrated arm."""
     assert calibrate(_good_hand(desk)).code == 0
     return tmp_path / "mine.toml"
+
+
+@pytest.fixture(scope="module")
+def light_pictures() -> Iterator[None]:
+    """Pictures of half the size, for a test file that makes many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vision, "scene_for", seen_smaller)
+        yield

@@ -30,7 +30,7 @@ HEAVY = ["mujoco", "numba", "cv2", "numpy", "pydantic", "serial", "dynamixel_sdk
         ("solve --gaol 1 2 3", "unknown option --gaol; did you mean --goal?"),
         (
             "solve --speed 1",
-            "robot-ik solve has no option --speed (an option of: servo move)",
+            "robot-ik solve has no option --speed (an option of: reach, servo move)",
         ),
         ("solve --method lm", "unknown option --method; here it is --solver"),
         ("solve --seed many", "--seed: 'many' is not a whole number"),
@@ -46,6 +46,12 @@ HEAVY = ["mujoco", "numba", "cv2", "numpy", "pydantic", "serial", "dynamixel_sdk
             "servo move a=1 --bus sim --speed 2",
             "--speed: 2.0 is out of range; allowed: above 0, at most 1",
         ),
+        ("reach --when-lost holt", "did you mean 'hold'?; allowed: hold, park, stop"),
+        ("reach --marker x", "--marker: 'x' is not a whole number"),
+        ("reach --over", "did you mean --overwrite?"),
+        ("reach --camera-extrinsics a", "here it is --extrinsics"),
+        ("reach --nonsense", "robot-ik reach has no option --nonsense"),
+        ("reach --follow inf", "--follow: inf is out of range; allowed: above 0"),
         ("servo scan extra", "unexpected argument extra"),
         ("servo move", "JOINT=DEG …: this argument is required"),
         ("servo move a=1", "--bus: this argument is required; allowed: sim|pty|PORT"),
@@ -67,6 +73,7 @@ def test_wrong_lines_are_explained(line: str, reported: str, robot_ik: Any) -> N
         "solve --overwrite",
         "solve --record a",
         "servo scan --rate 3",
+        "reach --rate 3",
     ],
 )
 def test_no_suggestion_is_better_than_a_wrong_one(line: str, robot_ik: Any) -> None:

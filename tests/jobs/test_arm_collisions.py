@@ -20,8 +20,7 @@ from robot_ik.goals import PoseGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest, run_reach
-from robot_ik.jobs.robot_setup import prepare_robot
+from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
 from robot_ik.jobs.script import ScriptRequest, parse_script, run_script
 from robot_ik.ports import Array
 from robot_ik.robot_arm import open_robot
@@ -30,6 +29,7 @@ from robot_ik.workcell.guided_motion import playable
 from robot_ik.workcell.jog import KeyboardJog
 from robot_ik.workcell.leader_arm import LeaderArm
 from robot_ik.workcell.teleop import teleoperate
+from tests.commands.reach_runs import run_reach
 
 NAME = "tabletop_puma"
 
@@ -138,15 +138,12 @@ def test_reach_refuses_before_torque_and_says_why(
 ) -> None:
     file = with_ball(tmp_path, middle(robot, goal))
     pose = robot.forward(goal)
-    request = ReachRequest(
-        robot=NAME, bus="sim", arm_file=file, goal=PoseGoal.at(None, pose), speed=1.0
-    )
-    free = run_reach(ReachRequest(robot=NAME, bus="sim", goal=PoseGoal.at(None, pose)))
-    assert free.problem is None
-    report = run_reach(request)
-    assert isinstance(report.problem, MotionBlockedError)
-    assert "ball" in str(report.problem)
-    assert 0.0 < report.problem.time < 3.0
+    free = run_reach(robot=NAME, goal=PoseGoal.at(None, pose))
+    assert free.error is None
+    report = run_reach(robot=NAME, arm=str(file), goal=PoseGoal.at(None, pose))
+    assert isinstance(report.error, MotionBlockedError)
+    assert "ball" in str(report.error)
+    assert 0.0 < report.error.time < 3.0
     assert report.execution is None
     servos = report.setup.opened.virtual_bus  # type: ignore[union-attr]
     assert servos is not None
@@ -157,19 +154,17 @@ def test_reach_refuses_before_torque_and_says_why(
 def test_reach_says_that_its_goal_touches(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
     pose = robot.forward(goal)
     file = with_ball(tmp_path, pose.position)
-    report = run_reach(
-        ReachRequest(robot=NAME, bus="sim", arm_file=file, goal=PoseGoal.at(None, pose))
-    )
-    assert isinstance(report.problem, NotConvergedError)
-    assert "ball" in str(report.problem)
+    report = run_reach(robot=NAME, arm=str(file), goal=PoseGoal.at(None, pose))
+    assert isinstance(report.error, NotConvergedError)
+    assert "ball" in str(report.error)
     assert report.execution is None
 
 
 def test_reach_arrives_by_a_free_way(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
     file = with_ball(tmp_path, middle(robot, goal) + np.array((0.0, 0.0, 0.2)))
     wanted = PoseGoal.at(None, robot.forward(goal))
-    report = run_reach(ReachRequest(robot=NAME, bus="sim", arm_file=file, goal=wanted))
-    assert report.problem is None
+    report = run_reach(robot=NAME, arm=str(file), goal=wanted)
+    assert report.error is None
     assert report.trajectory is not None
     assert report.trajectory.certified
 
@@ -278,7 +273,7 @@ def test_a_scene_that_is_wrong_is_refused_before_anything_is_opened(tmp_path: Pa
         ('ignore = [["nobody", "link1"]]', "collisions.ignore"),
     ):
         with pytest.raises(ConfigError, match=key):
-            prepare_robot(ReachRequest(robot=NAME, bus="sim", arm_file=arm_with(tmp_path, keys)))
+            prepare_robot(ArmRequest(robot=NAME, bus="sim", arm_file=arm_with(tmp_path, keys)))
 
 
 def test_a_script_that_follows_a_circle_through_the_ball_stops_before_it(
@@ -342,5 +337,5 @@ def test_reach_without_servos_uses_the_scene_too(
 ) -> None:
     file = with_ball(tmp_path, middle(robot, goal))
     wanted = PoseGoal.at(None, robot.forward(goal))
-    report = run_reach(ReachRequest(robot=NAME, bus="none", arm_file=file, goal=wanted))
-    assert isinstance(report.problem, MotionBlockedError)
+    report = run_reach(robot=NAME, bus="none", arm=str(file), goal=wanted)
+    assert isinstance(report.error, MotionBlockedError)

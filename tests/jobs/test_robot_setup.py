@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from robot_ik.commands.main import main
-from robot_ik.errors import ConfigError, UnsupportedJointError
+from robot_ik.errors import ConfigError, OptionError, UnsupportedJointError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest
-from robot_ik.jobs.robot_setup import Rehearsal, joints_that_move, prepare_robot
+from robot_ik.jobs.robot_setup import ArmRequest, Rehearsal, joints_that_move, prepare_robot
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
@@ -28,7 +27,7 @@ def arm_text() -> str:
 def test_the_narrower_limit_counts(bus: str, tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     file.write_text(arm_text().replace("upper_deg = 160.0", "upper_deg = 45.0", 1))
-    setup = prepare_robot(ReachRequest(bus=bus, arm_file=file))
+    setup = prepare_robot(ArmRequest(bus=bus, arm_file=file))
     first, others = setup.limits[0], setup.limits[1:]
     assert np.rad2deg(setup.robot.upper[0]) == pytest.approx(45.0, abs=0.1)
     assert first.used[1] == setup.robot.upper[0] < first.model[1] and first.servo is not None
@@ -39,7 +38,7 @@ def test_the_narrower_limit_counts(bus: str, tmp_path: Path) -> None:
 
 
 def test_without_a_bus_the_models_limits_stay() -> None:
-    setup = prepare_robot(ReachRequest(bus="none"))
+    setup = prepare_robot(ArmRequest(bus="none"))
     assert all(limit.used == limit.model and limit.servo is None for limit in setup.limits)
     assert setup.arm is None and isinstance(setup.clock, VirtualClock)
     assert not setup.resolution.any()
@@ -52,20 +51,20 @@ def test_fingers_need_no_servo_and_count_for_nothing(arms: dict[str, Path]) -> N
     assert joints_that_move(whole, "left") == ("waist", "shoulder", "elbow", "wrist", "left_finger")
     assert joints_that_move(whole, "turn") == ("waist",)
     for bus in ("sim", "none"):
-        setup = prepare_robot(ReachRequest(robot=str(arms["desk"]), bus=bus))
+        setup = prepare_robot(ArmRequest(robot=str(arms["desk"]), bus=bus))
         assert setup.robot.joints == ("waist", "shoulder", "elbow", "wrist") and setup.dof == 4
 
 
 def test_a_slide_that_moves_the_tool_has_no_generic_servo(arms: dict[str, Path]) -> None:
-    request = ReachRequest(robot=str(arms["desk"]), bus="sim", frame="left")
+    request = ArmRequest(robot=str(arms["desk"]), bus="sim", frame="left")
     with pytest.raises(UnsupportedJointError, match="left_finger"):
         prepare_robot(request)
-    setup = prepare_robot(ReachRequest(robot=str(arms["desk"]), bus="none", frame="left"))
+    setup = prepare_robot(ArmRequest(robot=str(arms["desk"]), bus="none", frame="left"))
     assert [limit.unit for limit in setup.limits] == ["rad"] * 4 + ["m"]
 
 
 def test_an_arm_file_may_be_the_one_of_a_robot() -> None:
-    setup = prepare_robot(ReachRequest(robot="tabletop_puma", bus="sim", arm_file=Path("tabletop_puma")))
+    setup = prepare_robot(ArmRequest(robot="tabletop_puma", bus="sim", arm_file=Path("tabletop_puma")))
     assert setup.config is not None and setup.config.file == load_robot("tabletop_puma").arm_file
 
 
@@ -93,26 +92,26 @@ def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> 
     blocks = arm_text().split("[[joints]]")
     file = tmp_path / "arm.toml"
     file.write_text("[[joints]]".join(blocks[:4]))  # joint1 to joint3
-    setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    setup = prepare_robot(ArmRequest(bus="sim", arm_file=file))
     assert setup.robot.joints == ("joint1", "joint2", "joint3")
     # the order of the file is its own affair
     file.write_text("[[joints]]".join([blocks[0], *reversed(blocks[1:])]))
-    setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    setup = prepare_robot(ArmRequest(bus="sim", arm_file=file))
     assert setup.config is not None and setup.config.names == setup.robot.joints
     file.write_text(arm_text().replace('"joint6"', '"joint9"'))
     for bus in ("sim", "none"):
         with pytest.raises(ConfigError, match="joint9"):
-            prepare_robot(ReachRequest(bus=bus, arm_file=file))
+            prepare_robot(ArmRequest(bus=bus, arm_file=file))
 
 
 @pytest.mark.parametrize("bus", ["none", "/dev/ttyUSB9"])
 def test_faults_are_for_simulated_servos(bus: str) -> None:
-    with pytest.raises(ConfigError, match="simulated"):
-        prepare_robot(ReachRequest(bus=bus, rehearsal=Rehearsal(stuck=("joint1",))))
+    with pytest.raises(OptionError, match="simulated"):
+        prepare_robot(ArmRequest(bus=bus, rehearsal=Rehearsal(stuck=("joint1",))))
 
 
 def test_torque_is_on_from_enable_torque_to_the_end_whatever_ends_it() -> None:
-    setup = prepare_robot(ReachRequest(bus="sim"))
+    setup = prepare_robot(ArmRequest(bus="sim"))
     assert setup.arm is not None and setup.arm.bus.virtual_bus is not None
     servos = setup.arm.bus.virtual_bus.servos
     with pytest.raises(RuntimeError), setup.connected():
@@ -125,7 +124,7 @@ def test_torque_is_on_from_enable_torque_to_the_end_whatever_ends_it() -> None:
 
 def test_the_shafts_are_what_the_camera_sees() -> None:
     faults = Rehearsal(zero_offset_deg={"joint3": 2.0})
-    setup = prepare_robot(ReachRequest(bus="sim", rehearsal=faults))
+    setup = prepare_robot(ArmRequest(bus="sim", rehearsal=faults))
     with setup.connected():
         away = np.rad2deg(setup.true_q() - setup.q)
     assert abs(away[2]) == pytest.approx(2.0, abs=0.2)

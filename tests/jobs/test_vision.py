@@ -13,17 +13,19 @@ import numpy as np
 import pytest
 
 from robot_ik.camera import targets, tracker
+from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.latest_goals import LatestGoals
 from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.commands.reach_report import ReachReport
 from robot_ik.errors import (
     CalibrationError,
     CameraError,
-    ConfigError,
     FrameTimeoutError,
     MarkerNotFoundError,
+    OptionError,
 )
 from robot_ik.geometry import Pose
-from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.vision import wandering
 from robot_ik.ports import RealClock, VirtualClock
@@ -65,14 +67,14 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def look(reach: Any, photos: Path) -> Any:
     """Run reach with a file of ``photos`` and its calibration."""
 
-    def run(name: str, **request: Any) -> ReachReport:
+    def run(name: str, *fault: str, **options: Any) -> ReachReport:
         settings = {
             "intrinsics": photos / "camera.yaml",
             "marker_size": 0.1,
             "bus": "none",
-            **request,
+            **options,
         }
-        report: ReachReport = reach(camera=str(photos / name), **settings)
+        report: ReachReport = reach(*fault, camera=str(photos / name), **settings)
         return report
 
     return run
@@ -90,7 +92,7 @@ def test_no_picture_with_truth_ever_reaches_a_tracker(
             return real(frame, *rest, **more)
 
         monkeypatch.setattr(module, "find_corners", spy)
-    assert reach(follow=1.0).reached
+    assert reach(follow=1.0).ok
     assert len(seen) > 5 and all(truth is None for truth in seen)
 
 
@@ -102,15 +104,15 @@ def test_a_lying_truth_changes_nothing(
     lies = {"pose_world_marker": {7: lie, 20: lie, 21: lie}}
     monkeypatch.setattr(SyntheticSource, "_truth", lambda self, *rest: lies)
     report = reach()
-    assert report.reached and report.seen.true_pose == healthy.seen.true_pose  # type: ignore[union-attr]
-    np.testing.assert_array_equal(report.target.position, healthy.target.position)  # type: ignore[union-attr]
-    assert report.by_camera.position == healthy.by_camera.position  # type: ignore[union-attr]
+    assert report.ok and report.seen.true_pose == healthy.seen.true_pose  # type: ignore[union-attr]
+    np.testing.assert_array_equal(report.goal.target.position, healthy.goal.target.position)  # type: ignore[union-attr]
+    assert report.judged.by_camera.position == healthy.judged.by_camera.position  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("name", ["photo.png", "pictures", "film.avi"])
 def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachReport) -> None:
     report = look(name)
-    assert report.reached and report.by_camera is None and "recorded" in report.verdict
+    assert report.ok and report.judged.by_camera is None and "recorded" in report.verdict
     assert report.seen.true_pose is None
     scene = report.vision.scene
     assert report.seen.pose_world_marker.distance(scene.pose_world_marker)[0] < 1.5e-3
@@ -118,36 +120,43 @@ def test_recorded_pictures_go_the_same_way(name: str, look: Any, healthy: ReachR
     assert report.seen.observation.pose.distance(camera)[0] < 1.5e-3
 
 
-def test_a_camera_that_stands_elsewhere(look: Any, healthy: ReachReport) -> None:
+def test_a_camera_that_stands_elsewhere(
+    look: Any, healthy: ReachReport, photos: Path, tmp_path: Path
+) -> None:
     scene = healthy.vision.scene  # type: ignore[union-attr]
     moved = Pose(
         np.add(scene.pose_world_camera.position, [0.02, 0.0, 0.0]), scene.pose_world_camera.wxyz
     )
-    report = look("photo.png", pose_world_camera=moved)
-    shift = report.target.position - healthy.target.position  # type: ignore[union-attr]
+    file = tmp_path / "extrinsics.toml"
+    intrinsics = CameraIntrinsics.load(photos / "camera.yaml")
+    CameraExtrinsics(
+        moved, "world", 1e-8 * np.eye(6), 0.1, 0.1, "2026-01-01", intrinsics.digest
+    ).save(file)
+    report = look("photo.png", extrinsics=file)
+    shift = report.goal.target.position - healthy.goal.target.position  # type: ignore[union-attr]
     np.testing.assert_allclose(shift, [0.02, 0, 0], atol=1e-3)
 
 
 def test_a_photograph_without_the_marker_ends(look: Any) -> None:
     report = look("blank.png")
-    assert isinstance(report.problem, MarkerNotFoundError) and not report.reached
+    assert isinstance(report.error, MarkerNotFoundError) and not report.ok
     # These are the markers of the gripper.
-    assert "in view: 20, 23" in str(report.problem)
-    report = look("photo.png", marker_id=3)
-    assert isinstance(report.problem, MarkerNotFoundError) and "marker 3" in str(report.problem)
+    assert "in view: 20, 23" in str(report.error)
+    report = look("photo.png", marker=3)
+    assert isinstance(report.error, MarkerNotFoundError) and "marker 3" in str(report.error)
 
 
 def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
     report = look("film.avi", follow=1.5, bus="sim")
-    assert report.reached
+    assert report.ok
     home = report.vision.scene.pose_world_marker.position
     np.testing.assert_allclose(
         report.seen.pose_world_marker.position - home, [0.022, 0, 0], atol=2e-3
     )
     tool = report.robot.forward(report.setup.true_q(), "gripper").position
-    assert np.linalg.norm(tool - report.target.position) < 3e-3
+    assert np.linalg.norm(tool - report.goal.target.position) < 3e-3
     # The film is shorter than the run.
-    assert report.following.held > 20
+    assert report.followed.ticks.held > 20
 
 
 @pytest.mark.parametrize(
@@ -157,9 +166,9 @@ def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
         ({"marker_size": None}, CameraError, "--marker-size"),
         ({"marker_size": -0.1}, CameraError, "size"),
         ({"dictionary": "DICT_5X5_5"}, CameraError, "DICT_5X5_50"),
-        ({"marker_id": 99}, CameraError, "99"),
-        ({"follow": 1.0}, ConfigError, "photograph"),
-        ({"rehearse": {"cover_gripper": True}}, ConfigError, "synthetic"),
+        ({"marker": 99}, CameraError, "99"),
+        ({"follow": 1.0}, OptionError, "photograph"),
+        ({"marker_at": (0.0, 0.0, 0.0)}, OptionError, "synthetic"),
     ],
 )
 def test_wrong_input(change: dict[str, Any], error: type[Exception], said: str, look: Any) -> None:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.jobs.reach import ReachRequest, run_reach
+from robot_ik.commands.reach import Reach
 from robot_ik.robot import load_robot
 from tests.models.arm_checks import check_way_from_ready, posed, site, solve, touching
 
@@ -218,11 +218,11 @@ def test_markers_on_the_table_are_reached_without_contact(
 @pytest.mark.parametrize("name", ["panda", "ur5e"])
 def test_reach_is_reached_and_two_sides_of_the_cube_face_the_camera(name: str) -> None:
     """The whole job on the simulated bus; the PUMA's and the desk arms' have tests of their own."""
-    report = run_reach(ReachRequest(robot=name, bus="sim"))
-    assert report.reached and not report.blind
-    assert report.by_camera is not None and report.q_end is not None
-    assert report.by_camera.position < 0.002
-    data = posed(report.robot.model, report.q_end)
+    report = Reach(robot=name, bus="sim").run()
+    assert report.ok and not report.judged.blind
+    assert report.judged.by_camera is not None and report.judged.q is not None
+    assert report.judged.by_camera.position < 0.002
+    data = posed(report.robot.model, report.judged.q)
     reach = next(arm for arm in ARMS if arm.name == name).settings["reach"]
     facing = 0
     for number in reach["tool_marker"]["ids"]:

@@ -14,9 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from robot_ik.commands.reach import Reach
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest, run_reach
-from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import reach_table
 from tests.models.arm_checks import touching
 
@@ -362,13 +361,13 @@ def test_reach_on_simulated_servos_without_a_contact(
     name: str, place: tuple[float, ...] | None
 ) -> None:
     arm = ARMS[name]
-    report = run_reach(ReachRequest(robot=name, bus="sim", rehearsal=Rehearsal(marker_at=place)))  # type: ignore[arg-type]
-    assert report.reached, report.problem or report.verdict
+    report = Reach(robot=name, bus="sim", marker_at=place or ()).run()
+    assert report.ok, report.error or report.verdict
     assert report.setup.config is not None and report.setup.config.robot == name
-    assert isinstance(report.goal, rik.PoseGoal) and report.by_camera is not None
+    assert isinstance(report.goal, rik.PoseGoal) and report.judged.by_camera is not None
     assert report.goal.free_axis == ("z" if name in FIVE else None)
-    assert report.q_end is not None and report.trajectory is not None
-    down = arm.robot.measure(report.q_end).rotation[:, 2]
+    assert report.judged.q is not None and report.trajectory is not None
+    down = arm.robot.measure(report.judged.q).rotation[:, 2]
     assert down[2] < -0.9998  # it faces the marker on the table, to a degree
     for q in report.trajectory.q[::5]:
         assert touching(arm.scene, arm.posed(np.array(q), arm.scene)) == []

@@ -18,9 +18,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from robot_ik.commands.reach import Reach
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest, run_reach
-from robot_ik.jobs.robot_setup import Rehearsal
 from tests.models.arm_checks import touching
 
 Array = NDArray[np.float64]
@@ -287,9 +286,8 @@ def test_scene_table_and_markers_are_those_of_robot_toml() -> None:
 
 @pytest.mark.parametrize("place", [None, (0.22, 0.10, 0.0, 220.0), (0.11, -0.10, 0.0, 140.0)])
 def test_reach_on_simulated_servos(place: tuple[float, float, float, float] | None) -> None:
-    request = ReachRequest(robot="tabletop_puma", bus="sim", rehearsal=Rehearsal(marker_at=place))
-    report = run_reach(request)
-    assert report.reached, report.problem or report.verdict
+    report = Reach(robot="tabletop_puma", bus="sim", marker_at=place or ()).run()
+    assert report.ok, report.error or report.verdict
     assert report.setup.config is not None and report.setup.config.robot == "tabletop_puma"
     assert report.trajectory is not None
     scene = load("scene.xml")

@@ -233,7 +233,7 @@ def test_the_card_says_in_words_and_numbers_how_the_method_does(window: Window) 
     card = window.page.locator(".rk-method").first
     card.get_by_text("ball met", exact=True).wait_for()
     card.get_by_text(re.compile(r"^0\.\d\d")).first.wait_for()
-    for label in ("steps", "time", "p99", "solved"):
+    for label in ("steps", "time", "jump", "solved"):
         assert card.get_by_text(label, exact=True).locator("xpath=..").get_attribute("title")
 
 
@@ -498,11 +498,11 @@ CONTROLS = """async () => {
         for (const tab of document.querySelectorAll("[role=tab]")) {
             tab.click();
             await frame();
-            const folds = document.querySelectorAll(".rk-more, .rk-rare summary");
+            const folds = document.querySelectorAll(".rk-name, .rk-rare summary");
             for (const fold of folds) fold.click();
             await frame();
             const found = document.querySelectorAll(
-                ".rk-body button:not(.rk-more), .rk-body input, .rk-body select");
+                ".rk-body button:not(.rk-name), .rk-body input, .rk-body select");
             for (const control of found) {
                 const isThere = control.isConnected && control.checkVisibility();
                 if (!isThere || control.disabled) continue;

@@ -7,7 +7,7 @@ import csv
 import dataclasses
 import io
 import queue
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,6 @@ SWITCHES = {
     "show_handles": "handles",
     "show_turn_handles": "turn_handles",
     "show_tool_frames": "tool_frames",
-    "show_reach": "reach",
     "show_camera": "camera",
 }
 FILES = {
@@ -96,9 +95,22 @@ FILES = {
 OTHERS = {"press_key", "hand_over", "fit_camera", "report_graphics", "save_recording"}
 """These have own tests."""
 
+SURFACES = {
+    "show_reach": ("reach", {"/regions/reach/shell"}),
+    "show_regions": (
+        "regions",
+        {"/regions/figure/reach", "/regions/figure/bend", "/regions/figure/jump"},
+    ),
+    "show_cube": ("cube", {"/cube/edges", "/cube/axes", "/cube/marks"}),
+}
+"""Settings and nodes of what is drawn with the next view."""
+
+BENCH = {"pick_part", "pin_frame", "run_cases"}
+"""These are tried by test_theses.py."""
+
 
 def test_every_action_is_tried_by_a_test() -> None:
-    assert {*SWITCHES, *FILES, *OTHERS} == set(ACTIONS)
+    assert {*SWITCHES, *FILES, *OTHERS, *SURFACES, *BENCH} == set(ACTIONS)
 
 
 @pytest.mark.parametrize(("action", "setting"), SWITCHES.items())
@@ -114,6 +126,34 @@ def test_a_switch_changes_the_page_and_is_shown_on_it(
         client.until(lambda one, wanted=wanted: one.latest["settings"][setting] is wanted)
         after = page.server._websock_server._broadcast_buffer.message_counter
         assert action == "show_camera" or after > sent, "the 3D view did not change"
+
+
+def show_surfaces(client: ChannelClient, action: str, setting: str, on: bool) -> None:
+    client.action(action, on=on)
+    client.until(lambda one: one.latest["settings"].get(setting) is on)
+
+
+def wait_for_nodes(nodes: Mapping[str, Any], names: set[str], on: bool) -> None:
+    wait_for(lambda: all((name in nodes) is on for name in names))
+
+
+def test_surfaces_and_the_cube_come_and_go() -> None:
+    with (
+        Session(Start("humanoid"), beside=False) as session,
+        Page(session, PageServer(port=8732, shadows=False)) as page,
+        PageClient(page.url),
+        ChannelClient(page.url) as client,
+    ):
+        key = wait_for(lambda: set(page.gate.pages)).pop()
+        wait_for(lambda: page.page_server.client_of(key))
+        client.send({"page": key})
+        session.tick()
+        nodes = page.server.scene._handle_from_node_name
+        for action, (setting, names) in SURFACES.items():
+            for on in (True, False):
+                show_surfaces(client, action, setting, on)
+                page.draw(session.view())
+                wait_for_nodes(nodes, names, on)
 
 
 @pytest.mark.parametrize(("action", "row"), FILES.items())
@@ -224,7 +264,7 @@ def test_options_of_a_method_come_with_their_ranges() -> None:
     rows = {row["name"]: row for row in methods["dls"]}
     damping = rows["damping"]
     assert (damping["lower"], damping["upper"]) == (1e-6, 10.0) and damping["help"]
-    assert damping["usual"] == [1e-4, 10.0], "the sliders hold the values of the theses"
+    assert damping["usual"] == [0.0, 0.2], "the part of the range that is usual"
     for options in methods.values():
         for row in options:
             assert row["switch"] or row["choices"] or row["lower"] < row["upper"]

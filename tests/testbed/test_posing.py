@@ -41,8 +41,8 @@ from robot_ik.testbed.commands import (
 )
 from robot_ik.testbed.loop import replayed
 from robot_ik.testbed.obstacles import MAX_OBSTACLES
+from robot_ik.testbed.robot_goals import first_ball
 from robot_ik.testbed.session import Session
-from robot_ik.testbed.setup import first_ball
 from robot_ik.testbed.timeline import MIN_INTERVAL, Timeline
 from robot_ik.testbed.view import View
 

@@ -9,8 +9,9 @@ import pytest
 
 from robot_ik.testbed import preparing
 from robot_ik.testbed.commands import Start
+from robot_ik.testbed.robot_goals import ExtraGoal
 from robot_ik.testbed.session import Session
-from robot_ik.testbed.setup import ExtraGoal, MethodChoice, Setup
+from robot_ik.testbed.setup import MethodChoice, Setup
 from tests.waiting import wait_for
 
 FAILING = """#!/bin/sh
@@ -59,6 +60,6 @@ def test_a_setup_reaches_its_process_as_it_is() -> None:
         2,
         (MethodChoice("dls", options), MethodChoice("lm")),
         extras=extras,
-        limits=False,
+        limits=(False, True, True, True),
     )
     assert preparing._SETUP.validate_json(preparing._SETUP.dump_json(setup)) == setup

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, dataclass_transform
+from typing import Annotated, Any, ClassVar, Literal, dataclass_transform
 
 from pydantic import Field
 from pydantic.alias_generators import to_snake
@@ -71,9 +71,41 @@ class ShowToolFrames(Action):
 
 
 class ShowReach(Action):
-    """Show positions of the tool at random joint angles, or none."""
+    """Show the space that the tool reaches as a shell, or none."""
 
     on: bool
+
+
+class ShowRegions(Action):
+    """Show where a figure reaches, bends and jumps, or none."""
+
+    on: bool
+
+
+class ShowCube(Action):
+    """Show the test environment of thesis A00: a cube with projections of ball and tool."""
+
+    on: bool
+
+
+class PickPart(Action):
+    """Let the next click on a part of the robot choose it. Off ends that."""
+
+    role: Literal["tool", "base", "pin", "off"]
+
+
+class PinFrame(Action):
+    """Pin a frame of the first instance where it is."""
+
+    frame: Annotated[str, Field(max_length=200)]
+    turns: bool = True
+    """Whether the frame may turn about its place."""
+
+
+class RunCases(Action):
+    """Run the four cases of table 4.1 of thesis S12."""
+
+    frames: Annotated[int, Field(ge=60, le=1000)] = 1000
 
 
 class ShowCamera(Action):

@@ -6,6 +6,7 @@ the others watch. STOP works from all of them.
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 import tempfile
@@ -13,17 +14,19 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import viser
 
 from robot_ik.errors import RobotIkError
 from robot_ik.figure.motion.bvh import export_bvh
+from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Closing
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.camera_picture import ReadPicture
+from robot_ik.testbed.cases import CaseRunner, CasesView
 from robot_ik.testbed.commands import (
     RATE,
     Command,
@@ -34,23 +37,30 @@ from robot_ik.testbed.commands import (
     PlayTimeline,
     Release,
     SetArm,
+    SetBase,
+    SetPin,
     SetRunning,
+    SetTool,
     command_from,
 )
 from robot_ik.testbed.frontends import actions
 from robot_ik.testbed.frontends.camera_pictures import CameraPictures
 from robot_ik.testbed.frontends.channel import ChannelPage
+from robot_ik.testbed.frontends.cube_scene import CubeScene
 from robot_ik.testbed.frontends.obstacle_scene import ObstacleScene
 from robot_ik.testbed.frontends.page_server import PageServer
+from robot_ik.testbed.frontends.region_scene import RegionScene
 from robot_ik.testbed.frontends.scene import BrowserScene
 from robot_ik.testbed.frontends.share import shared_page
 from robot_ik.testbed.frontends.view_rows import (
+    frame_of_body,
     joint_addresses,
     program_row,
     robot_row,
     view_row,
 )
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.regions import figure_regions, reach_shell
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 
@@ -110,13 +120,23 @@ class Page(Closing):
         self._shows_turn_handles = False
         self._shows_tool_frames = False
         self._shows_reach = False
+        self._shows_regions = False
+        self._shows_cube = False
+        self._picks: Literal["tool", "base", "pin", "off"] = "off"
+        self._cases: CaseRunner | None = None
+        self._wanted_cases: CaseRunner | None = None
         self._film = film
         self._view_due = 0.0
         self._addresses: list[int] = []
+        self._told_robot: Robot | None = None
+        self._told_cases: CasesView | None = None
         self.camera = None if camera is None else CameraPictures(camera, self.channel)
         with self.server.atomic():
             self._add_gizmo()
             self._obstacles = ObstacleScene(self.server, self._move_obstacle)
+            self._reach = RegionScene(self.server, "reach", reach_shell, self._notice)
+            self._regions = RegionScene(self.server, "figure", figure_regions, self._notice)
+            self._cube = CubeScene(self.server)
             self._scene = self._new_scene(self._view)
             self.draw(self._view)
         program = program_row(
@@ -191,7 +211,16 @@ class Page(Closing):
                 self._scene.show_axes(on)
             case actions.ShowReach(on):
                 self._shows_reach = on
-                self._scene.show_reach(on)
+            case actions.ShowRegions(on):
+                self._shows_regions = on
+            case actions.ShowCube(on):
+                self._shows_cube = on
+            case actions.PickPart(role):
+                self._picks = role
+            case actions.PinFrame(frame, turns):
+                self._pin(frame, turns=turns)
+            case actions.RunCases(frames):
+                self._wanted_cases = CaseRunner(self.session.send, frames)
             case actions.ShowCamera(on):
                 if self.camera is not None:
                     self.camera.switch(on)
@@ -207,6 +236,10 @@ class Page(Closing):
                 self._give_file(page, action)
         self._tell_settings()
 
+    def _notice(self, text: str) -> None:
+        """Show a sentence on all pages."""
+        self.channel.say({"notice": text})
+
     def _tell_settings(self) -> None:
         """Tell all pages what is shown."""
         settings = {
@@ -216,6 +249,9 @@ class Page(Closing):
             "turn_handles": self._shows_turn_handles,
             "tool_frames": self._shows_tool_frames,
             "reach": self._shows_reach,
+            "regions": self._shows_regions,
+            "cube": self._shows_cube,
+            "pick": self._picks,
             "camera": self.camera is not None and self.camera.is_on,
         }
         self.channel.greet("settings", settings)
@@ -302,16 +338,53 @@ class Page(Closing):
         robot = self.session.robot
         scene = BrowserScene(self.server, robot, view.count)
         scene.on_drag(self._drag_ball, self._drag_link)
+        scene.on_click(self._click_part)
         scene.show_trails(self._shows_overlay)
         scene.show_axes(self._shows_tool_frames)
-        scene.show_reach(self._shows_reach)
         self._gizmo.scale = _GIZMO_SIZE * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, scene, client)
+        return scene
+
+    def _tell_robot(self, view: View) -> None:
+        """Tell all pages the joints and frames of the robot, if they have changed."""
+        robot = self.session.robot
+        told = self._told_robot
+        same_model = told is not None and told.model is robot.model
+        if told and same_model and (told.joints, told.tool) == (robot.joints, robot.tool):
+            return
+        self._told_robot = robot
         self._addresses = joint_addresses(robot)
         self.channel.greet("robot", robot_row(robot, view.robot))
-        return scene
+
+    async def _click_part(self, event: Any) -> None:
+        """Choose a clicked part as tool or base, or pin it, if a page has asked for that."""
+        role = self._picks
+        body = self._scene.name_of(event.target)
+        if role == "off" or body is None:
+            return
+        self._picks = "off"
+        self._tell_settings()
+        frame = frame_of_body(self.session.robot, body)
+        match role:
+            case "tool":
+                self.session.send(SetTool(frame))
+            case "base":
+                self.session.send(SetBase(frame))
+            case "pin":
+                self._pin(frame, turns=True)
+
+    def _pin(self, frame: str, *, turns: bool) -> None:
+        """Pin a frame of the first instance where it is."""
+        robot = self.session.robot
+        named = robot.frame(frame)
+        one = self._view.instances[0]
+        body = Pose(one.xpos[named.body], one.xquat[named.body])
+        pose = body @ named.local
+        w, x, y, z = (float(value) for value in pose.wxyz)
+        wxyz = None if turns else (w, x, y, z)
+        self.session.send(SetPin(frame, _floats(pose.position), wxyz))
 
     async def _drag_ball(self, event: Any) -> None:
         position = np.array(event.end_position) - self._scene.offsets[self._index(event)]
@@ -404,11 +477,28 @@ class Page(Closing):
         is there, and does not take turns with this thread.
         """
         self._view = view
+        self._run_cases(view)
         with self.server.atomic():
             try:
                 self._draw_scene(view)
             finally:  # the page shows what is wrong with the scene
                 self._send_view(view)
+
+    def _run_cases(self, view: View) -> None:
+        """Go on with the cases of thesis S12, if they were asked for."""
+        if self._wanted_cases is not None:
+            self._cases = self._wanted_cases
+            self._wanted_cases = None
+            self._cases.start(view)
+        if self._cases is not None:
+            self._cases.step(view)
+            self._told_cases = self._tell_cases(self._cases.view())
+
+    def _tell_cases(self, cases: CasesView) -> CasesView:
+        """Tell all pages how far the cases are, if that has changed."""
+        if cases != self._told_cases:
+            self.channel.greet("cases", dataclasses.asdict(cases))
+        return cases
 
     def _draw_scene(self, view: View) -> None:
         scene = self._scene
@@ -417,9 +507,16 @@ class Page(Closing):
             scene.remove()
             scene = self._new_scene(view)
             self._scene = scene
+        elif scene.robot is not robot:
+            scene.take(robot)
+        self._tell_robot(view)
         scene.draw(view)
-        self._obstacles.draw(view, scene.arrangement.offsets[0])
-        self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
+        offset = scene.arrangement.offsets[0]
+        self._obstacles.draw(view, offset)
+        self._reach.draw(robot, offset, on=self._shows_reach)
+        self._regions.draw(robot, offset, on=self._shows_regions and view.can_act)
+        self._cube.draw(view, robot, on=self._shows_cube)
+        self._gizmo.position = view.ball.position + offset
         if view.motion != "hand":
             self._gizmo.wxyz = view.ball.wxyz
 

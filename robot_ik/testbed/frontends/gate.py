@@ -352,12 +352,22 @@ def _name_alone(message: Mapping[str, Any]) -> bool:  # noqa: ARG001 (a check of
     return True
 
 
+def _is_instance(index: object) -> bool:
+    """Return whether a node of the scene may have such an instance."""
+    return index is None or (isinstance(index, int) and 0 <= index < 4)
+
+
 def _drag(message: Mapping[str, Any]) -> bool:
-    index = message.get("instance_index")
-    if index is not None and not (isinstance(index, int) and 0 <= index < 4):
+    if not _is_instance(message.get("instance_index")):
         return False
     return message.get("phase") in ("start", "update", "end") and _numbers(
         message, start_position=3, end_position=3, start_screen_pos=2, end_screen_pos=2
+    )
+
+
+def _click(message: Mapping[str, Any]) -> bool:
+    return _is_instance(message.get("instance_index")) and _numbers(
+        message, ray_origin=3, ray_direction=3, screen_pos=2
     )
 
 
@@ -369,6 +379,7 @@ _CHECKS: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], bool]]] = {
     "TransformControlsDragStartMessage": (_CONTROLS, _name_alone),
     "TransformControlsDragEndMessage": (_CONTROLS, _name_alone),
     "SceneNodeDragMessage": (_NODES, _drag),
+    "SceneNodeClickMessage": (_NODES, _click),
 }
 """What viser's page may send: where the server has the node that the message names, and a check of
 the message. All other messages are dropped unread."""

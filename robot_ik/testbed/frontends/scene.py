@@ -44,13 +44,7 @@ GHOSTS = 8
 _BRANCH_COLOUR: Colour = (110, 130, 155)
 _ARM_COLOUR: Colour = (250, 204, 21)
 
-_REACH_COLOUR: Colour = (110, 130, 155)
-"""Differs from the ball's colour, so that the ball stays visible."""
-
 _GHOST_OPACITY = 0.28
-
-_CLOUD_POINTS = 4000
-"""Points of the reach."""
 
 _PLATE_RADIUS = 0.21
 """Of the model's extent."""
@@ -72,6 +66,12 @@ _SAME_LENGTH = 1e-3
 """Metres, likewise of a slide."""
 
 _TRAIL_WIDTH = 3.0
+"""Pixels."""
+
+_PULL_COLOUR: Colour = (250, 204, 21)
+"""Yellow, as the pull of TrueSpace."""
+
+_PULL_WIDTH = 4.0
 """Pixels."""
 
 _NOWHERE = -1e3
@@ -297,7 +297,6 @@ class BrowserScene:
         self.bodies: list[tuple[int, Any]] = []
         self._ghosts: dict[str, Ghosts] = {}
         self._slides = slide_numbers(robot)
-        self._cloud: Any = None
         self._axes: Any = None
         self._trails_shown = True
         self._drawn = np.full((count, robot.model.nbody, 7), np.nan, np.float32)
@@ -306,6 +305,7 @@ class BrowserScene:
             self._add_bodies()
             self._add_ball()
             self._trails = self._add_trails()
+            self._pull = self._add_pull()
             for k in range(count):
                 self._add_place(k)
 
@@ -341,6 +341,17 @@ class BrowserScene:
             thickness_units="screen",
         )
 
+    def _add_pull(self) -> Any:
+        """Add the line from a grabbed point to the mouse."""
+        return self._server.scene.add_line_segments(
+            "/robot/pull",
+            np.zeros((self.count, 2, 3), np.float32),
+            np.full((self.count, 2, 3), _PULL_COLOUR, np.uint8),
+            thickness=_PULL_WIDTH,
+            thickness_units="screen",
+            visible=False,
+        )
+
     def _add_place(self, k: int) -> None:
         """Add the plate under an instance, and an empty frame where the page puts its label."""
         scene = self._server.scene
@@ -356,6 +367,11 @@ class BrowserScene:
         )
         scene.add_frame(f"/robot/label_{k}", show_axes=False, position=self.arrangement.labels[k])
 
+    def take(self, robot: Robot) -> None:
+        """Go on with another tool or other joints of the same model."""
+        self.robot = robot
+        self._slides = slide_numbers(robot)
+
     def remove(self) -> None:
         """Remove all nodes."""
         self.root.remove()
@@ -364,6 +380,12 @@ class BrowserScene:
         """Return the body that a handle draws, or None for a handle of an earlier scene."""
         body = next((body for body, one in self.bodies if one is handle), None)
         return None if body is None else str(self.robot.model.body(body).name)
+
+    def on_click(self, part: Callable[[Any], Any]) -> None:
+        """Call ``part`` with viser's click events on bodies of the robot."""
+        for body, handle in self.bodies:
+            if body > 0:
+                handle.on_click(part)
 
     def on_drag(self, ball: Callable[[Any], Any], link: Callable[[Any], Any]) -> None:
         """Call ``ball`` and ``link`` with viser's drag events."""
@@ -390,23 +412,6 @@ class BrowserScene:
         if self._axes is not None:
             self._axes.visible = on
 
-    def show_reach(self, on: bool) -> None:
-        """Show positions of the tool at random joint angles within the limits, or none."""
-        if self._cloud is not None:
-            self._cloud.remove()
-            self._cloud = None
-        if on:
-            rng = np.random.default_rng(0)
-            robot = self.robot
-            points = [robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)]
-            self._cloud = self._server.scene.add_point_cloud(
-                "/robot/reach",
-                np.array(points, np.float32),
-                colors=_REACH_COLOUR,
-                point_size=0.002 * self.arrangement.extent,
-                point_shape="circle",
-            )
-
     def draw(self, view: View) -> None:
         """Draw one frame. It is sent as one piece, without the bodies that have not moved."""
         now = np.empty_like(self._drawn)
@@ -429,6 +434,13 @@ class BrowserScene:
             if self._trails_shown and any(moved):
                 self._draw_trails(view)
             self._draw_ghosts(view)
+            self._draw_pull(view)
+
+    def _draw_pull(self, view: View) -> None:
+        """Draw the pull of the mouse. All instances are dragged by the same point."""
+        self._pull.visible = view.pull is not None
+        if view.pull is not None:
+            self._pull.points = (view.pull + self.offsets[:, None]).astype(np.float32)
 
     def _draw_trails(self, view: View) -> None:
         """Draw every second position of the tools, newest first. Missing pieces have no length."""

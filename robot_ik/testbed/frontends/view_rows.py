@@ -18,12 +18,10 @@ from robot_ik.testbed.frontends.site import has_thumbnail
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.view import FigureView, View
+from robot_ik.theses.courses import NUMBERS, THESIS_RESULTS
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-
-_WIDER_RANGES = {"damping": (1e-4, 10.0), "gain": (1e-3, 10.0)}
-"""Ranges of sliders that hold the values of the theses; the usual range is narrower."""
 
 
 def program_row(*, has_camera: bool, has_film: bool, has_arm: bool) -> dict[str, Any]:
@@ -31,6 +29,7 @@ def program_row(*, has_camera: bool, has_film: bool, has_arm: bool) -> dict[str,
     return {
         "robots": [_catalogue_row(name) for name in catalogue()],
         "methods": {name: _option_rows(solver) for name, solver in SOLVERS.items()},
+        "courses": {number: THESIS_RESULTS[number] for number in NUMBERS},
         "colours": [hexadecimal(colour) for colour in INSTANCE_COLOURS],
         "keys": [
             {
@@ -62,7 +61,7 @@ def _option_rows(solver: Any) -> list[dict[str, Any]]:
         if isinstance(item.default, str) and not meta.get("choices"):
             continue  # no widget for free text
         is_bool = isinstance(item.default, bool)
-        usual = _WIDER_RANGES.get(item.name) or meta.get("usual")
+        usual = meta.get("usual")
         rows.append(
             {
                 "name": item.name,
@@ -109,10 +108,35 @@ def robot_row(robot: Robot, name: str) -> dict[str, Any]:
         "name": robot.name,
         "path": name,
         "tool": robot.tool,
+        "frames": _frame_rows(robot),
+        "chain": list(robot.joints),
         "joints": joints,
         "picture": has_thumbnail(robot.name),
         "missing_meshes": list(robot.missing_meshes),
     }
+
+
+def _frame_rows(robot: Robot) -> list[dict[str, Any]]:
+    """Return the frames that can be tool, base or pin."""
+    return [
+        {
+            "name": name,
+            "about": tool.about if (tool := robot.file.tools.get(name)) else "",
+            "body": _body_of(robot, name),
+            "base": bool(robot.joints_between(name)),
+        }
+        for name in robot.frames
+    ]
+
+
+def frame_of_body(robot: Robot, body: str) -> str:
+    """Return the frame that stands for a body: its first tool, else the body itself."""
+    tools = (name for name in robot.file.tools if _body_of(robot, name) == body)
+    return next(tools, body)
+
+
+def _body_of(robot: Robot, frame: str) -> str:
+    return str(robot.model.body(robot.frame(frame).body).name)
 
 
 def joint_addresses(robot: Robot) -> list[int]:
@@ -136,6 +160,11 @@ def view_row(view: View, robot: Robot, addresses: list[int]) -> dict[str, Any]:
         "kind": view.kind,
         "extras": [dataclasses.asdict(extra) for extra in view.extras],
         "limits": view.limits,
+        "tool": view.tool,
+        "base": view.base,
+        "pins": [dataclasses.asdict(pin) for pin in view.pins],
+        "stiffness": dict(view.stiffness),
+        "course": None if view.course is None else dataclasses.asdict(view.course),
         "branches": [branch.name for branch in view.branches] if view.show_branches else None,
         "busy": view.busy,
         "message": view.message,
@@ -177,6 +206,7 @@ def _instance_row(one: InstanceView, robot: Robot, addresses: list[int]) -> dict
     return {
         "method": one.method,
         "options": {name: value for name, value in one.options if _is_plain(value)},
+        "limited": one.limited,
         "iterations_limit": one.budget.iterations,
         "distance_mm": 1e3 * one.distance,
         "words": one.words,
@@ -195,7 +225,7 @@ def _instance_row(one: InstanceView, robot: Robot, addresses: list[int]) -> dict
         "p99_us": round(1e6 * statistics.p99, 1),
         "mean_iterations": round(statistics.iterations, 2),
         "solved": round(statistics.solved, 4),
-        "joint_change": round(statistics.joint_change, 5),
+        "jump_deg": round(math.degrees(statistics.joint_change), 3),
         "joints": [round(x, 5) for x in robot.qpos(one.q)[addresses].tolist()],
         "goals": [
             [name, round(1e3 * metres, 3), round(math.degrees(angle), 3)]

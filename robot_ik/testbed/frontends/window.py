@@ -71,7 +71,7 @@ class Solid:
 
 
 _WITHOUT_WINDOW = (
-    "run it without --view: the pictures are written to the output folder without a display"
+    "run it without --viewer: the pictures are written to the output folder without a display"
 )
 
 

@@ -33,9 +33,6 @@ def humanoid() -> rik.Robot:
     return rik.load_robot("humanoid")
 
 
-# ------------------------------------------------------------------------------ our own motions
-
-
 @pytest.mark.parametrize("name", ["humanoid", "lion", "puma560"])
 def test_a_motion_is_read_back_equal_and_stands_where_mujoco_says(
     name: str, tmp_path: Path
@@ -70,14 +67,25 @@ def test_a_robot_that_slides_has_no_bvh() -> None:
         export_bvh(Keyframes(robot, [0.0], [robot.home]))
 
 
-# ------------------------------------------------------------------------------ other people's files
+# The studio's skeleton is a figure of 1.4 m in inches, y up. It looks along +x, so its left is -z.
+# It is drawn as a T. Every part has another order of channels. The studio floor is 20 inches up,
+# and the file has 120 frames a second, rounded to 0.00833.
 
-# A figure of 1.4 m in inches, y up, looking along +x (so its left is -z), drawn as a T, with a channel order
-# of its own for each part, on a studio floor 20 inches up, 120 frames a second rounded to 0.00833.
 INCH = 1.0 / 0.0254
+"""Inches in a metre."""
+
 SIDE = {"Left": -1.0, "Right": 1.0}
-LEG, ARM = 0.35, 0.22
-BEND_DEG = 30.0  # of the hips; the knees twice, the ankles as much: they end at 35
+"""Sign of z of the sides."""
+
+LEG = 0.35
+"""Length of thigh and of shank, m."""
+
+ARM = 0.22
+"""Length of upper arm and of forearm, m."""
+
+BEND_DEG = 30.0
+"""Bend of the hips, degrees. Knees bend twice as much. Ankles bend as much and end at 35."""
+
 ZXY, XZY, ZYX, YXZ = (
     tuple(f"{axis}rotation" for axis in order) for order in ("ZXY", "XZY", "ZYX", "YXZ")
 )
@@ -118,7 +126,7 @@ def studio_skeleton() -> list[BvhJoint]:
 
 
 def studio_take(frames: int = 61) -> Bvh:
-    """A squat with the arms brought down and forward; both feet stay where they are, to rounding."""
+    """Return a squat with the arms down and forward. The feet stay in place, to rounding."""
     joints = studio_skeleton()
     bvh = Bvh(
         tuple(joints), 0.00833, np.zeros((frames, sum(len(joint.channels) for joint in joints)))

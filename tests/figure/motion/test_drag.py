@@ -95,7 +95,8 @@ def test_weight_shifts_and_the_free_foot_lifts(name: str, onto: list[str], free:
     drag = Drag(robot, pinned=[*onto, free], rate=RATE, speed=2.0, balance=True)
     middle = np.mean([robot.measure(drag.q, foot).position[:2] for foot in onto], axis=0)
     away = np.linalg.norm(robot.center_of_mass(drag.q)[:2] - middle)
-    last, fastest = drag.q, 0.0
+    last = drag.q
+    fastest = 0.0
     for q in drag.shift_weight(onto, 0.8):
         fastest = max(fastest, speeds(robot, last, q))
         last = q

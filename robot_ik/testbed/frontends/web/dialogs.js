@@ -31,7 +31,7 @@ const STEPS = [
 ];
 
 /** A dialog with a shade. A click on the shade closes it. */
-class Dialog {
+export class Dialog {
   constructor(label) {
     this.box = make("div", { class: "rk-dialog", role: "dialog", "aria-label": label });
     this.element = make("div", { class: "rk-shade" }, this.box);
@@ -77,9 +77,32 @@ export class Gallery extends Dialog {
       this.path,
       make("button", { class: "rk-btn", type: "submit" }, "Load"),
     );
+    const links = make("input", {
+      class: "rk-num num",
+      type: "number",
+      min: 1,
+      max: 500,
+      value: 5,
+      "aria-label": "links of a chain",
+      style: "width:72px;height:34px",
+    });
+    const chain = make(
+      "form",
+      {
+        class: "rk-own",
+        onsubmit: (event) => {
+          event.preventDefault();
+          this.choose(`chain:${links.value}`);
+        },
+      },
+      make("label", {}, "A chain of ball joints, links of 1 m (thesis A00)"),
+      links,
+      make("button", { class: "rk-btn", type: "submit" }, "Show the chain"),
+    );
     this.box.append(
       make("h2", {}, "Choose a robot"),
       make("div", { class: "rk-gallery" }, this.cards),
+      chain,
       form,
     );
   }

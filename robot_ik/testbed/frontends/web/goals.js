@@ -1,23 +1,27 @@
 // What the ball asks of the tool, the goals beside it, and the branches of a closed form.
 
-import { heading, make, menu, refill, segmented, show, toggle } from "./dom.js";
+import { heading, make, menu, refill, toggle } from "./dom.js";
+import { PartChoice } from "./part_choice.js";
+import { PRIORITIES, Pins, weightField } from "./pins.js";
 
 const KINDS = [
-  ["pose", "pose", "Position and orientation of the tool"],
-  ["position", "position", "Position of the tool, any orientation"],
-  ["aim", "aim", "The tool points at the ball"],
-  ["line", "line", "The tool stays on a line through the ball"],
-  ["plane", "plane", "The tool stays in a plane through the ball"],
+  ["pose", "pose: there, turned like the ball"],
+  ["position", "position: there, turned in any way"],
+  ["orientation", "orientation: turned like the ball, anywhere"],
+  ["aim", "aim: point at the ball"],
+  ["line", "line: on a line through the ball"],
+  ["plane", "plane: in a plane through the ball"],
+  ["half_space", "half-space: beyond a plane through the ball"],
 ];
-const PRIORITIES = 10;
 
 export class GoalsTab {
   constructor(channel) {
     this.channel = channel;
-    this.kinds = segmented(KINDS, (kind) => channel.command("set_goal_kind", { kind }), {
-      small: true,
+    this.kinds = menu(KINDS, (kind) => channel.command("set_goal_kind", { kind }), {
       label: "what the ball asks",
     });
+    this.parts = new PartChoice(channel);
+    this.pins = new Pins(channel);
     this.table = make("table", { class: "rk-table num rk-goals" });
     this.rows = new Map();
     this.limits = toggle(
@@ -36,10 +40,13 @@ export class GoalsTab {
     this.element = make(
       "div",
       {},
+      heading("Base and effector"),
+      this.parts.element,
       heading("The ball asks for"),
       this.kinds.element,
       heading("Goals", make("small", {}, "priority 0 is served first")),
       this.table,
+      this.pins.element,
       heading("Rules"),
       this.limits.element,
       this.branches.element,
@@ -47,7 +54,19 @@ export class GoalsTab {
     );
   }
 
+  showRobot(robot) {
+    this.parts.showRobot(robot);
+    this.pins.showRobot(robot);
+  }
+
+  showSettings({ pick }) {
+    this.parts.showPick(pick);
+    this.pins.showPick(pick);
+  }
+
   show(view) {
+    this.parts.show(view);
+    this.pins.show(view);
     this.kinds.set(view.kind);
     this.limits.set(view.limits);
     this.branches.set(view.branches !== null);
@@ -76,6 +95,7 @@ export class GoalsTab {
       ["goal", ""],
       ["on", ""],
       ["priority", "0 is served first"],
+      ["weight", "against goals of the same priority; 0 ignores the goal"],
       ["mm", "distance by which robot 1 misses it"],
       ["°", "angle by which robot 1 misses it"],
     ];
@@ -88,15 +108,15 @@ export class GoalsTab {
     const isBall = name === "ball";
     let current = null;
     const send = (changes) => {
-      const { on, priority } = { ...current, ...changes };
-      this.channel.command("set_extra_goal", { name, on, priority });
+      const { on, priority, weight } = { ...current, ...changes };
+      this.channel.command("set_extra_goal", { name, on, priority, weight });
     };
     const box = toggle(name, true, (on) => send({ on }));
-    const priorities = [...Array(PRIORITIES).keys()].map((value) => [value, String(value)]);
-    const rank = menu(priorities, (value) => send({ priority: +value }), {
+    const rank = menu(PRIORITIES, (value) => send({ priority: +value }), {
       label: `priority of ${name}`,
-      width: "46px",
+      width: "42px",
     });
+    const weight = weightField(`weight of ${name}`, (value) => send({ weight: value }));
     const error = [make("td"), make("td")];
     const element = make(
       "tr",
@@ -104,12 +124,14 @@ export class GoalsTab {
       make("td", { title: about }, name.replaceAll("_", " ")),
       make("td", {}, isBall ? null : box.element.lastChild),
       make("td", {}, rank.element),
+      make("td", {}, weight.element),
       error,
     );
     const show = (extra, found) => {
       current = extra;
       box.set(extra.on);
       rank.set(extra.priority);
+      weight.set(extra.weight);
       error.forEach((cell, k) => {
         cell.textContent = found ? found[k].toFixed(2) : "–";
       });

@@ -1,6 +1,7 @@
 // Joint bars that can be dragged: forward kinematics; the ball goes along with the tool.
 
-import { heading, make, show } from "./dom.js";
+import { heading, make, refill, show } from "./dom.js";
+import { parameter } from "./parameter.js";
 
 const MANY = 12; // joints from which on there is a filter
 const LARGE_STEP = 10; // steps of Page up and Page down
@@ -121,6 +122,44 @@ class JointRow {
   }
 }
 
+/** Sliders of the joints' stiffness: a stiffer joint moves less. */
+class Stiffness {
+  constructor(channel) {
+    this.channel = channel;
+    this.rows = {};
+    this.list = make("div");
+    const help = "A stiffer joint moves less. Methods that cannot do that say so.";
+    this.element = make(
+      "details",
+      { class: "rk-rare rk-stiffness" },
+      make("summary", { title: help }, "Stiffness of the joints"),
+      this.list,
+    );
+  }
+
+  showRobot({ chain }) {
+    refill(this.list, chain, () => {
+      this.rows = Object.fromEntries(chain.map((joint) => [joint, this.row(joint)]));
+      return Object.values(this.rows).map(({ element }) => element);
+    });
+  }
+
+  row(joint) {
+    const option = {
+      name: `stiffness of ${joint}`,
+      label: joint.replaceAll("_", " "),
+      help: "Cost of moving this joint; 1 is usual",
+      lower: 0.01,
+      upper: 100,
+    };
+    return parameter(option, (value) => this.channel.command("set_stiffness", { joint, value }));
+  }
+
+  show({ stiffness }) {
+    for (const [joint, row] of Object.entries(this.rows)) row.show(stiffness[joint] ?? 1);
+  }
+}
+
 export class JointsTab {
   constructor(program, channel) {
     this.colours = program.colours;
@@ -134,7 +173,15 @@ export class JointsTab {
     });
     this.list = make("div", { class: "rk-joint-list" });
     const hint = make("small", {}, "drag a bar: the ball follows");
-    this.element = make("div", {}, heading("Joints of robot 1", hint), this.search, this.list);
+    this.stiffness = new Stiffness(channel);
+    this.element = make(
+      "div",
+      {},
+      heading("Joints of robot 1", hint),
+      this.search,
+      this.list,
+      this.stiffness.element,
+    );
   }
 
   showRobot(robot) {
@@ -142,6 +189,7 @@ export class JointsTab {
     this.list.replaceChildren(...this.rows.map((row) => row.element));
     show(this.search, robot.joints.length > MANY);
     this.search.value = "";
+    this.stiffness.showRobot(robot);
   }
 
   filter() {
@@ -150,6 +198,7 @@ export class JointsTab {
   }
 
   show(view) {
+    this.stiffness.show(view);
     this.rows.forEach((row, i) => {
       const values = view.instances.map((one) => one.joints[i]);
       const isComplete = values.every((value) => value !== undefined); // another robot is coming

@@ -1,11 +1,9 @@
 // One card an instance: its method, how it does, its parameters. Below them the ball and the plot.
 
 import { heading, icon, make, menu, refill, segmented, show, toggle } from "./dom.js";
+import { parameter } from "./parameter.js";
 import { Plot, QUANTITIES } from "./plot.js";
-
-const HAND_MS = 1200; // a control that was just moved does not follow the session
-const SLIDER_STEPS = 1000;
-const DECADES = 100; // a range whose ends differ by this factor is logarithmic
+import { Theses } from "./theses.js";
 
 const LIMITS = [
   {
@@ -13,7 +11,6 @@ const LIMITS = [
     help: "Most iterations of one solve (thesis S12: max attempts)",
     lower: 1,
     upper: 10000,
-    usual: [1, 1000],
     whole: true,
   },
   {
@@ -22,19 +19,34 @@ const LIMITS = [
     unit: "mm",
     lower: 0.001,
     upper: 1000,
-    usual: [0.01, 100],
   },
 ];
+
+const PACE = {
+  name: "pace",
+  label: "new place after",
+  help: "Time at each random place; 0: a new place in every frame (thesis S12)",
+  unit: "s",
+  lower: 0,
+  upper: 60,
+  usual: [0, 2],
+};
 
 /** Figures of a card: label, help, text. */
 const FIGURES = [
   ["steps", "Mean iterations of a solve", (one) => one.mean_iterations.toFixed(1)],
   [
     "time",
-    "Mean processor time of a solve in this page. Comparable times: robot-ik bench",
+    (one) =>
+      "Mean processor time of a solve in this page. Comparable times: robot-ik bench. " +
+      `99 of 100 solves take at most ${one.p99_us.toFixed(0)} µs`,
     (one) => `${one.mean_us.toFixed(0)} µs`,
   ],
-  ["p99", "99 of 100 solves take at most this time", (one) => `${one.p99_us.toFixed(0)} µs`],
+  [
+    "jump",
+    "Largest change of a joint between two frames: a method that jumps has a large one",
+    (one) => `${one.jump_deg.toFixed(one.jump_deg < 10 ? 1 : 0)}°`,
+  ],
   [
     "solved",
     "Share of solves that met the ball, of at most the last 1000",
@@ -42,100 +54,31 @@ const FIGURES = [
   ],
 ];
 
-const PACES = [
-  [0, "in every frame"],
-  [0.5, "every 0.5 s"],
-  [1, "every second"],
-  [2, "every 2 s"],
-  [5, "every 5 s"],
-];
-
-/** A widget for an option: a switch, a menu, or a slider with a number beside it. */
-function parameter(option, act) {
-  const { name, help, unit, choices } = option;
-  const text = name.replaceAll("_", " ");
-  const range = option.lower == null ? "" : `; ${option.lower} to ${option.upper}`;
-  const title = `${help}${unit ? ` (${unit})` : ""}${range}`;
-  let touched = 0;
-  const changed = (value) => {
-    touched = Date.now();
-    act(value);
-  };
-  const follow = (set) => (value) => {
-    if (Date.now() - touched > HAND_MS) set(value);
-  };
-  if (option.switch) {
-    const box = toggle(text, false, changed, title);
-    return { element: box.element, show: follow(box.set) };
-  }
-  const label = make("label", { title }, text);
-  if (choices?.length) {
-    const list = menu(choices.map((choice) => [choice, choice]), changed, { label: text });
-    const element = make("div", { class: "rk-param" }, label, make("span"), list.element);
-    return { element, show: follow(list.set) };
-  }
-  return numberParameter(option, label, text, changed, follow);
-}
-
-function numberParameter({ lower, upper, usual, whole }, label, text, changed, follow) {
-  const first = usual.length ? usual[0] : (lower ?? 0);
-  const last = usual.length ? usual[1] : (upper ?? 1);
-  const isLog = first > 0 && last / first >= DECADES;
-  const allowed = (value) => {
-    const inside = Math.min(upper ?? Infinity, Math.max(lower ?? -Infinity, value));
-    return whole ? Math.round(inside) : inside;
-  };
-  const shareOf = (value) =>
-    isLog ? Math.log(value / first) / Math.log(last / first) : (value - first) / (last - first);
-  const valueOf = (share) =>
-    isLog ? first * (last / first) ** share : first + share * (last - first);
-  const textOf = (value) => (whole ? String(Math.round(value)) : String(+(+value).toPrecision(4)));
-
-  const number = make("input", {
-    class: "rk-num num",
-    inputmode: "decimal",
-    "aria-label": `${text} as a number`,
-    onchange: () => {
-      const value = Number(number.value);
-      if (Number.isFinite(value)) changed(allowed(value));
-      number.blur();
-    },
-  });
-  const slider = make("input", {
-    type: "range",
-    class: "rk-range",
-    min: 0,
-    max: SLIDER_STEPS,
-    "aria-label": text,
-  });
-  const fill = () => slider.style.setProperty("--p", `${(100 * slider.value) / SLIDER_STEPS}%`);
-  slider.addEventListener("input", () => {
-    const value = allowed(+valueOf(slider.value / SLIDER_STEPS).toPrecision(3));
-    number.value = textOf(value);
-    fill();
-    changed(value);
-  });
-  const set = (value) => {
-    if (document.activeElement !== number) number.value = textOf(value);
-    const share = shareOf(Math.max(value, isLog ? first : -Infinity));
-    slider.value = SLIDER_STEPS * Math.max(0, Math.min(1, share));
-    fill();
-  };
-  const element = make("div", { class: "rk-param" }, label, slider, number);
-  return { element, show: follow(set) };
-}
-
 class MethodCard {
   constructor(k, program, channel) {
     this.k = k;
     this.methods = program.methods;
     this.channel = channel;
     this.one = null;
+    this.name = make(
+      "button",
+      {
+        type: "button",
+        class: "rk-name",
+        title: "Show or hide the parameters",
+        "aria-expanded": "false",
+        "aria-label": `parameters of robot ${k + 1}`,
+        onclick: () => this.unfold(!this.element.classList.contains("open")),
+      },
+      make("span", {}, "…"),
+      icon("down"),
+    );
     const names = Object.keys(program.methods);
     this.menu = make(
       "select",
       {
-        class: "rk-select",
+        class: "rk-num rk-choose",
+        title: "Choose another method (M)",
         "aria-label": `method of robot ${k + 1}`,
         onchange: () => {
           channel.command("set_method", { instance: k, method: this.menu.value });
@@ -144,6 +87,12 @@ class MethodCard {
       },
       names.map((name) => make("option", {}, name)),
     );
+    this.limits = toggle(
+      "joint limits",
+      true,
+      (on) => channel.command("set_limits", { on, instance: k }),
+      "Whether the joints of this robot keep their limits",
+    );
     this.words = make("div", { class: "rk-word" });
     this.off = make("div", { class: "rk-off num", title: "Error of the tool, by MuJoCo" });
     this.figures = FIGURES.map(() => make("b", {}, "–"));
@@ -151,21 +100,15 @@ class MethodCard {
       "div",
       { class: "rk-stats num" },
       FIGURES.map(([label, help], i) =>
-        make("div", { title: help }, make("small", {}, label), this.figures[i]),
+        make(
+          "div",
+          { title: typeof help === "string" ? help : "" },
+          make("small", {}, label),
+          this.figures[i],
+        ),
       ),
     );
     this.params = make("div", { class: "rk-params" });
-    const more = make(
-      "button",
-      {
-        type: "button",
-        class: "rk-more",
-        title: "Parameters",
-        "aria-label": `parameters of robot ${k + 1}`,
-        onclick: () => this.element.classList.toggle("open"),
-      },
-      icon("down"),
-    );
     this.element = make(
       "div",
       { class: "rk-method", style: `--c:${program.colours[k]}` },
@@ -173,13 +116,18 @@ class MethodCard {
         "div",
         { class: "rk-method-head" },
         make("i"),
-        make("div", {}, this.menu, this.words),
+        make("div", {}, this.name, this.words),
         this.off,
-        more,
+        make("div", { class: "rk-swap" }, icon("swap"), this.menu),
       ),
       stats,
       this.params,
     );
+  }
+
+  unfold(open) {
+    this.element.classList.toggle("open", open);
+    this.name.setAttribute("aria-expanded", String(open));
   }
 
   /** Make the parameters of a method; rare options are folded away. */
@@ -193,7 +141,7 @@ class MethodCard {
       this.widgets[option.name] = parameter(option, (value) => this.set(option.name, value));
       return this.widgets[option.name].element;
     };
-    const children = usual.map(widget);
+    const children = [this.limits.element, ...usual.map(widget)];
     if (!options.length) {
       children.push(make("p", { class: "rk-note" }, "A closed form has no parameters."));
     }
@@ -224,6 +172,9 @@ class MethodCard {
     if (!one.method) return;
     if (this.shown !== one.method) this.rebuild(one.method);
     if (document.activeElement !== this.menu && !busy) this.menu.value = one.method;
+    const name = this.name.firstChild;
+    if (name.textContent !== one.method) name.textContent = one.method;
+    this.limits.set(one.limited);
     this.menu.disabled = acting;
     this.element.classList.toggle("acting", acting);
     const words = acting ? "the figure decides by itself" : one.words;
@@ -235,8 +186,9 @@ class MethodCard {
     this.words.title = [one.status, one.note].filter(Boolean).join("; ");
     const [, number, unit] = one.off.match(/^([\d.]+)\s*(.*)$/) ?? [null, one.off, ""];
     refill(this.off, one.off, () => [number, make("small", {}, unit)]);
-    FIGURES.forEach(([, , text], i) => {
+    FIGURES.forEach(([, help, text], i) => {
       this.figures[i].textContent = one.count ? text(one) : "–";
+      if (typeof help !== "string") this.figures[i].parentElement.title = help(one);
     });
     this.widgets.max_iterations.show(one.iterations_limit);
     this.widgets.success_distance.show(one.distance_mm);
@@ -266,11 +218,7 @@ export class MethodsTab {
       (motion) => channel.command("set_motion", { motion }),
       { ...small, label: "how the ball moves" },
     );
-    this.pace = menu(PACES, (value) => channel.command("set_pace", { seconds: +value }), {
-      label: "pace of the random ball",
-      width: "124px",
-    });
-    this.paceRow = make("div", { class: "rk-row" }, make("label", {}, "A new place"), this.pace.element);
+    this.pace = parameter(PACE, (seconds) => channel.command("set_pace", { seconds }));
     this.restarts = toggle(
       "Restarts",
       true,
@@ -288,6 +236,7 @@ export class MethodsTab {
       { label: "what is plotted", width: "180px" },
     );
     this.note = make("p", { class: "rk-note" });
+    this.theses = new Theses(program, channel);
     this.element = make(
       "div",
       {},
@@ -296,10 +245,11 @@ export class MethodsTab {
       this.note,
       heading("Ball", this.motion.element),
       this.speed.element,
-      this.paceRow,
+      this.pace.element,
       this.restarts.element,
       heading("Last 8 seconds", this.quantity.element),
       this.plot.element,
+      this.theses.element,
     );
   }
 
@@ -310,10 +260,10 @@ export class MethodsTab {
     this.count.set(count);
     this.element.classList.toggle("rk-compact", count > 1);
     this.motion.set(view.motion);
-    show(this.paceRow, view.motion === "random");
+    show(this.pace.element, view.motion === "random");
     show(this.restarts.element, view.motion === "random");
-    show(this.speed.element, ["curve", "random"].includes(view.motion));
-    this.pace.set(view.pace);
+    show(this.speed.element, ["curve", "random", "course"].includes(view.motion));
+    this.pace.show(view.pace);
     this.restarts.set(view.restarts);
     this.speed.show(view.speed);
     this.cards.forEach((card, k) => {
@@ -322,7 +272,8 @@ export class MethodsTab {
       if (k < count) card.show(view.instances[k], acting, view.busy);
     });
     const most = Math.max(...view.instances.map((one) => one.count));
-    this.note.textContent = most ? `Of the last ${most} solves in this page.` : "";
+    this.note.textContent = most ? `Of the last ${most} frames in which something was asked.` : "";
+    this.theses.show(view);
     this.plot.draw();
   }
 }

@@ -10,6 +10,13 @@ const KIND_WORDS = {
   hand: "by hand",
   joints: "at the tool",
   timeline: "at the tool",
+  course: "on a course",
+};
+
+const PICK_WORDS = {
+  tool: "Click the part that follows the ball.",
+  base: "Click the part that stays: joints between it and the effector move.",
+  pin: "Click the part that is pinned where it is.",
 };
 
 export class Overlay {
@@ -25,8 +32,9 @@ export class Overlay {
       make("b", {}, "You watch."),
       " Another browser drives. STOP works here, too.",
     );
+    this.picking = make("div", { class: "rk-card rk-picking", role: "status" });
     this.missing = make("details", { class: "rk-card rk-missing" });
-    this.hud = make("div", { class: "rk-hud" }, this.watching, this.ball, this.mode, this.missing);
+    this.hud = make("div", { class: "rk-hud" }, this.watching, this.picking, this.ball, this.mode, this.missing);
     this.title = make("strong");
     this.action = make("span", { class: "rk-tag" });
     this.reason = make("p");
@@ -44,6 +52,7 @@ export class Overlay {
     this.elements = [this.hud, this.hint, this.decision, this.notices];
     this.lastMessage = "";
     show(this.watching, false);
+    show(this.picking, false);
     show(this.missing, false);
   }
 
@@ -55,8 +64,10 @@ export class Overlay {
     setTimeout(() => one.remove(), NOTICE_MS);
   }
 
-  showSettings({ overlay }) {
+  showSettings({ overlay, pick }) {
     this.isShown = overlay;
+    show(this.picking, pick !== "off");
+    this.picking.textContent = PICK_WORDS[pick] ?? "";
     for (const element of [this.ball, this.mode, this.hint]) show(element, overlay);
   }
 

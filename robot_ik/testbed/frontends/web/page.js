@@ -43,6 +43,7 @@ class Page {
       view: (value) => this.showView(value),
       camera: (value) => this.camera.show(value),
       picture: (value) => this.camera.showPicture(value),
+      cases: (value) => this.showCases(value),
       notice: (value) => this.overlay.notice(value),
       file: ({ name, base64 }) => {
         download(name, Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
@@ -123,6 +124,7 @@ class Page {
       Scene: new SceneTab(this.channel),
       Record: new RecordTab(program, this.channel),
     };
+    this.dialogs.push(this.tabs.Methods.theses.table);
     this.buildSide();
     this.root.prepend(this.labels.element);
     this.root.append(...this.dialogs.map(({ element }) => element));
@@ -131,6 +133,7 @@ class Page {
     if (this.robot) this.showRobot(this.robot);
     if (this.settings) this.showSettings(this.settings);
     if (this.role) this.showRole(this.role);
+    if (this.cases) this.showCases(this.cases);
     if (this.view) this.draw();
   }
 
@@ -186,6 +189,7 @@ class Page {
     this.overlay.showRobot(robot);
     this.top.showRobot(robot);
     this.tabs?.Joints.showRobot(robot);
+    this.tabs?.Goals.showRobot(robot);
     this.gallery?.showRobot(robot);
   }
 
@@ -195,8 +199,14 @@ class Page {
     this.camera.showSettings(settings);
     this.top.showSettings(settings);
     this.tabs?.Scene.showSettings(settings);
+    this.tabs?.Goals.showSettings(settings);
     document.documentElement.classList.toggle("rk-dark", settings.dark);
     document.body.toggleAttribute("data-rk-camera", settings.camera);
+  }
+
+  showCases(cases) {
+    this.cases = cases;
+    this.tabs?.Methods.theses.showCases(cases);
   }
 
   showRole(role) {

@@ -23,7 +23,14 @@ export class SceneTab {
       handles: toggle("Ball handles", true, switched("show_handles"), "Move it along one axis"),
       turn_handles: toggle("Turn handles", false, switched("show_turn_handles"), "Turn the ball"),
       tool_frames: toggle("Tool frames", false, switched("show_tool_frames"), "x red, y green, z blue"),
-      reach: toggle("Reach", false, switched("show_reach"), "Tool positions at random joint angles"),
+      reach: toggle("Reach", false, switched("show_reach"), "The space that the tool reaches"),
+      regions: toggle(
+        "Regions of the figure",
+        false,
+        switched("show_regions"),
+        "Where the figure reaches (green), bends (amber), jumps (violet)",
+      ),
+      cube: toggle("Test cube", false, switched("show_cube"), "Ball and tool on edges (thesis A00)"),
       dark: toggle("Dark", false, (dark) => channel.action("set_theme", { dark }), "On all pages"),
     };
     this.driving = make("p", { class: "rk-note" });
@@ -62,6 +69,7 @@ export class SceneTab {
   }
 
   show(view) {
+    show(this.switches.regions.element, view.can_act);
     const { contact } = view;
     show(this.contact, contact !== null);
     if (contact) {

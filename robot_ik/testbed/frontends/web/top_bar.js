@@ -9,6 +9,7 @@ const MOTIONS = {
   hand: "following the ball",
   joints: "joints set by hand",
   timeline: "on the timeline",
+  course: "following a course of thesis A00",
 };
 
 export class TopBar {

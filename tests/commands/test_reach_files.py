@@ -13,12 +13,15 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.drawing.overlay import draw_robot
+from robot_ik.commands.reach import Reach
+from robot_ik.commands.reach_picture import draw_picture, save_files
+from robot_ik.commands.reach_report import ReachReport
 from robot_ik.errors import OutputError
 from robot_ik.files import plain
 from robot_ik.jobs import scene
-from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.reach_files import FILES, reach_picture, reach_summary, save_reach
 from robot_ik.jobs.results import folder_for_results, results_folder
+
+pytestmark = pytest.mark.usefixtures("light_pictures")
 
 # Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
 DOCUMENTED = {
@@ -41,6 +44,7 @@ DOCUMENTED = {
     "by_camera": dict,
     "verdict": str,
     "bus_counters": dict,
+    "folder": str,
 }
 
 
@@ -56,7 +60,7 @@ def strict(text: str) -> Any:
 @pytest.fixture(scope="module")
 def saved(healthy: ReachReport, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    files = save_reach(healthy, folder)
+    files = save_files(healthy, folder)
     assert [file.name for file in files] == ["reach.png", "trajectory.csv", "summary.json"]
     assert sorted(file.name for file in folder.iterdir()) == sorted(file.name for file in files)
     return folder
@@ -72,9 +76,9 @@ def test_the_summary_says_what_happened(healthy: ReachReport, saved: Path) -> No
     facts = strict((saved / "summary.json").read_text("utf-8"))
     check_keys(facts)
     assert facts["schema"] == 1 and facts["reached"] is True and facts["problem"] is None
-    np.testing.assert_array_equal(facts["q"], healthy.q_end)
+    np.testing.assert_array_equal(facts["q"], healthy.judged.q)
     for name in ("read_back", "by_camera"):
-        judged = getattr(healthy, name)
+        judged = getattr(healthy.judged, name)
         assert facts[name]["position_m"] == judged.position
         assert facts[name]["allowed_position_m"] == judged.allowed.position
         assert facts[name]["passed"] is True
@@ -87,7 +91,9 @@ def test_the_summary_says_what_happened(healthy: ReachReport, saved: Path) -> No
         "arm_file",
         "used",
     }
-    assert np.shape(facts["marker"]["covariance"]) == (6, 6) and np.shape(facts["marker"]["corners_px"]) == (
+    assert np.shape(facts["marker"]["covariance"]) == (6, 6) and np.shape(
+        facts["marker"]["corners_px"]
+    ) == (
         4,
         2,
     )
@@ -101,15 +107,21 @@ def test_the_table_of_the_motion_reads_back(healthy: ReachReport, saved: Path) -
     with (saved / "trajectory.csv").open(newline="") as stream:
         head, *rows = list(csv.reader(stream))
     joints = healthy.robot.joints
-    assert head == ["time_s", *(f"{j}_commanded" for j in joints), *(f"{j}_measured" for j in joints)]
+    assert head == [
+        "time_s",
+        *(f"{j}_commanded" for j in joints),
+        *(f"{j}_measured" for j in joints),
+    ]
     values = np.array(rows, dtype=float)
-    np.testing.assert_allclose(values, np.column_stack([run.times, run.commanded, run.measured]), atol=1e-7)
+    np.testing.assert_allclose(
+        values, np.column_stack([run.times, run.commanded, run.measured]), atol=1e-7
+    )
     assert (np.diff(values[:, 0]) > 0).all()
 
 
 def test_runs_that_end_early_leave_what_there_is(reach: Any, tmp_path: Path) -> None:
-    report = reach({"blank_marker": True})
-    files = [file.name for file in save_reach(report, tmp_path / ".")]
+    report = reach("blank-marker")
+    files = [file.name for file in save_files(report, tmp_path / ".")]
     assert files == ["reach.png", "summary.json"]
     facts = strict((tmp_path / "summary.json").read_text("utf-8"))
     check_keys(facts)
@@ -117,17 +129,26 @@ def test_runs_that_end_early_leave_what_there_is(reach: Any, tmp_path: Path) -> 
 
 
 def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
-    """The drawn lines follow the picture's own edges, and no longer do so when shifted by some pixels."""
-    vision, robot = healthy.vision, healthy.robot
-    assert vision is not None and healthy.q_end is not None
-    for image, q in [(healthy.before, healthy.q_start), (healthy.after, healthy.q_end)]:
+    """The drawn lines follow the edges of the picture, and not if they are shifted."""
+    vision = healthy.vision
+    robot = healthy.robot
+    assert vision is not None and healthy.judged.q is not None
+    for image, q in [(healthy.before, healthy.q_start), (healthy.judged.image, healthy.judged.q)]:
         pose = vision.scene.pose_world_camera
         drawn = draw_robot(
-            image, robot.model, robot.qpos(q), vision.scene.intrinsics, pose, alpha=0.0, style="registered"
+            image,
+            robot.model,
+            robot.qpos(q),
+            vision.scene.intrinsics,
+            pose,
+            alpha=0.0,
+            style="registered",
         )
         lines = np.abs(drawn.astype(int) - image.astype(int)).max(axis=2) > 40
         assert lines.sum() > 1000
-        gray = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0)
+        gray = cv2.GaussianBlur(
+            cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), 1.0
+        )
         slope = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
         here = slope[lines].mean()
         for shift in [(12, 0), (-12, 0), (0, 12), (0, -12)]:
@@ -136,12 +157,14 @@ def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
 
 def test_the_picture_says_whether_it_was_reached(healthy: ReachReport, reach: Any) -> None:
     def bars(report: ReachReport) -> set[tuple[int, ...]]:
-        picture = reach_picture(report)
+        picture = draw_picture(report)
         right = picture[:, picture.shape[1] * 3 // 4]
         return {tuple(colour) for colour in right.tolist()}
 
-    green, red = (90, 190, 60), (60, 60, 230)
-    good, bad = bars(healthy), bars(reach({"zero_offset_deg": {"joint2": 2.0}}))
+    green = (90, 190, 60)
+    red = (60, 60, 230)
+    good = bars(healthy)
+    bad = bars(reach("zero-offset:joint2=2.0"))
     assert green in good and red not in good
     assert red in bad and green not in bad
 
@@ -159,14 +182,16 @@ def test_without_a_camera_there_is_no_picture(
     )
     goal = PositionGoal(None, (0.3 * math.cos(0.5), 0.3 * math.sin(0.5), 0.0))
     report = reach(robot=str(box), goal=goal)
-    assert report.reached and reach_picture(report) is None and "no camera" in report.verdict
-    check_keys(plain(reach_summary(report)))
+    assert report.ok and draw_picture(report) is None and "no camera" in report.verdict
+    check_keys(plain(report.json_object()))
 
 
-def test_folders_are_named_by_time_and_never_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folders_are_named_by_time_and_never_shared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    kept = results_folder("", "reach", FILES, overwrite=False)
-    with kept as first, results_folder("", "reach", FILES, overwrite=False) as second:
+    kept = results_folder("", "reach", Reach.FILES, overwrite=False)
+    with kept as first, results_folder("", "reach", Reach.FILES, overwrite=False) as second:
         assert first.parent.name == "runs" and "-reach" in first.name
         assert second != first and first.is_dir() and second.is_dir()
     assert not Path("runs").exists()  # nothing was written

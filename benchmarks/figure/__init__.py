@@ -1,0 +1,1 @@
+"""The motion of the figure, judged by MuJoCo: ``python -m benchmarks.figure``."""
