@@ -39,6 +39,7 @@ class Prompts:
         clock: Paces the samples.
         seconds: Duration of each step.  None: until Enter (a line on standard input).
         period: s between two samples.
+        alternative: What to try if Enter cannot be pressed, for the error.
 
     Raises:
         OptionError: Steps end with Enter, and standard input has ended already.
@@ -50,8 +51,10 @@ class Prompts:
         clock: Clock,
         seconds: float | None = None,
         period: float = SAMPLE_PERIOD,
+        alternative: str = ENTER,
     ) -> None:
         self._terminal = terminal
+        self._alternative = alternative
         self._clock = clock
         self._period = period
         self._seconds = seconds
@@ -60,7 +63,7 @@ class Prompts:
         self._reader: threading.Thread | None = None
         with contextlib.suppress(OSError):  # on Windows select() works with sockets only
             if seconds is None and _has_input() and not self._read_input():
-                raise OptionError("standard input", NO_ENTER, ENTER)
+                raise OptionError("standard input", NO_ENTER, alternative)
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
         """Print an instruction, sample until the step is done, and sample once more then.
@@ -115,7 +118,7 @@ class Prompts:
             return False
         if not is_line:
             self._lines.put(False)
-            raise HardwareError(NO_ENTER, hint=f"run the command with {ENTER}")
+            raise HardwareError(NO_ENTER, hint=f"run the command with {self._alternative}")
         return True
 
     def _read_lines(self) -> None:

@@ -60,7 +60,9 @@ class ServoRecord(MovingBusOptions, OverwriteOption, JsonOption):
         config = load_arm(self.arm)
         arm = open_arm_on(self.bus, config, None)
         # The prompts may raise an error, so they come before the arm is connected.
-        prompts = Prompts(terminal, arm.clock, self.seconds, 1.0 / self.rate)
+        prompts = Prompts(
+            terminal, arm.clock, self.seconds, 1.0 / self.rate, alternative="--seconds S"
+        )
         report = ServoRecordReport(self.file)
         terminal.end_progress()
         with arm:

@@ -47,7 +47,7 @@ COMMANDS: list[tuple[str, str, dict[str, str]]] = [
     ("reach --bus sim --arm FILE", "arm.toml", TOML),
     ("run take_a_block --arm FILE", "arm.toml", TOML),
     ("run FILE", "script.toml", TOML),
-    ("sim-bus --faults FILE", "faults.toml", TOML),
+    ("sim-bus --fault FILE", "faults.toml", TOML),
     ("servo replay FILE --bus /dev/null", "motion.csv", CSV),
     ("camera handeye --samples FILE", "samples.json", JSON),
     ("camera verify --samples FILE", "samples.json", JSON),

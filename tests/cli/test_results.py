@@ -86,7 +86,7 @@ def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path:
         ["run", "pick_and_place", "--junit"],
         ["run", "pick_and_place", "--json"],
         ["servo", "record", "--bus", "sim", "--seconds", "1"],
-        ["servo", "calibrate", "--bus", "sim", "--seconds", "1"],
+        ["servo", "calibrate", "--bus", "sim"],
     ],
 )
 @pytest.mark.parametrize("trouble", ["exists", "in a file", "taken"])
@@ -96,7 +96,7 @@ def test_every_command_refuses_a_file_it_cannot_have(
     from robot_ik.jobs.script import shipped
 
     words = [next(iter(shipped())) if word == "pick_and_place" else word for word in words]
-    suffix = {"teach": ".csv", "calibrate": ".toml"}.get(words[1], ".json")
+    suffix = {"record": ".csv", "calibrate": ".toml"}.get(words[1], ".json")
     file = (tmp_path / "none" if trouble == "in a file" else tmp_path) / f"result{suffix}"
     with contextlib.ExitStack() as stack:
         if trouble == "exists":

@@ -238,21 +238,23 @@ def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [("calibrate", "mine.toml"), ("record", "wave.csv")], ids=lambda c: c[0]
+    ("name", "out", "remedy"),
+    [("calibrate", "mine.toml", "a terminal"), ("record", "wave.csv", "--seconds S")],
 )
-def test_without_anybody_to_press_enter_no_servo_is_asked(
+def test_a_command_that_cannot_be_ended_sends_nothing(
     robot_ik: Any,
     desk: Any,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    command: tuple[str, str],
+    name: str,
+    out: str,
+    remedy: str,
 ) -> None:
-    name, out = command
-    with open(os.devnull) as nobody:
-        monkeypatch.setattr(sys, "__stdin__", nobody)
+    with open(os.devnull) as empty:
+        monkeypatch.setattr(sys, "__stdin__", empty)
         run = robot_ik("servo", name, tmp_path / out, *desk.at)
     run.assert_one_screen_error()
-    assert "Enter cannot be pressed" in run.err and "a terminal" in run.err
+    assert "Enter cannot be pressed" in run.err and remedy in run.err
     assert desk.bus.schedule.packets == 0 and not (tmp_path / out).exists()
 
 

@@ -146,7 +146,6 @@ def test_ranges_are_laid_onto_each_other_and_names_must_agree() -> None:
     assert same.follower(angles) == pytest.approx(angles) and "gripper" in same.names
     ends = {joint.name: 9.0 for joint in koch.joints}
     assert same.follower(ends) == pytest.approx({j.name: j.limits[1] for j in koch.joints})
-    assert same.leader(same.follower(angles)) == pytest.approx(angles)
     with pytest.raises(ConfigError, match="--mode tool"):
         JointCoupling(koch, puma)
 
@@ -269,11 +268,10 @@ def test_wrong_options_of_teleop_are_refused(
     assert main(["teleop", *same]) == 2
     assert "two ports" in capsys.readouterr().err
     monkeypatch.setattr(ports, "serial_ports", list)
-    for words, option in (([], "--follower-bus"), (["--leader", "koch_v11"], "--leader-bus")):
-        assert main(["teleop", *words]) == 2
-        assert (
-            f"name one with {option} PORT; without servos: {option} pty" in capsys.readouterr().err
-        )
+    assert main(["teleop"]) == 2
+    assert "--follower-bus: this argument is required" in capsys.readouterr().err
+    assert main(["teleop", "--leader", "koch_v11", "--follower-bus", "sim"]) == 2
+    assert "--leader-bus: no port is given" in capsys.readouterr().err
 
 
 def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -> None:
@@ -281,7 +279,7 @@ def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -
         "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
     )
     assert main([*words.split(), "--seconds", "1", "--on-exit", "torque_off"]) == 0
-    assert "engaged 1 time;" in capsys.readouterr().err
+    assert "engaged 1 time;" in capsys.readouterr().out
 
 
 def test_ctrl_c_ends_it_with_the_summary(
@@ -293,10 +291,9 @@ def test_ctrl_c_ends_it_with_the_summary(
     )
     assert main([*words.split(), "--on-exit", "torque_off"]) == 130
     summary = "ended early after 0.1 s: 10 commands, engaged 1 time;"
-    said = capsys.readouterr().err
-    assert summary in said and said.index(summary) < said.index("torque is off") < said.index(
-        "interrupted"
-    )
+    printed = capsys.readouterr()
+    assert summary in printed.out
+    assert printed.err.index("torque is off") < printed.err.index("interrupted")
 
 
 def interrupted_at_the_tenth() -> Callable[..., dict[str, float]]:
@@ -341,6 +338,6 @@ def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(
     with open(os.devnull) as nothing:
         monkeypatch.setattr(sys, "stdin", nothing)
         assert main(words) == 0
-        assert "ended by the operator" in capsys.readouterr().err
+        assert "ended by the operator" in capsys.readouterr().out
         assert main([*words, "--seconds", "0.3"]) == 0
         assert "end of the given time" in capsys.readouterr().err
