@@ -444,6 +444,28 @@ class Robot:
             )
         return self.with_joints(joints)
 
+    def with_parts(
+        self,
+        *,
+        tool: str | None = None,
+        base: str | None = None,
+        joints: Sequence[str] = (),
+    ) -> Robot:
+        """Return this robot with another tool, another base and fewer active joints.
+
+        Args:
+            tool: As for ``with_tool``. None or empty: the same tool.
+            base: As for ``with_base``. None or empty: the same base.
+            joints: As for ``with_joints``. Empty: all joints.
+
+        Raises:
+            UnknownFrameError, UnknownJointError, UnsupportedJointError: As these methods.
+        """
+        robot = self.with_tool(tool) if tool else self
+        if joints:
+            robot = robot.with_joints(joints)
+        return robot.with_base(base) if base else robot
+
     def joints_between(self, base: str, frame: str | None = None) -> tuple[str, ...]:
         """Return the active joints that move a frame (default: the tool) relative to its base.
 

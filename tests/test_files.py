@@ -298,11 +298,11 @@ ALLOWED = {
     ("robot_ik/camera/device.py", "read_text"): "/sys",
     ("robot_ik/bench/methods/results.py", "read_text"): "/proc",
     (
-        "robot_ik/figure/abilities.py",
+        "robot_ik/figure/reach_map.py",
         "np.load",
     ): "a map that it made itself, without pickle; any error makes it anew",
     (
-        "robot_ik/figure/abilities.py",
+        "robot_ik/figure/reach_map.py",
         "read_bytes",
     ): "for a digest of the model that load_robot has just read",
     ("robot_ik/jobs/figure.py", "read_bytes"): "likewise",
@@ -313,14 +313,8 @@ ALLOWED = {
         "read_text",
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
-    (
-        "robot_ik/bench/peers/__main__.py",
-        "*",
-    ): "between processes of one bench, in a folder of its own",
-    ("robot_ik/bench/peers/worker.py", "*"): "likewise; it runs without robot_ik",
-    ("robot_ik/bench/peers/tasks.py", "from_xml_string"): "a model that it writes itself",
     ("robot_ik/cli/console.py", "open"): "/dev/null",
-    ("robot_ik/cli/listing.py", "ElementTree.parse"): "models that ship",
+    ("robot_ik/commands/robots.py", "ElementTree.parse"): "models that ship",
     ("robot_ik/jobs/arm_camera/samples.py", "json.loads"): "what it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",
 }

@@ -1,6 +1,6 @@
 """Measures what performance.md and comparison.md in docs/reference say, for docs/make/performance.py.
 
-    python -m robot_ik.bench.peers install ENVIRONMENTS
+    python -m benchmarks.peers install ENVIRONMENTS
     python docs/make/measure_performance.py ENVIRONMENTS RESULTS
     python docs/make/performance.py RESULTS
 
@@ -30,7 +30,7 @@ def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
     """The comparison, then our own benchmarks; the exit code of the comparison."""
     out.mkdir(parents=True, exist_ok=True)
     code = call(
-        "-m", "robot_ik.bench.peers", "run", "--environments", environments, "--out", out / "peers",
+        "-m", "benchmarks.peers", "run", "--environments", environments, "--out", out / "peers",
         "--libraries", *LIBRARIES, "--rounds", rounds, "--count", count,
     )  # fmt: skip
     for name, arguments in BENCHES.items():

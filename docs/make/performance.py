@@ -74,7 +74,7 @@ def collect(results: Path) -> dict[str, Any]:
 
 
 def collect_peers(found: dict[str, Any]) -> dict[str, Any]:
-    """Contestant -> robot -> kind of problem, of what `robot_ik.bench.peers` has written."""
+    """Contestant -> robot -> kind of problem, of what `benchmarks.peers` has written."""
     peers: dict[str, Any] = {}
     for name, one in found["libraries"].items():
         peers[name] = {"versions": one["versions"], "calibration_us": one["calibration_us"]}

@@ -29,12 +29,12 @@ from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.patterns import CharucoPattern
 from robot_ik.camera.registration import BoardTracker, Registrar
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
+from robot_ik.camera.synthetic.board_table import BOARD, BoardMotion, synthetic_scene
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.job import heights
-from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.error_map import error_picture
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.jobs.gallery import fitted_camera, lens

@@ -26,7 +26,7 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 def solvers() -> str:
     """One row for each method."""
-    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.commands.solvers import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
@@ -46,7 +46,7 @@ def solvers() -> str:
 
 def method(name: str) -> str:
     """What one method is: title, goals, source."""
-    from robot_ik.cli.listing import goals_text, solver_facts
+    from robot_ik.commands.solvers import goals_text, solver_facts
     from robot_ik.solvers import SOLVERS
 
     facts = solver_facts(name, SOLVERS[name])
@@ -56,7 +56,7 @@ def method(name: str) -> str:
 
 def options(name: str) -> str:
     """All options of one method."""
-    from robot_ik.cli.listing import solver_facts
+    from robot_ik.commands.solvers import solver_facts
     from robot_ik.solvers import SOLVERS
 
     rows = []

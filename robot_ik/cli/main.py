@@ -44,11 +44,8 @@ ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
     "reachability": ("reachability", "where an arm can reach: a map, slices and a point cloud"),
     "plan": ("plan", "a motion around obstacles, proven free"),
-    "robots": ("listing", "the bundled robots, or one in detail"),
-    "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
-    "run": ("run", "a scripted test run on simulated or real servos, faults included"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
     "poses record": ("key_poses", "a pose into a file: from joints, from a recorded frame, by reaching"),
@@ -67,7 +64,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
     "camera verify": ("arm_camera", "how far the arm is from where its joints say"),
     "video": ("view", "a film of the testbed without a screen, from its command log"),
-    "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
 # They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded; but these of them do not.
 _WITHOUT_MUJOCO = ("robots", "sim-bus", "servo", "stop", "camera", "doctor")

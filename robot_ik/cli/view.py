@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from robot_ik.jobs.testbed import SceneCamera
     from robot_ik.testbed.commands import CommandLog, Start
     from robot_ik.testbed.frontends.page_server import PageServer
+    from robot_ik.testbed.presets import Preset
     from robot_ik.testbed.session import Session
     from robot_ik.testbed.view import View
 
@@ -52,8 +53,16 @@ class ViewOptions:
     """
 
     robot: Annotated[str, robot_argument(f"{SHOWN_ROBOT}")] = ""
+    preset: Annotated[str, single("NAME", "none")] = ""
+    """arkineman: the figure of thesis P11, with a virtual ball in the picture of a camera."""
     viewer: Literal["auto", "browser", "window", "recorder"] = "auto"
     """auto: the browser; without the extra `web` the window; without a display the recorder."""
+    frame: Annotated[str, single("NAME", "the robot's tool")] = ""
+    """Frame that follows the ball: a tool, site or body."""
+    base: Annotated[str, single("NAME", "all joints move")] = ""
+    """Frame that stays: only joints between it and the moved frame are active."""
+    joints: Annotated[tuple[str, ...], several("NAME", "all joints")] = ()
+    """Active joints."""
     count: int = 1
     """Robots side by side: 1, 2 or 4, each with its own method."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
@@ -89,10 +98,15 @@ class ViewOptions:
 def run(options: ViewOptions) -> int:
     """Opens the testbed; 0 done, 1 a replay that differs."""
     if options.replay is not None:
-        for name in ("robot", "count", "method", "bus", "arm", "log", "seed"):
+        told = ("robot", "preset", "frame", "base", "joints", "count", "method", "bus", "arm", "log", "seed")
+        for name in told:
             same = getattr(options, name) == getattr(ViewOptions, name, ())
             require(same, f"--{name}", "given with --replay", "one of both: the log says what happens")
         return _replay(options.replay)
+    if options.preset:
+        for name in ("robot", "frame", "base", "joints", "count", "method", "bus", "arm"):
+            usual = getattr(options, name) == getattr(ViewOptions, name, ())
+            require(usual, f"--{name}", "given with --preset", "one of both: the preset names it")
     _check_methods(options.method, options.count)
     for option, given in (("--arm", options.arm), ("--on-exit", options.on_exit)):
         alone = f"{given} is for servos, and no bus is named"
@@ -139,12 +153,22 @@ def _view(options: ViewOptions, viewer: str) -> int:
 
     of_arm = resolved_robot(options.arm, options.bus) if options.arm else ""
     robot = options.robot or of_arm or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
+    chosen = None
+    if options.preset:
+        from robot_ik.testbed.presets import preset
+
+        chosen = preset(options.preset)
+        robot = chosen.robot
     find_robot(robot)
-    start = Start(robot, options.count, options.method, options.seed)  # type: ignore[arg-type]
+    start = Start(
+        robot, options.count, options.method, options.seed,  # type: ignore[arg-type]
+        tool=options.frame, base=options.base, joints=options.joints,
+    )  # fmt: skip
     if viewer == "recorder":
         from robot_ik.jobs.testbed import film
 
-        out, log = Path("testbed.mp4"), CommandLog(start, ())
+        first = chosen.commands if chosen else ()
+        out, log = Path("testbed.mp4"), CommandLog(start, tuple((0, command) for command in first))
         with console.kept(out):
             view = film(log, out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
         console.say(f"filmed: {out}")
@@ -153,7 +177,7 @@ def _view(options: ViewOptions, viewer: str) -> int:
     # Before all is loaded, where nothing that is asked for can be wrong.
     early = viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue()
     with _open_server(options) if early else contextlib.nullcontext() as server:
-        return _run(start, options, viewer, server)
+        return _run(start, options, viewer, server, chosen)
 
 
 def _open_server(options: ViewOptions) -> PageServer:
@@ -174,7 +198,13 @@ def _open_server(options: ViewOptions) -> PageServer:
     return server
 
 
-def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | None) -> int:
+def _run(
+    start: Start,
+    options: ViewOptions,
+    viewer: str,
+    server: PageServer | None,
+    chosen: Preset | None,
+) -> int:
     """The session, the arm and the front end, until they end."""
     from robot_ik.testbed.session import Session
 
@@ -188,7 +218,10 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
             stack.callback(lambda arm: console.say(arm.left, "dim"), link)
             stack.callback(link.close)
         session = stack.enter_context(Session(start, arm=link))
-        draw = stack.enter_context(_opened(viewer, session, options, server))
+        for command in chosen.commands if chosen else ():
+            session.send(command)
+        ar = chosen is not None and chosen.ar
+        draw = stack.enter_context(_opened(viewer, session, options, server, ar))
         try:
             _loop(session, draw, options)
         finally:  # what went wrong, or was ended from outside, is what a log is read for
@@ -204,13 +237,13 @@ def _save(log: CommandLog, file: Path | None) -> None:
 
 @contextlib.contextmanager
 def _opened(
-    viewer: str, session: Session, options: ViewOptions, server: PageServer | None
+    viewer: str, session: Session, options: ViewOptions, server: PageServer | None, ar: bool
 ) -> Iterator[Callable[[View], object]]:
     """A front end's ``draw``."""
     if viewer == "window":
         from robot_ik.testbed.frontends.session_window import SessionWindow
 
-        with SessionWindow(session) as window:
+        with SessionWindow(session, ar=ar) as window:
             console.say("keys: " + window.help, "dim")
             yield window.draw
         return
@@ -228,6 +261,7 @@ def _opened(
 
     camera = open_camera if options.camera else None
     with Page(session, server or _open_server(options), camera=camera, film=film) as page:
+        page.switch_ar(ar)
         yield page.draw
 
 

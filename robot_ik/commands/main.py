@@ -77,7 +77,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         ),
         Row("plan", "Plan a motion around obstacles and prove it free."),
         Row("reachability", "Map where an arm can reach: slices and a point cloud."),
-        Row("run", "Run a scripted test on simulated or real servos, faults included."),
+        Row("run", "Run a scripted test on simulated or real servos, faults included.", "run:Run"),
         Row("view", "Open the interactive testbed in the browser or in MuJoCo's window."),
         Row("video", "Film the testbed without a screen, from its command log."),
         Row("poses list", "List the poses and motions of a file."),
@@ -190,11 +190,16 @@ GROUPS: dict[str, tuple[Row, ...]] = {
     ),
     "Figure": (Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk."),),
     "Information": (
-        Row("robots", "List the bundled robots, or describe one."),
-        Row("solvers", "List the solvers, or the options of one."),
+        Row("robots", "List the bundled robots, or describe one.", "robots:Robots", mujoco=False),
+        Row("solvers", "List the solvers, or the options of one.", "solvers:Solvers"),
         Row("bench", "Compare methods on seeded problems: success, time, plots."),
         Row("experiments", "Repeat the experiments of the theses: a00 or s12."),
-        Row("doctor", "Check what this machine can do, and what to do about the rest."),
+        Row(
+            "doctor",
+            "Check what this machine can do, and what to do about the rest.",
+            "doctor:Doctor",
+            mujoco=False,
+        ),
     ),
 }
 """All commands, in the order of ``robot-ik --help``."""

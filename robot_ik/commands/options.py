@@ -46,6 +46,21 @@ FrameName = Annotated[
     str | None,
     Parameter(metavar="NAME", help="Tool, site or body to move. Default: the robot's tool."),
 ]
+BaseName = Annotated[
+    str | None,
+    Parameter(
+        metavar="NAME",
+        help="Frame that stays: only joints between it and the frame to move are active.",
+    ),
+]
+JointNames = Annotated[
+    tuple[str, ...],
+    Parameter(metavar="NAME …", consume_multiple=True, help="Active joints. Default: all joints."),
+]
+FreeFeet = Annotated[
+    bool,
+    Parameter(help="Let the feet of a figure move. Default: they stay where they are."),
+]
 SolverName = Annotated[
     str,
     Parameter(metavar="NAME", help="Solver (see `robot-ik solvers`). Default: the robot's own."),

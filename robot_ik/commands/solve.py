@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from robot_ik.commands.options import (
+    BaseName,
     FrameName,
+    FreeFeet,
     GoalNumbers,
+    JointNames,
     JsonOption,
     RobotName,
     Seed,
@@ -26,6 +29,7 @@ from robot_ik.errors import OptionError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from robot_ik.goals import Goal
     from robot_ik.problem import Problem
     from robot_ik.solution import Solution
 
@@ -46,6 +50,7 @@ class Solve(JsonOption):
     Metres and radians, quaternions as w x y z, goals in the world frame.
 
         robot-ik solve --goal -0.4 -0.1 0.7
+        robot-ik solve --robot humanoid --goal 0.4 -0.3 1.5
 
     Exit code 0: the goal is met. 1: it is not, and the nearest joint angles are printed.
     """
@@ -53,6 +58,9 @@ class Solve(JsonOption):
     goal: GoalNumbers = ()
     robot: RobotName = "puma560"
     frame: FrameName = None
+    base: BaseName = None
+    joints: JointNames = ()
+    free_feet: FreeFeet = False
     solver: SolverName = ""
     set: Annotated[
         tuple[str, ...],
@@ -79,14 +87,19 @@ class Solve(JsonOption):
         from robot_ik.problem import Problem
         from robot_ik.robot import load_robot
         from robot_ik.solvers import make_solver, solver_name
+        from robot_ik.support import support_goals
 
-        goal = parse_goal(self.goal, self.frame)
+        goal: Goal = parse_goal(self.goal, self.frame)
         robot = load_robot(self.robot)
+        robot = robot.with_parts(tool=self.frame, base=self.base, joints=self.joints)
         name = solver_name(self.solver, robot.file)
         solver = make_solver(name, **solver_options(name, self.set))
+        kept = [] if self.free_feet else support_goals(robot, [robot.tool])
+        if kept and "priorities" in solver.capabilities:
+            goal = replace(goal, priority=1)  # the feet are served first
         problem = Problem(
             robot,
-            goal,
+            [goal, *kept],
             solver=solver,
             tolerance=Tolerance(position=self.position_tolerance, angle=self.angle_tolerance),
             budget=Budget(iterations=self.iterations, restarts=self.restarts),
@@ -129,6 +142,7 @@ class SolveReport(Report):
             "converged": solution.converged,
             "status": solution.status.name.lower(),
             "meaning": solution.meaning,
+            "kept": [kept.frame for kept in problem.goals[1:]],
             "joints": list(problem.robot.joints),
             "q": solution.q,
             "error": {"position": solution.error.position, "angle": solution.error.angle},

@@ -77,6 +77,11 @@ class Report(ABC):
         """Warnings to print on stderr, after the tables."""
         return ()
 
+    @property
+    def hints(self) -> Sequence[str]:
+        """Lines on what to do next, for people. They are printed on stderr."""
+        return ()
+
     @abstractmethod
     def tables(self) -> Iterable[RenderableType]:
         """Return the tables and lines for people."""
@@ -263,6 +268,8 @@ class Terminal:
             sys.stdout.flush()
         else:
             self._print_tables(report)
+            for hint in report.hints:
+                say(hint, "dim")
         for note in report.notes:
             say(note, "yellow")
         if report.failure is not None:
@@ -273,7 +280,7 @@ class Terminal:
         for index, part in enumerate(report.tables()):
             if index and isinstance(part, Table):
                 console.print()
-            console.print(part, soft_wrap=isinstance(part, str))
+            console.print(part, soft_wrap=isinstance(part, str | Text))
 
     @contextlib.contextmanager
     def running(self, name: str) -> Iterator[None]:

@@ -15,7 +15,7 @@ _PositionAndWxyz = Annotated[
 
 
 class GalleryScene(Table):
-    """The pose that ``robot-ik robots --gallery`` draws beside the home pose.
+    """The pose that ``docs/make/gallery.py`` draws beside the home pose.
 
     A goal is a position, or a position and a quaternion wxyz, in the world. ``view_deg`` is azimuth
     (from x to y) and elevation of the view.

@@ -23,7 +23,8 @@ from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import RATE, DragLink
-from robot_ik.testbed.robot_goals import RobotGoals, gaze_axis
+from robot_ik.testbed.limb import Limb
+from robot_ik.testbed.robot_goals import NATURAL_POSE, RobotGoals, gaze_axis
 from robot_ik.testbed.setup import BUDGET, restarting, retarget
 
 TRAIL = 120
@@ -83,7 +84,7 @@ class Statistics:
         return cls(len(solves), mean, p99, iterations, solved, float(solves[:, 3].max()))
 
 
-_ALWAYS_MISSED = ("ball", "posture")
+_ALWAYS_MISSED = ("ball", "posture", NATURAL_POSE)
 """Goals that explain no status: the ball is met, and a posture is only approached."""
 
 
@@ -190,6 +191,7 @@ class Instance:
         self.limited = True
         self.refused = ""
         self.note = ""
+        self._limb: Limb | None = None
         self.budget = BUDGET
         self.distance = _TOLERANCE.position
         self._restarts = False
@@ -223,7 +225,16 @@ class Instance:
         self._statistics = Statistics()
         self._last_ball: Pose | None = None
 
-    def take(self, robot: Robot, solver: Solver, *, limited: bool, refused: str, note: str) -> None:
+    def take(
+        self,
+        robot: Robot,
+        solver: Solver,
+        *,
+        limited: bool,
+        refused: str,
+        note: str,
+        limb: Limb | None = None,
+    ) -> None:
         """Go on with another method, options, tool or limits.
 
         A changed method or robot begins new statistics.
@@ -234,6 +245,8 @@ class Instance:
             limited: Whether the joint limits hold.
             refused: Why the method cannot serve the goals. Empty if it can.
             note: How its goals differ from those of the others.
+            limb: The limb that the method moves alone, towards the ball. None: all goals are served
+                with all joints.
         """
         if self.solver != solver or self.robot is not robot:
             self._begin_statistics()
@@ -244,6 +257,7 @@ class Instance:
         self.solver = solver
         self.refused = refused
         self.note = note
+        self._limb = limb
         self._problem = None
         self._drag = None
         self._unmet_ticks = 0
@@ -293,10 +307,11 @@ class Instance:
         self._status = self.refused
         before = self.q
         if not self.refused:
-            wanted = goals.all(ball, self.solver)
+            wanted = self._wanted(goals, ball, self.solver)
             if self._problem is None:
                 budget = restarting(self.budget, self.robot) if restarts else self.budget
-                self._problem = Problem(self.robot, wanted, solver=self.solver, budget=budget)
+                robot = self.robot if self._limb is None else self._limb.robot
+                self._problem = Problem(robot, wanted, solver=self.solver, budget=budget)
             solution = self._solved(self._problem, wanted)
         self._measure(goals, ball)
         if solution is not None:
@@ -306,6 +321,12 @@ class Instance:
             change = float(np.abs(self._change_from(before)).max(initial=0.0))
             row = (self._seconds, solution.iterations, met, change)
             self._solves = appended(self._solves, row, WINDOW)
+
+    def _wanted(self, goals: RobotGoals, ball: Pose, solver: Solver) -> list[Goal]:
+        """Return the goals that the method serves."""
+        if self._limb is None:
+            return goals.all(ball, solver)
+        return [dataclasses.replace(goals.main(ball), priority=0)]
 
     def _change_from(self, before: Array) -> Array:
         """Return the change (nv,) of the joints since ``before`` (nq,), rad or m."""
@@ -363,7 +384,8 @@ class Instance:
         try:
             retarget(problem, wanted)
             begin = time.thread_time()
-            solution = problem.solve(self.q)
+            start = self.q if self._limb is None else self._limb.own(self.q)
+            solution = problem.solve(start)
             self._seconds = time.thread_time() - begin
         except RobotIkError as error:
             self._status = str(error).splitlines()[0]
@@ -371,7 +393,7 @@ class Instance:
         self._status = solution.status.name.lower().replace("_", " ")
         self._iterations = solution.iterations
         if np.isfinite(solution.q).all():
-            self.move_to(solution.q)
+            self.move_to(solution.q if self._limb is None else self._limb.whole(solution.q))
         return solution
 
     def _measure(self, goals: RobotGoals, ball: Pose) -> None:

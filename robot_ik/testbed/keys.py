@@ -1,7 +1,9 @@
 """The keys of the testbed: one table for the page and for MuJoCo's window.
 
-The keys are those of the first thesis (Pađen 2011): arrows, W and S move the ball, Space starts, R
-resets, I changes the mode, L shows the overlay. On the page they come before viser's camera keys.
+The keys are those of the first thesis (Pađen 2011): up and down move the ball along y, left and
+right along x, W and S in height. Space starts, R resets, I changes the mode, L shows the overlay.
+On the page they come before viser's camera keys. While a method solves, the page's arrows move the
+ball as it is seen.
 """
 
 from __future__ import annotations
@@ -77,6 +79,10 @@ def _change_mode(view: View) -> Command:
     return SetMotion(next_of(MOTIONS, view.motion))
 
 
+def _change_figure(view: View) -> Command:
+    return SetFigure("active" if view.figure is None else "off")
+
+
 def _change_method(view: View) -> Command:
     return SetMethod(0, next_of(tuple(rik.SOLVERS), view.instances[0].method))
 
@@ -94,16 +100,19 @@ def _count(count: int) -> Callable[[View], Command]:
 
 
 KEYMAP: tuple[Key, ...] = (
-    Key("ball away, in the window along +x", "Ball", "ArrowUp", "Up", _nudge(x=1.0), "↑"),
-    Key("ball near, in the window along -x", "Ball", "ArrowDown", "Down", _nudge(x=-1.0), "↓"),
-    Key("ball left, in the window along +y", "Ball", "ArrowLeft", "Left", _nudge(y=1.0), "←"),
-    Key("ball right, in the window along -y", "Ball", "ArrowRight", "Right", _nudge(y=-1.0), "→"),
-    Key("ball up", "Ball", "KeyW", "W", _nudge(z=1.0), "W"),
-    Key("ball down", "Ball", "KeyS", "S", _nudge(z=-1.0), "S"),
-    Key("curve, random, by hand; active, passive", "Ball", "KeyI", "I", _change_mode, "I"),
+    Key("ball +y; away, if a method solves", "Ball", "ArrowUp", "Up", _nudge(y=1.0), "↑"),
+    Key("ball -y; near, if a method solves", "Ball", "ArrowDown", "Down", _nudge(y=-1.0), "↓"),
+    Key("ball -x; left, if a method solves", "Ball", "ArrowLeft", "Left", _nudge(x=-1.0), "←"),
+    Key("ball +x; right, if a method solves", "Ball", "ArrowRight", "Right", _nudge(x=1.0), "→"),
+    Key("ball up, +z", "Ball", "KeyW", "W", _nudge(z=1.0), "W"),
+    Key("ball down, -z", "Ball", "KeyS", "S", _nudge(z=-1.0), "S"),
+    Key(
+        "figure: active, passive; else curve, random, hand", "Ball", "KeyI", "I", _change_mode, "I"
+    ),
     Key("arrows, W and S move the camera, or the ball", "Ball", "KeyC", "", None, "C"),
     Key("start, pause; a passive figure acts", "Run", "Space", "Space", _start, "Space"),
     Key("STOP; close a dialog", "Run", "Escape", "", None, "Esc"),
+    Key("a figure decides, or a method solves", "Run", "KeyF", "F", _change_figure, "F"),
     Key("reset robot and ball", "Run", "KeyR", "R", lambda _: Reset(), "R"),
     Key("record the pose", "Run", "KeyP", "P", lambda _: RecordPose(), "P"),
     Key("play the timeline, stop it", "Run", "Enter", "", _play, "Enter"),
@@ -131,6 +140,7 @@ KEYMAP: tuple[Key, ...] = (
         "B",
     ),
     Key("overlay on, off", "Show", "KeyL", "L", None, "L"),
+    Key("robot in the camera's picture on, off", "Show", "KeyX", "X", None, "X"),
     Key("camera picture on, off", "Show", "KeyV", "", None, "V"),
     Key("gallery of robots", "Show", "KeyG", "", None, "G"),
     Key("side panel on, off", "Show", "Backslash", "", None, "\\"),

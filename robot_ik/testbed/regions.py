@@ -9,7 +9,8 @@ import numpy as np
 
 from robot_ik.batch import solve_batch
 from robot_ik.budget import Budget
-from robot_ik.figure import abilities
+from robot_ik.figure import reach_map
+from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
 from robot_ik.kernels.tree import FREE
 from robot_ik.ports import Array
@@ -59,27 +60,26 @@ def reach_shell(robot: Robot) -> Iterator[Region]:
 
 def figure_regions(robot: Robot) -> Iterator[Region]:
     """Yield where a figure reaches, where it bends to reach, and where it jumps, at home."""
-    found = abilities.load_abilities(load_figure(robot))
-    cell = float(abilities.POINTS[1, 2] - abilities.POINTS[0, 2])
-    taken = np.zeros(abilities.SHAPE, bool)
+    abilities = load_abilities(load_figure(robot))
+    taken = np.zeros(reach_map.SHAPE, bool)
     for kind in ("reach", "bend"):
-        filled = np.zeros(abilities.SHAPE, bool)
-        for arm in found.figure.hands:
-            filled |= found.maps[kind, arm].error == 0.0
-        surface = surface_of(filled & ~taken, abilities.ORIGIN, cell)
+        filled = np.zeros(reach_map.SHAPE, bool)
+        for arm in abilities.figure.hands:
+            filled |= abilities.maps[kind, arm].error == 0.0
+        surface = surface_of(filled & ~taken, reach_map.ORIGIN, reach_map.GRID)
         yield Region(kind, surface)
         taken |= filled
-    jumps = np.zeros(len(abilities.POINTS), bool)
+    jumps = np.zeros(len(reach_map.POINTS), bool)
     for index in np.flatnonzero(~taken.reshape(-1)):
-        point = abilities.POINTS[index]
-        jumps[index] = any(_jumps(found, point, arm, cell) for arm in found.figure.hands)
-    surface = surface_of(jumps.reshape(abilities.SHAPE), abilities.ORIGIN, cell)
+        point = reach_map.POINTS[index]
+        jumps[index] = any(_jumps(abilities, point, arm) for arm in abilities.figure.hands)
+    surface = surface_of(jumps.reshape(reach_map.SHAPE), reach_map.ORIGIN, reach_map.GRID)
     yield Region("jump", surface)
 
 
-def _jumps(found: abilities.Abilities, point: Array, arm: str, cell: float) -> bool:
+def _jumps(abilities: Abilities, point: Array, arm: str) -> bool:
     """Return whether a jump brings a palm to a point."""
-    beside = np.abs(point[:2] - found.under(arm)).max() > _JUMP_SIDE * cell
-    if beside or point[2] > found.top(arm):
+    beside = np.abs(point[:2] - abilities.highest_at(arm)).max()
+    if beside > _JUMP_SIDE * reach_map.GRID or point[2] > abilities.highest_palm(arm):
         return False
-    return found.take_off(point, arm) is not None
+    return abilities.take_off(point, arm) is not None

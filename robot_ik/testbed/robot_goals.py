@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 
+from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import (
     AimGoal,
@@ -14,10 +16,12 @@ from robot_ik.goals import (
     OrientationGoal,
     PlaneGoal,
     PoseGoal,
+    PosePriorGoal,
     PositionGoal,
     PostureGoal,
 )
 from robot_ik.kernels.tree import FREE
+from robot_ik.pose_prior import PosePrior
 from robot_ik.robot import Robot
 from robot_ik.solvers.base import Solver
 from robot_ik.support import supported_frames
@@ -28,6 +32,9 @@ _HOLD_GOALS = 6
 """Frames beside the tool that are offered to be held."""
 
 _GAZE = "gaze"
+
+NATURAL_POSE = "natural pose"
+"""Name of the goal that prefers poses like the learned ones."""
 
 _PIN = "pin "
 """Begins the name of a pin's goal."""
@@ -165,12 +172,12 @@ class RobotGoals:
     def all(self, ball: Pose, solver: Solver) -> list[Goal]:
         """Return the ball's goal, then the others.
 
-        A method that cannot order goals gets them at one priority, without the posture.
+        A method that cannot order goals gets them at one priority, without posture and prior.
         """
         goals = [goal for _, goal in self.named(ball)]
         if "priorities" in solver.capabilities:
             return goals
-        ranked = [goal for goal in goals if not isinstance(goal, PostureGoal)]
+        ranked = [goal for goal in goals if not isinstance(goal, PostureGoal | PosePriorGoal)]
         return [replace(goal, priority=0) for goal in ranked]
 
     def named(self, ball: Pose) -> list[tuple[str, Goal]]:
@@ -230,6 +237,8 @@ def _extra_goal(robot: Robot, extra: ExtraGoal) -> Goal | None:
         kinds = zip(robot.joints, robot.tree.kind.tolist(), strict=True)
         free = [joint for joint, kind in kinds if kind == FREE]
         return PostureGoal(q=home, joints=dict.fromkeys(free, 0.0), weight=weight, priority=rank)
+    if extra.name == NATURAL_POSE:
+        return PosePriorGoal(prior=PosePrior.of(robot), weight=weight, priority=rank)
     return None
 
 
@@ -272,6 +281,10 @@ def _figure_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
     for name in others[:_HOLD_GOALS]:
         extras.append(ExtraGoal(f"hold {name}", False, 3, f"{name} stays at its position"))
     extras.append(ExtraGoal("posture", True, 4, "joints as near to home as possible"))
+    with contextlib.suppress(ModelError, InvalidGoalError):
+        PosePrior.of(robot).indices(robot)
+        about = "a pose like those of motions that were learned; for methods with priorities"
+        extras.append(ExtraGoal(NATURAL_POSE, False, 3, about))
     return tuple(extras)
 
 

@@ -573,10 +573,20 @@ class Session(Closing):
     def _give_methods(self, ready: Ready) -> None:
         """Give each instance its robot and its method."""
         limits = ready.setup.limits or ()
-        rows = zip(self.instances, ready.robots, ready.solvers, ready.refused, limits, strict=False)
-        for one, robot, solver, refused, limited in rows:
+        for k, one in enumerate(self.instances):
+            solver = ready.solvers[k]
+            limb = ready.limbs[k]
             note = "all goals at one priority" if ready.goals.flattened(solver) else ""
-            one.take(robot, solver, limited=limited, refused=refused, note=note)
+            if limb is not None:
+                note = f"moves {len(limb.robot.joints)} joints towards the ball, no other goal"
+            one.take(
+                ready.robots[k],
+                solver,
+                limited=limits[k],
+                refused=ready.refused[k],
+                note=note,
+                limb=limb,
+            )
 
     def _set_figure(self, before: Ready | None, ready: Ready) -> None:
         """Begin or end that a figure decides by itself. It begins at home and ends there."""

@@ -22,7 +22,7 @@ from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
 from robot_ik.figure.motion.drag import Drag
 from robot_ik.geometry import Pose
-from robot_ik.goals import CenterOfMassGoal, Goal, PostureGoal
+from robot_ik.goals import CenterOfMassGoal, Goal, PosePriorGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.motion.sources import CurveSource
@@ -34,6 +34,7 @@ from robot_ik.solvers import make_solver
 from robot_ik.solvers.analytic.branch import Branch
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed import commands
+from robot_ik.testbed.limb import Limb
 from robot_ik.testbed.robot_goals import (
     ExtraGoal,
     Pin,
@@ -258,6 +259,8 @@ class Ready:
         curve: The ball's path. The tool can follow it.
         course: The course that the ball follows. None: there is none.
         refused: Why each instance's method cannot serve these goals. Empty if it can.
+        limbs: For each instance of a figure, the limb that its method moves alone. None: its method
+            moves the whole robot.
         abilities: Of a figure that decides by itself. None: it does not.
     """
 
@@ -270,6 +273,7 @@ class Ready:
     curve: CurveSource
     course: Course | None
     refused: tuple[str, ...]
+    limbs: tuple[Limb | None, ...]
     abilities: Abilities | None
 
     @property
@@ -284,11 +288,7 @@ def selected(loaded: Robot, setup: Setup) -> Robot:
     Raises:
         RobotIkError: There is no such frame or joint, or no joint would move.
     """
-    robot = loaded.with_tool(setup.tool) if setup.tool else loaded
-    if setup.joints:
-        robot = robot.with_joints(setup.joints)
-    if setup.base:
-        robot = robot.with_base(setup.base)
+    robot = loaded.with_parts(tool=setup.tool, base=setup.base, joints=setup.joints)
     stiffness = {joint: value for joint, value in setup.stiffness if joint in robot.joints}
     return robot.with_stiffness(stiffness) if stiffness else robot
 
@@ -356,12 +356,16 @@ def prepare(
     goals = RobotGoals(robots[0], setup.kind, setup.extras, setup.pins)
     home = first_ball(chosen)
     refused = []
+    limbs: list[Limb | None] = []
     solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
     if first is not None:
         first(setup, robots[0], goals, solvers)
     for robot, solver in zip(robots, solvers, strict=True):
         say(f"preparing {solver.name} …")
-        refused.append(_tried(robot, goals, solver, home))
+        reason = _tried(robot, goals, solver, home)
+        limb = _limb(robot, goals, solver, home) if reason and is_figure(chosen) else None
+        refused.append("" if limb else reason)
+        limbs.append(limb)
     if setup.branches:
         with contextlib.suppress(RobotIkError):
             branches_of(robots[0], goals.main(home), robots[0].home)
@@ -390,6 +394,7 @@ def prepare(
         curve,
         course,
         tuple(refused),
+        tuple(limbs),
         abilities,
     )
 
@@ -463,10 +468,21 @@ def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
     return ""
 
 
+def _limb(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> Limb | None:
+    """Return the limb of the tool, if the method can serve the ball's goal with it alone."""
+    with contextlib.suppress(RobotIkError):
+        limb = Limb(robot)
+        goal = replace(goals.main(ball), priority=0)
+        Problem(limb.robot, [goal], solver=solver, budget=BUDGET).solve(limb.robot.home)
+        return limb
+    return None
+
+
 def retarget(problem: Problem, goals: list[Goal]) -> None:
     """Move the targets of a problem that was made for such goals."""
     for index, goal in enumerate(goals):
-        if not isinstance(goal, PostureGoal | CenterOfMassGoal):  # these stay where they are
+        # The others stay where they are.
+        if not isinstance(goal, PostureGoal | CenterOfMassGoal | PosePriorGoal):
             problem.retarget(goal, index)
 
 

@@ -56,13 +56,10 @@ def test_help_imports_nothing_heavy() -> None:
 @pytest.mark.parametrize(
     ("line", "reported"),
     [
-        ("doctor --jsn", "unknown option '--jsn'; did you mean '--json'?"),
-        ("doctor extra", "'extra': nothing more is taken here"),
         ("figure --path triangle", "'triangle' is not a valid choice; allowed: circle, random, marker"),
         ("experiments", "missing: {a00,s12} (Which thesis.)"),
         ("experiments b00", "'b00' is not a valid choice (did you mean 'a00'?); allowed: a00, s12"),
         ("bench --sets foo", "--sets: 'foo' is not a valid choice; allowed: cold, warm,"),
-        ("robots a b c", "'b c': nothing more is taken here"),
         ("servo torque onn", "'onn' is not a valid choice (did you mean 'on'?); allowed: on, off"),
         ("servo torque", "missing: on|off (What to do.)"),
         ("servo calibrate", "missing: OUT.toml"),

@@ -70,7 +70,6 @@ def test_two_runs_at_once_do_not_share_a_folder(tmp_path: Path, monkeypatch: pyt
         ["reach", "--bus", "none", "--out"],
         ["bench", "--out"],
         ["experiments", "s12", "--out"],
-        ["robots", "puma560", "--gallery"],
     ],
 )
 def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path: Path, robot_ik: Any) -> None:
@@ -84,7 +83,6 @@ def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path:
     "words",
     [
         ["run", "pick_and_place", "--junit"],
-        ["run", "pick_and_place", "--json"],
         ["servo", "record", "--bus", "sim", "--seconds", "1"],
         ["servo", "calibrate", "--bus", "sim"],
     ],

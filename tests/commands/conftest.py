@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from robot_ik.commands import terminal
 from robot_ik.commands.main import main
 from robot_ik.jobs import vision
 from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_smaller
@@ -52,6 +53,8 @@ class Run:
 def _plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("COLUMNS", "ROBOT_IK_DEBUG", "FORCE_COLOR", "MUJOCO_GL"):
         monkeypatch.delenv(name, raising=False)
+    # A busy machine must not change what a command prints.
+    monkeypatch.setattr(terminal, "SILENCE_SECONDS", 600.0)
 
 
 @pytest.fixture

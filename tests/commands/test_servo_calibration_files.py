@@ -257,7 +257,12 @@ def test_lerobots_drive_mode_is_compared_with_reverse(
 
 @pytest.mark.parametrize(
     "words",
-    [("torque", "on"), ("torque", "on", "joint3"), ("move", "joint1=3"), ("record", "a.csv", "--seconds", "0.1")],
+    [
+        ("torque", "on"),
+        ("torque", "on", "joint3"),
+        ("move", "joint1=3"),
+        ("record", "a.csv", "--seconds", "0.1"),
+    ],
 )
 def test_whoever_drives_compares_servos_and_model(
     words: tuple[str, ...],

@@ -237,3 +237,34 @@ def test_the_first_compilation_of_all_is_announced(robot_ik_child: Any, tmp_path
     compiling, *others = run.err.splitlines()
     assert compiling.startswith("compiling solver 'ccd'") and others in ([], ["solve …"]), run.err
     assert json.loads(run.out)["solver"] == "ccd"
+
+
+def test_a_figure_keeps_its_feet_unless_told_otherwise(robot_ik: Any) -> None:
+    figure = load_robot("humanoid")
+    feet = {name: figure.measure(figure.home, name) for name in ("left_foot", "right_foot")}
+    goal = ("--goal", "0.45", "-0.3", "1.2")
+    for options, kept in (((), list(feet)), (("--free-feet",), [])):
+        run = robot_ik("solve", "--json", "--robot", "humanoid", *goal, *options)
+        assert run.code == 0, run
+        facts = json.loads(run.out)
+        assert facts["kept"] == kept and facts["frame"] == "right_hand"
+        q = np.array(facts["q"])
+        assert np.linalg.norm(figure.measure(q).position - (0.45, -0.3, 1.2)) < 1e-3
+        moved = [figure.measure(q, name).distance(home)[0] for name, home in feet.items()]
+        assert not kept or max(moved) < 1e-3
+    run = robot_ik("solve", "--json", "--robot", "humanoid", "--solver", "dls", *goal)
+    assert json.loads(run.out)["kept"] == list(feet), "a method without priorities keeps them, too"
+
+
+def test_base_and_joints_choose_what_moves(robot_ik: Any) -> None:
+    goal = ("--goal", "0.3", "-0.35", "1.3")
+    run = robot_ik("solve", "--json", "--robot", "humanoid", "--base", "torso", *goal)
+    facts = json.loads(run.out)
+    assert "right_elbow_pitch" in facts["joints"] and "left_elbow_pitch" not in facts["joints"]
+    assert facts["kept"] == [], "nothing moves the feet"
+    run = robot_ik("solve", "--json", "--joints", "joint1", "joint2", "joint3", "--goal", *GOAL)
+    assert json.loads(run.out)["joints"] == ["joint1", "joint2", "joint3"]
+    run = robot_ik("solve", "--robot", "humanoid", "--base", "head", *goal)
+    assert run.code == 2 and "right_hand" in run.err
+    run = robot_ik("solve", "--json", "--robot", "chain:4", "--goal", "1", "1", "2")
+    assert run.code == 0 and json.loads(run.out)["robot"] == "chain4"

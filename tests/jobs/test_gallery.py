@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import cv2
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS
-from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.jobs import gallery
 from robot_ik.jobs.gallery import (
@@ -28,6 +26,7 @@ from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
 from robot_ik.support import supported_frames
 from robot_ik.testbed.gallery_scene import gallery_scene
+from tests.doc_pages import script
 
 TWO_LINKS = """
 <mujoco><worldbody><body><joint name="a" axis="0 -1 0" range="-90 90"/>
@@ -117,25 +116,12 @@ def test_a_model_without_anything_to_see_says_so(tmp_path: Path) -> None:
         draw_robot(load_robot(file), height=60)
 
 
-def test_the_command_leaves_a_picture_and_a_sheet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file, folder = two_links(tmp_path), tmp_path / "new" / "pictures"
-    assert main(["robots", str(file), "--gallery", str(folder), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [row["name"] for row in said["robots"]] == ["two_links"]
-    assert said["sheet"] == str(folder / "gallery.png")
+def test_the_script_leaves_a_picture_and_a_sheet(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "pictures"
+    assert script("gallery").main([str(two_links(tmp_path)), "--out", str(folder)]) == 0
     for path in (folder / "two_links.png", folder / "gallery.png"):
         picture = cv2.imread(str(path))
         assert picture is not None and picture.std() > 5
-
-
-def test_what_stands_after_gallery_is_a_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["robots", "--gallery", "puma560"]) == 2
-    assert "robot-ik robots puma560 --gallery" in capsys.readouterr().err
-    assert main(["robots", "--gallery", "a", "b"]) == 2
-    assert main(["robots", "nobody", "--gallery", str(tmp_path / "x")]) == 2
-    (tmp_path / "file").write_text("")
-    assert main(["robots", str(two_links(tmp_path)), "--gallery", str(tmp_path / "file")]) == 2
-    assert not (tmp_path / "x").exists()
 
 
 def test_a_pose_that_is_not_reached_is_drawn_and_reported(
@@ -145,7 +131,7 @@ def test_a_pose_that_is_not_reached_is_drawn_and_reported(
     (tmp_path / "robot.toml").write_text(
         'schema = 1\ntitle = "two"\nmodel = "two_links.xml"\n[gallery]\ngoals = { tip = [9.0, 0.0, 0.0] }\n'
     )
-    assert main(["robots", str(tmp_path), "--gallery", str(tmp_path / "out")]) == 1
+    assert script("gallery").main([str(tmp_path), "--out", str(tmp_path / "out")]) == 1
     assert "UNREACHABLE" in capsys.readouterr().out
     assert (tmp_path / "out" / "gallery.png").is_file()
 

@@ -83,6 +83,7 @@ SWITCHES = {
     "show_handles": "handles",
     "show_turn_handles": "turn_handles",
     "show_tool_frames": "tool_frames",
+    "show_wire": "wire",
     "show_camera": "camera",
 }
 FILES = {
@@ -93,7 +94,16 @@ FILES = {
     "film_session": ({}, "testbed.mp4"),
 }
 OTHERS = {"press_key", "hand_over", "fit_camera", "report_graphics", "save_recording"}
-"""These have own tests."""
+AR = {
+    "begin_preset",
+    "drag_ar_ball",
+    "place_ar",
+    "set_ar_ball",
+    "set_ar_camera",
+    "set_ar_delay",
+    "show_ar",
+}
+"""These and those of ``OTHERS`` have own tests."""
 
 SURFACES = {
     "show_reach": ("reach", {"/regions/reach/shell"}),
@@ -110,7 +120,7 @@ BENCH = {"pick_part", "pin_frame", "run_cases"}
 
 
 def test_every_action_is_tried_by_a_test() -> None:
-    assert {*SWITCHES, *FILES, *OTHERS, *SURFACES, *BENCH} == set(ACTIONS)
+    assert {*SWITCHES, *FILES, *OTHERS, *SURFACES, *BENCH, *AR} == set(ACTIONS)
 
 
 @pytest.mark.parametrize(("action", "setting"), SWITCHES.items())

@@ -6,6 +6,7 @@ import itertools
 import os
 import platform
 import time
+import timeit
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
@@ -15,7 +16,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from robot_ik.batch import usable_cores
-from robot_ik.bench.peers.worker import calibration
 from robot_ik.errors import DISTRIBUTION
 from robot_ik.jobs.results import png_of, require_plots
 
@@ -180,6 +180,12 @@ def this_machine() -> Machine:
         load=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0,
         when=time.strftime("%Y-%m-%d %H:%M"),
     )
+
+
+def calibration() -> float:
+    """Return the median time of a fixed loop of plain Python, µs: the speed and load of the machine."""
+    loop = "for i in range(20_000): total += (i * 0.5) ** 0.5"
+    return 1e6 * float(np.median(timeit.repeat(loop, "total = 0.0", number=1, repeat=9)))
 
 
 def _processor() -> str:

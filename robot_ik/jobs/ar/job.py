@@ -20,12 +20,18 @@ from robot_ik.camera.drawing.occluders import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import BoardTracker, LatencyOptions, Registrar, Sync
 from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.camera.synthetic.board_table import (
+    AT_REST,
+    BOARD,
+    FOLLOWED,
+    BoardMotion,
+    synthetic_scene,
+)
 from robot_ik.camera.target_files import parse_target
 from robot_ik.camera.targets import DEFAULT_DICTIONARY, MarkerTarget, marker
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
-from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, synthetic_scene
 from robot_ik.jobs.films import PictureSink, open_sink
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated

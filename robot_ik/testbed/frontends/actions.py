@@ -11,7 +11,14 @@ from pydantic.alias_generators import to_snake
 
 from robot_ik.config import shown
 from robot_ik.errors import ConfigError
+from robot_ik.testbed.ar.setup import LONGEST_DELAY, ArBall, Sync
 from robot_ik.testbed.commands import Checked
+
+ArPlace = Literal["whole", "corner"]
+"""Where the pictures of augmented reality are: over the whole 3D view, or in its corner."""
+
+_Path = Annotated[str, Field(max_length=4096)]
+_Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
 @dataclass_transform(frozen_default=True)
@@ -112,6 +119,66 @@ class ShowCamera(Action):
     """Take pictures of the camera, or none."""
 
     on: bool
+
+
+class ShowWire(Action):
+    """Draw robots as wire, or solid."""
+
+    on: bool
+
+
+class BeginPreset(Action):
+    """Begin a preset: the program of a thesis."""
+
+    name: Annotated[str, Field(max_length=40)]
+
+
+class ShowAr(Action):
+    """Draw robot 1 into the pictures of a camera, or take no pictures."""
+
+    on: bool
+
+
+class PlaceAr(Action):
+    """Show these pictures over the whole 3D view, or in its corner."""
+
+    place: ArPlace
+
+
+class SetArCamera(Action):
+    """Choose the camera, its calibration, and the board that the robot stands on."""
+
+    camera: _Path
+    intrinsics: _Path
+    board: _Path
+    dictionary: Annotated[str, Field(max_length=40)] = ""
+
+
+class SetArBall(Action):
+    """Let keys and mouse move the ball, or a marker beside the board."""
+
+    ball: ArBall
+    marker: Annotated[int, Field(ge=0, le=1023)]
+    marker_size: Annotated[float, Field(ge=0.005, le=1.0)]
+    """Side of the marker's black square, metres."""
+
+
+class SetArDelay(Action):
+    """Delay the tracker, and choose the measures against the delay."""
+
+    seconds: Annotated[float, Field(ge=0.0, le=LONGEST_DELAY)]
+    sync: Sync
+    predict: bool
+    shift: bool
+
+
+class DragArBall(Action):
+    """Take the ball to a pixel of the picture."""
+
+    u: _Pixel
+    v: _Pixel
+    begins: bool = False
+    """Whether the mouse was pressed here: only near the ball it takes the ball."""
 
 
 class HandOver(Action):

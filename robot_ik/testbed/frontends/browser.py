@@ -39,11 +39,13 @@ from robot_ik.testbed.commands import (
     SetArm,
     SetBase,
     SetPin,
+    SetRobot,
     SetRunning,
     SetTool,
     command_from,
 )
 from robot_ik.testbed.frontends import actions
+from robot_ik.testbed.frontends.ar_pictures import ArPictures
 from robot_ik.testbed.frontends.camera_pictures import CameraPictures
 from robot_ik.testbed.frontends.channel import ChannelPage
 from robot_ik.testbed.frontends.cube_scene import CubeScene
@@ -60,6 +62,7 @@ from robot_ik.testbed.frontends.view_rows import (
     view_row,
 )
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.presets import Preset, preset
 from robot_ik.testbed.regions import figure_regions, reach_shell
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
@@ -120,6 +123,7 @@ class Page(Closing):
         self._shows_turn_handles = False
         self._shows_tool_frames = False
         self._shows_reach = False
+        self._shows_wire = False
         self._shows_regions = False
         self._shows_cube = False
         self._picks: Literal["tool", "base", "pin", "off"] = "off"
@@ -131,6 +135,7 @@ class Page(Closing):
         self._told_robot: Robot | None = None
         self._told_cases: CasesView | None = None
         self.camera = None if camera is None else CameraPictures(camera, self.channel)
+        self.ar = ArPictures(session, self.channel)
         with self.server.atomic():
             self._add_gizmo()
             self._obstacles = ObstacleScene(self.server, self._move_obstacle)
@@ -154,9 +159,10 @@ class Page(Closing):
         self.gate.driver.on_leave = self._driver_left
 
     def close(self) -> None:
-        """Stop camera and server."""
+        """Stop cameras and server."""
         if self.camera is not None:
             self.camera.close()
+        self.ar.close()
         self.page_server.close()
 
     # Messages of pages, on the server's thread
@@ -199,6 +205,7 @@ class Page(Closing):
                 self.page_server.theme(dark)
             case actions.ShowOverlay(on):
                 self._shows_overlay = on
+                self.ar.write_captions(on)
                 self._scene.show_trails(on)
             case actions.ShowHandles(on):
                 self._shows_handles = on
@@ -211,6 +218,9 @@ class Page(Closing):
                 self._scene.show_axes(on)
             case actions.ShowReach(on):
                 self._shows_reach = on
+            case actions.ShowWire(on):
+                self._shows_wire = on
+                self._scene.show_wire(on)
             case actions.ShowRegions(on):
                 self._shows_regions = on
             case actions.ShowCube(on):
@@ -222,8 +232,11 @@ class Page(Closing):
             case actions.RunCases(frames):
                 self._wanted_cases = CaseRunner(self.session.send, frames)
             case actions.ShowCamera(on):
-                if self.camera is not None:
-                    self.camera.switch(on)
+                self._switch_camera(on)
+            case actions.ShowAr(on):
+                self.switch_ar(on)
+            case actions.BeginPreset(name):
+                self._begin(preset(name))
             case actions.HandOver():
                 self.gate.driver.hand_over()
             case actions.ReportGraphics(software):
@@ -232,8 +245,36 @@ class Page(Closing):
                 client = self.page_server.client_of(page)
                 if client is not None:
                     self._fit_camera(self._scene, client)
+            case actions.DragArBall():
+                moved = self.ar.dragged(action)
+                if moved is not None:
+                    self.session.send(moved)
+                return
             case _:
+                self.ar.act(action)
                 self._give_file(page, action)
+        self._tell_settings()
+
+    def _switch_camera(self, on: bool) -> None:
+        """Show the camera of the robot's scene, or not. One camera is shown at a time."""
+        if self.camera is not None:
+            self.camera.switch(on)
+            if on:
+                self.ar.switch(False)
+
+    def _begin(self, chosen: Preset) -> None:
+        """Show the robot of a preset, and do what it does at first."""
+        if self._view.robot != chosen.robot:
+            self.session.send(SetRobot(chosen.robot))
+        for command in chosen.commands:
+            self.session.send(command)
+        self.switch_ar(chosen.ar)
+
+    def switch_ar(self, on: bool) -> None:
+        """Show augmented reality, or not. One camera is shown at a time."""
+        self.ar.switch(on)
+        if on and self.camera is not None:
+            self.camera.switch(False)
         self._tell_settings()
 
     def _notice(self, text: str) -> None:
@@ -249,6 +290,8 @@ class Page(Closing):
             "turn_handles": self._shows_turn_handles,
             "tool_frames": self._shows_tool_frames,
             "reach": self._shows_reach,
+            "wire": self._shows_wire,
+            "ar": self.ar.settings(),
             "regions": self._shows_regions,
             "cube": self._shows_cube,
             "pick": self._picks,
@@ -341,6 +384,7 @@ class Page(Closing):
         scene.on_click(self._click_part)
         scene.show_trails(self._shows_overlay)
         scene.show_axes(self._shows_tool_frames)
+        scene.show_wire(self._shows_wire)
         self._gizmo.scale = _GIZMO_SIZE * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
@@ -477,6 +521,7 @@ class Page(Closing):
         is there, and does not take turns with this thread.
         """
         self._view = view
+        self.ar.show_view(view)
         self._run_cases(view)
         with self.server.atomic():
             try:

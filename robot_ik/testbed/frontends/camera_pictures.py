@@ -4,27 +4,20 @@ from __future__ import annotations
 
 import functools
 import logging
-import struct
 import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
-import cv2
-
-from robot_ik.ports import Closing, Image
+from robot_ik.ports import Closing
 from robot_ik.testbed.camera_picture import CameraPicture, ReadPicture
 from robot_ik.testbed.frontends.channel import Channel
+from robot_ik.testbed.frontends.picture_message import packed
 
 _log = logging.getLogger(__name__)
 
 PERIOD = 0.25
 """Seconds between two pictures: the synthetic camera takes a quarter of a core at this rate."""
-
-JPEG_QUALITY = 82
-
-HEADER = struct.Struct("<IdHH")
-"""Before each JPEG: number of the picture, time (s, Unix clock), width and height."""
 
 _CLOSE_LIMIT = 5.0
 """Seconds to wait for the thread to end."""
@@ -85,7 +78,7 @@ class CameraPictures(Closing):
             self._say(NO_SCENE, error=True)
             return
         self._count += 1
-        self._channel.picture(packed(picture.image, self._count))
+        self._channel.picture(packed(picture.image, self._count, time.time()))
         markers = [list(marker) for marker in picture.markers]
         self._say(picture.note, markers=markers)
 
@@ -98,10 +91,3 @@ class CameraPictures(Closing):
         self._over.set()
         self._is_on.set()
         self._thread.join(_CLOSE_LIMIT)
-
-
-def packed(image: Image, number: int) -> bytes:
-    """Return a picture (h, w, 3) BGR as one binary message: header and JPEG."""
-    height, width = image.shape[:2]
-    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return HEADER.pack(number, time.time(), width, height) + data.tobytes()

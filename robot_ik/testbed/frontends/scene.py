@@ -31,6 +31,7 @@ from robot_ik.testbed.arrangement import (
     arranged,
     linear,
 )
+from robot_ik.testbed.frontends.wire import Wire
 from robot_ik.testbed.view import View
 
 Floats = NDArray[np.float32]
@@ -298,6 +299,7 @@ class BrowserScene:
         self._ghosts: dict[str, Ghosts] = {}
         self._slides = slide_numbers(robot)
         self._axes: Any = None
+        self._wire: Wire | None = None
         self._trails_shown = True
         self._drawn = np.full((count, robot.model.nbody, 7), np.nan, np.float32)
         with server.atomic():
@@ -412,6 +414,17 @@ class BrowserScene:
         if self._axes is not None:
             self._axes.visible = on
 
+    def show_wire(self, on: bool) -> None:
+        """Draw the robots as wire, or solid."""
+        if self._wire is not None:
+            self._wire.remove()
+            self._wire = None
+        if on:
+            self._wire = Wire(self._server, self.robot, self.count)
+            self._drawn[:] = np.nan  # all lines are drawn with the next view
+        for _, handle in self.bodies:
+            handle.visible = not on
+
     def draw(self, view: View) -> None:
         """Draw one frame. It is sent as one piece, without the bodies that have not moved."""
         now = np.empty_like(self._drawn)
@@ -428,6 +441,8 @@ class BrowserScene:
                     positions = xpos[:, body].copy()
                     wxyzs = xquat[:, body].copy()
                     assign(handle, batched_positions=positions, batched_wxyzs=wxyzs)
+            if self._wire is not None and any(moved):
+                self._wire.draw(xpos, xquat)
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)

@@ -8,10 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from robot_ik.errors import ViewerError
-from robot_ik.model import compiled, read_spec
 from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import BALL_RADIUS, GOAL_COLOUR, INSTANCE_COLOURS, arranged
+from robot_ik.testbed.arrangement import INSTANCE_COLOURS, arranged
 from robot_ik.testbed.commands import MoveGoal
 from robot_ik.testbed.frontends.window import (
     ViewerWindow,
@@ -21,23 +19,17 @@ from robot_ik.testbed.frontends.window import (
     point_camera,
     rgba_of,
 )
+from robot_ik.testbed.frontends.window_ar import WindowAr
+from robot_ik.testbed.frontends.window_scene import WindowScene
+from robot_ik.testbed.frontends.window_texts import window_texts
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 
 _WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
 
-_BALL = "testbed_ball"
-"""Name of the ball's body."""
-
 _MOVED = 1e-7
 """Metres. A smaller motion of the ball is rounding."""
-
-_TEXT_ROWS = 12
-"""Rows of the table in the corner."""
-
-_LONGEST_MESSAGE = 80
-"""Characters of a message in the table."""
 
 _ASPECT = 1.5
 """Width over height of the window that the camera is fitted to."""
@@ -55,20 +47,23 @@ _SPECIAL = {"Space": 32, "Right": 262, "Left": 263, "Down": 264, "Up": 265}
 class SessionWindow(ViewerWindow):
     """The front end ``window``: a testbed session in MuJoCo's passive viewer.
 
-    The ball is selected from the start: Ctrl and the right mouse button move it. Keys are those of
-    the first thesis (``KEYMAP``).
+    The robot stands in its scene. The ball is selected from the start: Ctrl and the right mouse
+    button move it. Keys are those of the first thesis (``KEYMAP``).
 
     Args:
         session: The session that is shown and driven.
+        ar: Begin with the robot in the picture of the synthetic camera.
 
     Raises:
         ViewerError: As ``WindowSink``.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, *, ar: bool = False) -> None:
         self.session = session
         self._view = session.view()
         self._overlay = True
+        self._ar: WindowAr | None = None
+        self._is_ar_wanted = ar
         self._robot: Robot | None = None
         self._open()
 
@@ -83,16 +78,16 @@ class SessionWindow(ViewerWindow):
         self._robot = robot
         self._grabbed = False
         self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
-        self._model, self._ball = _with_ball(robot, float(robot.model.stat.extent))
+        self._scene = WindowScene(robot)
+        self._model = self._scene.model
         add_light(self._model)
         self._data = mujoco.MjData(self._model)
         self._option = mujoco.MjvOption()
         self._viewer, self._threads = launch(
             self._model, self._data, _WITHOUT_VIEWER, key_callback=self._on_key
         )
-        body = int(self._model.body(_BALL).id)
         with self._viewer.lock():
-            self._viewer.perturb.select = body
+            self._viewer.perturb.select = self._scene.ball_body
             self._kept = [flags.copy() for flags in self._flags()]
         self._arrange()
 
@@ -109,16 +104,19 @@ class SessionWindow(ViewerWindow):
         camera = arrangement.camera(self.session.ball_path(), _ASPECT)
         position, target = camera - arrangement.offsets[0]
         with self._viewer.lock():
+            self._scene.seat(self._count)
             point_camera(self._viewer.cam, position, target)
 
     def _on_key(self, code: int) -> None:
         """Send the command of a key. The viewer's thread calls it."""
         for key in KEYMAP:
             if key.window and code == _SPECIAL.get(key.window, ord(key.window[0])):
-                if key.command is None:
-                    self._overlay = not self._overlay
-                else:
+                if key.command is not None:
                     self.session.send(key.command(self._view))
+                elif key.window == "X":
+                    self._is_ar_wanted = not self._is_ar_wanted
+                else:
+                    self._overlay = not self._overlay
 
     def draw(self, view: View) -> bool:
         """Show a view. Return False once the window is closed."""
@@ -135,18 +133,45 @@ class SessionWindow(ViewerWindow):
             self._restore_flags()
             self._take_drag()
             self._placed = np.array(view.ball.position)
-            self._data.mocap_pos[self._ball] = self._placed
+            self._data.mocap_pos[self._scene.ball] = self._placed
             self._data.qpos[: robot.model.nq] = robot.qpos(view.instances[0].q)
             mujoco.mj_forward(self._model, self._data)
             self._draw_others(view)
-        self._viewer.set_texts(self._texts(view) if self._overlay else [])
+        covered = self._draw_ar(view)
+        self._viewer.set_texts(self._texts(view, covered))
         self._viewer.sync()
         self._take_drag()
         return True
 
+    def _texts(self, view: View, covered: int) -> list[Any]:
+        window = self._viewer.viewport
+        if not self._overlay or window is None:
+            return []
+        return window_texts(view, window.width, window.height, covered)
+
+    def _draw_ar(self, view: View) -> int:
+        """Show the camera's picture if it is wanted, and return its width in pixels."""
+        if self._is_ar_wanted and self._ar is None:
+            self._ar = WindowAr(self.session)
+        if self._ar is None:
+            return 0
+        if self._ar.is_on != self._is_ar_wanted:
+            self._ar.switch(self._is_ar_wanted)
+        if self._ar.problem:
+            self._is_ar_wanted = False
+            self.session.report(f"no picture: {self._ar.problem}")
+        return self._ar.draw(self._viewer, view)
+
+    def close(self) -> None:
+        """Close the window, end the camera, and wait for their threads."""
+        if self._ar is not None:
+            self._ar.close()
+            self._ar = None
+        super().close()
+
     def _take_drag(self) -> None:
         """Send where the mouse has put the ball. ``sync`` writes it into the ball's mocap pose."""
-        position = self._data.mocap_pos[self._ball].copy()
+        position = self._data.mocap_pos[self._scene.ball].copy()
         is_active = bool(self._viewer.perturb.active)
         was_grabbed = self._grabbed or is_active  # the last move comes with the release
         self._grabbed = is_active
@@ -185,48 +210,3 @@ class SessionWindow(ViewerWindow):
             colour = rgba_of(INSTANCE_COLOURS[k])
             for a, b in pairwise(points):
                 add_connector(scene, line, colour, _TRAIL_WIDTH, a, b)
-
-    def _texts(self, view: View) -> list[Any]:
-        """Return mode, ball and statistics for the corners."""
-        rows = [
-            ("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)),
-            ("moves", view.motion),
-            ("asks", view.kind),
-            ("state", view.busy or view.state),
-        ]
-        for k, one in enumerate(view.instances):
-            summary = one.summary.replace("°", " deg")  # MuJoCo's letters are ASCII
-            rows.append((f"{k + 1} {one.method}", summary))
-        if view.message:
-            rows.append(("", view.message[:_LONGEST_MESSAGE]))
-        left, right = ("\n".join(column) for column in zip(*rows[:_TEXT_ROWS], strict=True))
-        corner = mujoco.mjtGridPos
-        keys = "\n".join(key.window for key in KEYMAP if key.window)
-        about = "\n".join(key.about for key in KEYMAP if key.window)
-        font = mujoco.mjtFontScale.mjFONTSCALE_100
-        return [
-            (font, corner.mjGRID_TOPLEFT, left, right),
-            (font, corner.mjGRID_BOTTOMLEFT, keys, about),
-        ]
-
-
-def _with_ball(robot: Robot, extent: float) -> tuple[Any, int]:
-    """Return the robot's model with a ball that the mouse can move, and its mocap index.
-
-    Raises:
-        ViewerError: The model was not loaded from a file.
-    """
-    if not robot.path.is_file():
-        problem = f"{robot.name} is no file, and the window needs one"
-        raise ViewerError(problem, hint="--viewer browser")
-    spec, _ = read_spec(robot.path, robot.path)
-    ball = spec.worldbody.add_body(name=_BALL, mocap=True)
-    ball.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[BALL_RADIUS * extent, 0.0, 0.0],
-        rgba=list(rgba_of(GOAL_COLOUR)),
-        contype=0,
-        conaffinity=0,
-    )
-    model = compiled(spec)
-    return model, int(model.body(_BALL).mocapid[0])

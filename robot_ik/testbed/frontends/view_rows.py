@@ -35,7 +35,7 @@ def program_row(*, has_camera: bool, has_film: bool, has_arm: bool) -> dict[str,
             {
                 "code": key.code,
                 "label": key.label,
-                "about": key.about.partition(", in the window")[0],
+                "about": key.about,
                 "group": key.group,
                 "command": key.command is not None,
             }

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.peers.descriptions import plain_mjcf
 from robot_ik.bench.methods.problems import (
     NEAR_LIMIT,
     SETS,
@@ -17,7 +18,6 @@ from robot_ik.bench.methods.problems import (
     ProblemSet,
     make_set,
 )
-from robot_ik.bench.peers.tasks import plain_mjcf
 from robot_ik.chain import make_chain
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.robot import Robot, load_robot

@@ -11,6 +11,7 @@ import pytest
 
 from robot_ik.camera.drawing.drawn_robot import Drawing, DrawnRobot
 from robot_ik.camera.registration import LatencyOptions, Registrar
+from robot_ik.camera.synthetic.board_table import lens, synthetic_scene
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.targets import marker_grid
 from robot_ik.errors import (
@@ -25,7 +26,6 @@ from robot_ik.jobs import films
 from robot_ik.jobs.ar import job
 from robot_ik.jobs.ar.job import ArRequest, run_ar
 from robot_ik.jobs.ar.motion import make_motion, robot_of
-from robot_ik.jobs.ar.scene import lens, synthetic_scene
 from robot_ik.jobs.ar.script_motion import play_script
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Image

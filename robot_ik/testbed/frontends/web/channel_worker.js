@@ -4,7 +4,7 @@
 
 const RETRY_MS = 1000;
 const BEAT_MS = 1000;
-const HEADER_BYTES = 16; // before a JPEG: number, time, width, height
+const HEADER_BYTES = 28; // before a JPEG: number, time, width, height, ball (u, v, radius)
 
 let socket = null;
 let changes = null; // of the view, not shown yet
@@ -21,9 +21,7 @@ function connect(url) {
   };
   socket.onmessage = ({ data }) => {
     if (data instanceof ArrayBuffer) {
-      const number = new DataView(data).getUint32(0, true);
-      const jpeg = new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" });
-      postMessage({ picture: { number, jpeg } });
+      postMessage({ picture: pictureOf(data) });
       return;
     }
     const message = JSON.parse(data);
@@ -34,6 +32,17 @@ function connect(url) {
     hasView = true;
     changes = { ...changes, ...message.view };
     pass();
+  };
+}
+
+/** Number, time and ball of a picture, and its JPEG. */
+function pictureOf(data) {
+  const head = new DataView(data);
+  return {
+    number: head.getUint32(0, true),
+    taken: head.getFloat64(4, true),
+    ball: [16, 20, 24].map((at) => head.getFloat32(at, true)),
+    jpeg: new Blob([new Uint8Array(data, HEADER_BYTES)], { type: "image/jpeg" }),
   };
 }
 

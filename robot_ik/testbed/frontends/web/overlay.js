@@ -19,6 +19,16 @@ const PICK_WORDS = {
   pin: "Click the part that is pinned where it is.",
 };
 
+/** The keys of the ball. Those of the first thesis are along the axes, else they are as seen. */
+function ballKeys(isAlongAxes) {
+  if (!isAlongAxes) return [["↑ ↓ ← → W S", "ball"]];
+  return [
+    ["← →", "ball x"],
+    ["↑ ↓", "y"],
+    ["W S", "z"],
+  ];
+}
+
 export class Overlay {
   constructor() {
     this.isShown = true;
@@ -85,7 +95,7 @@ export class Overlay {
     ]);
   }
 
-  show(view, keysMoveCamera) {
+  show(view, keysMoveCamera, isArOn) {
     view.ball.forEach((value, k) => {
       this.numbers[k].textContent = value.toFixed(3);
     });
@@ -93,7 +103,7 @@ export class Overlay {
     if (view.message && view.message !== this.lastMessage) this.notice(view.message);
     this.lastMessage = view.message;
     this.showDecision(view.figure);
-    this.showHint(view, keysMoveCamera);
+    this.showHint(view, keysMoveCamera, isArOn);
   }
 
   modeText({ figure, kind, motion }) {
@@ -118,7 +128,7 @@ export class Overlay {
     this.phase.style.width = `${100 * figure.phase}%`;
   }
 
-  showHint(view, keysMoveCamera) {
+  showHint(view, keysMoveCamera, isArOn) {
     const space = view.figure?.mode === "passive" ? "act" : "pause";
     const pairs = keysMoveCamera
       ? [
@@ -126,7 +136,8 @@ export class Overlay {
           ["C", "keys move the ball"],
         ]
       : [
-          ["↑ ↓ ← → W S", "ball"],
+          ...ballKeys(view.figure || isArOn),
+          ...(view.figure ? [["I", "active, passive"]] : []),
           ["Space", view.running ? space : "start"],
           ["R", "reset"],
           ["C", "keys move the camera"],

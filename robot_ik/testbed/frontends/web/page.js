@@ -1,5 +1,6 @@
 // The page around viser's 3D view: what stands where, and what each part gets to show.
 
+import { ArPane, ArTab } from "./ar.js";
 import { ArmTab } from "./arm.js";
 import { CameraPane } from "./camera.js";
 import { Channel } from "./channel.js";
@@ -42,7 +43,11 @@ class Page {
       role: (value) => this.showRole(value),
       view: (value) => this.showView(value),
       camera: (value) => this.camera.show(value),
-      picture: (value) => this.camera.showPicture(value),
+      picture: (value) => {
+        const pane = this.settings?.ar.on ? this.ar : this.camera;
+        pane.showPicture(value);
+      },
+      ar: (value) => this.showArStatus(value),
       cases: (value) => this.showCases(value),
       notice: (value) => this.overlay.notice(value),
       file: ({ name, base64 }) => {
@@ -51,6 +56,7 @@ class Page {
       },
     });
     this.camera = new CameraPane(this.channel);
+    this.ar = new ArPane(this.channel);
     this.timeline = new TimeLine(this.channel);
     this.top = new TopBar(this.channel, {
       stop: () => this.stop(),
@@ -70,6 +76,7 @@ class Page {
       "div",
       { id: "rk" },
       this.camera.element,
+      this.ar.element,
       this.overlay.elements,
       this.side,
       this.fold,
@@ -89,6 +96,16 @@ class Page {
 
   switchCamera() {
     this.channel.action("show_camera", { on: !this.settings?.camera });
+  }
+
+  switchAr() {
+    this.channel.action("show_ar", { on: !this.settings?.ar.on });
+  }
+
+  showArStatus(status) {
+    this.arStatus = status;
+    this.ar.showStatus(status);
+    this.tabs?.AR.showStatus(status);
   }
 
   switchPanel() {
@@ -121,6 +138,7 @@ class Page {
       Joints: new JointsTab(program, this.channel),
       Goals: new GoalsTab(this.channel),
       Arm: new ArmTab(this.channel),
+      AR: new ArTab(this.channel),
       Scene: new SceneTab(this.channel),
       Record: new RecordTab(program, this.channel),
     };
@@ -133,6 +151,7 @@ class Page {
     if (this.robot) this.showRobot(this.robot);
     if (this.settings) this.showSettings(this.settings);
     if (this.role) this.showRole(this.role);
+    if (this.arStatus) this.showArStatus(this.arStatus);
     if (this.cases) this.showCases(this.cases);
     if (this.view) this.draw();
   }
@@ -165,11 +184,15 @@ class Page {
       Escape: () => this.escape(),
       KeyL: () => this.channel.action("show_overlay", { on: !this.settings?.overlay }),
       KeyV: () => this.switchCamera(),
+      KeyX: () => this.switchAr(),
       KeyG: () => this.gallery.open(),
       Backslash: () => this.switchPanel(),
       Slash: () => this.keyList.open(),
     });
-    const nudge = (step) => this.channel.command("nudge", { step: worldStep(step) });
+    const nudge = (step) => {
+      const asSeen = !this.view?.figure && !this.settings?.ar.on;
+      this.channel.command("nudge", { step: asSeen ? worldStep(step) : step });
+    };
     const isDialogOpen = () => this.dialogs.some((dialog) => dialog.isOpen);
     this.keys = new Keys(actions, nudge, isDialogOpen);
     this.keys.onmode = (on) => {
@@ -197,11 +220,14 @@ class Page {
     this.settings = settings;
     this.overlay.showSettings(settings);
     this.camera.showSettings(settings);
+    this.ar.showSettings(settings.ar);
     this.top.showSettings(settings);
+    this.tabs?.AR.showSettings(settings.ar);
     this.tabs?.Scene.showSettings(settings);
     this.tabs?.Goals.showSettings(settings);
     document.documentElement.classList.toggle("rk-dark", settings.dark);
     document.body.toggleAttribute("data-rk-camera", settings.camera);
+    document.body.dataset.rkAr = settings.ar.on ? settings.ar.place : "off";
   }
 
   showCases(cases) {
@@ -223,7 +249,7 @@ class Page {
   draw() {
     const { view } = this;
     this.top.show(view);
-    this.overlay.show(view, this.keys?.movesCamera ?? false);
+    this.overlay.show(view, this.keys?.movesCamera ?? false, this.settings?.ar.on ?? false);
     this.labels.show(view, this.settings?.overlay ?? true);
     this.timeline.show(view.timeline);
     for (const [name, tab] of Object.entries(this.tabs)) {

@@ -23,6 +23,7 @@ export class SceneTab {
       handles: toggle("Ball handles", true, switched("show_handles"), "Move it along one axis"),
       turn_handles: toggle("Turn handles", false, switched("show_turn_handles"), "Turn the ball"),
       tool_frames: toggle("Tool frames", false, switched("show_tool_frames"), "x red, y green, z blue"),
+      wire: toggle("Wire", false, switched("show_wire"), "Robots as lines from joint to joint"),
       reach: toggle("Reach", false, switched("show_reach"), "The space that the tool reaches"),
       regions: toggle(
         "Regions of the figure",

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.bench.peers import worker
-from robot_ik.bench.peers.__main__ import compare, main, merged
-from robot_ik.bench.peers.tasks import ARMS, frames_of, roll_pitch_yaw, urdf_of, write_task
+from benchmarks.peers import worker
+from benchmarks.peers.__main__ import compare, main
+from benchmarks.peers.descriptions import frames_of, roll_pitch_yaw, urdf_of
+from benchmarks.peers.judge import merged
+from benchmarks.peers.tasks import ARMS, write_task
 
 COUNT = 20
 PEERS = """
@@ -45,7 +47,7 @@ class Broken(Library):
 
 class Beyond(Library):
     def setup(self, task):
-        from robot_ik.bench.peers.ours import Numeric
+        from benchmarks.peers.ours import Numeric
         self.good = Numeric()
         return self.good.setup(task)
 
@@ -247,7 +249,7 @@ def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> 
 @pytest.mark.parametrize(("name", "module"), [("ikpy", "ikpy"), ("rtb_lm", "roboticstoolbox")])
 def test_another_library_takes_part(name: str, module: str, tmp_path: Path) -> None:
     if importlib.util.find_spec(module) is None:
-        command = "python -m robot_ik.bench.peers install ENVIRONMENTS --libraries"
+        command = "python -m benchmarks.peers install ENVIRONMENTS --libraries"
         pytest.skip(f"needs {module}: {command} {name}")
     said = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
     cell = said["libraries"][name]["robots"]["puma560"]["warm"]

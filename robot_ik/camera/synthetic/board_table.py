@@ -1,4 +1,4 @@
-"""Synthetic scene of ``robot-ik ar``: a table, a moving printed board, and a marker above it."""
+"""Synthetic scene for augmented reality: a table, a moving printed board, a marker above it."""
 
 from __future__ import annotations
 
@@ -102,6 +102,20 @@ def synthetic_scene(
         follow: Whether the marker to follow is in the scene.
         seed: Of the camera's noise.
     """
+    scene = board_table(width, height, motion=motion, occluders=occluders, follow=follow)
+    clock = VirtualClock()
+    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock), clock
+
+
+def board_table(
+    width: int,
+    height: int,
+    *,
+    motion: BoardMotion = BoardMotion(),
+    occluders: mujoco.MjModel | None = None,
+    follow: bool = False,
+) -> SyntheticScene:
+    """Return the scene. The arguments are those of ``synthetic_scene``."""
     board = marker_grid(2, 2, 0.05, 0.0125, dictionary=_DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
@@ -119,12 +133,10 @@ def synthetic_scene(
         markers.append(
             SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY)
         )
-    scene = SyntheticScene(
+    return SyntheticScene(
         mujoco.MjSpec().compile() if occluders is None else occluders,
         lens(width, height),
         Pose.look_at(_EYE, _TARGET),
         tuple(markers),
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
-    clock = VirtualClock()
-    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock), clock

@@ -1,18 +1,18 @@
-"""robot_ik as a contestant beside other libraries."""
+"""robot_ik in the comparison with other libraries."""
 
 from __future__ import annotations
 
 import robot_ik as rik
-from robot_ik.bench.peers.worker import Library, Task
+from benchmarks.peers.worker import Library, Task
 from robot_ik.errors import DISTRIBUTION
 from robot_ik.ports import Array
 
-#: Asked for a little more than what is judged: rounding must not decide.
-_MARGIN = 0.9
+_TOLERANCE_SHARE = 0.9
+"""Share of the judged tolerance that the solver gets, so that rounding does not decide."""
 
 
 class OursAuto(Library):
-    """The default: the closed form where the arm has one, else Levenberg-Marquardt."""
+    """The default: the closed form of the arm if there is one, otherwise Levenberg-Marquardt."""
 
     needs = (DISTRIBUTION, "mujoco", "numba")
     solver = "auto"
@@ -20,11 +20,13 @@ class OursAuto(Library):
     def setup(self, task: Task) -> bool:
         self._robot = rik.load_robot(task.folder / "model.xml")
         self._sites = task.sites
-        tolerance = rik.Tolerance(position=_MARGIN * task.position, angle=_MARGIN * task.angle)
-        zero = (0.0, 0.0, 0.0)
-        goals: list[rik.Goal] = [rik.PoseGoal(task.sites[0], zero)]
+        tolerance = rik.Tolerance(
+            position=_TOLERANCE_SHARE * task.position, angle=_TOLERANCE_SHARE * task.angle
+        )
+        origin = (0.0, 0.0, 0.0)
+        goals: list[rik.Goal] = [rik.PoseGoal(task.sites[0], origin)]
         if len(task.sites) > 1:
-            goals = [rik.PositionGoal(site, zero) for site in task.sites]
+            goals = [rik.PositionGoal(site, origin) for site in task.sites]
         self.settings = f"solver {self.solver}, its defaults; Problem.solve"
         try:
             self._problem = rik.Problem(self._robot, goals, solver=self.solver, tolerance=tolerance)
@@ -38,16 +40,18 @@ class OursAuto(Library):
         return self._problem.solve(start, target=dict(enumerate(target))).q
 
     def forward(self, q: Array) -> Array | None:
-        return self._robot.forward(q, self._sites[0]).matrix if len(self._sites) == 1 else None
+        if len(self._sites) > 1:
+            return None
+        return self._robot.forward(q, self._sites[0]).matrix
 
 
 class Numeric(OursAuto):
-    """Levenberg-Marquardt inside the limits, numeric only."""
+    """Levenberg-Marquardt inside the limits."""
 
     solver = "lm"
 
 
 class ClosedForm(OursAuto):
-    """The closed form alone: out of reach it proves that, and searches for nothing nearest."""
+    """The closed form alone. It proves that a pose is out of reach and searches no nearest one."""
 
     solver = "analytic"

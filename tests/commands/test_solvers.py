@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli.listing import goals_text, solver_facts
+from robot_ik.commands.solvers import goals_text, solver_facts
 from robot_ik.goals import GOALS, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.damped_least_squares import DampedLeastSquares
@@ -23,7 +23,9 @@ def test_every_method_is_listed(robot_ik: Any) -> None:
         goals = GOALS if kind.partial_goals else (PositionGoal, OrientationGoal, PoseGoal)
         served = [goal for goal in goals if issubclass(goal, kind.goals)]
         every = kind.partial_goals and served == list(GOALS)
-        for word in ["every kind"] if every else [goal.name.removesuffix(" goal") for goal in served]:
+        for word in (
+            ["every kind"] if every else [goal.name.removesuffix(" goal") for goal in served]
+        ):
             assert word in line
     rows = json.loads(robot_ik("solvers", "--json").out)
     assert [row["name"] for row in rows["solvers"]] == list(SOLVERS)
@@ -41,7 +43,9 @@ def test_a_method_without_parts_of_poses_lists_no_goal_that_is_one() -> None:
 def test_every_option_is_explained(name: str, robot_ik: Any) -> None:
     run = robot_ik("solvers", name)
     assert run.code == 0 and SOLVERS[name].title in run.out
-    rows = {row["name"]: row for row in json.loads(robot_ik("solvers", name, "--json").out)["options"]}
+    rows = {
+        row["name"]: row for row in json.loads(robot_ik("solvers", name, "--json").out)["options"]
+    }
     assert list(rows) == [field.name for field in fields(SOLVERS[name])]
     for option, row in rows.items():
         line = next(line for line in run.out.splitlines() if line.startswith(option + " "))
@@ -61,7 +65,8 @@ def test_choices_are_shown_and_taken(robot_ik: Any) -> None:
     line = next(line for line in run.out.splitlines() if line.startswith("aim "))
     assert "none | rest | limits" in line
     rows = {
-        row["name"]: row for row in json.loads(robot_ik("solvers", "pseudoinverse", "--json").out)["options"]
+        row["name"]: row
+        for row in json.loads(robot_ik("solvers", "pseudoinverse", "--json").out)["options"]
     }
     assert rows["aim"]["choices"] == ["none", "rest", "limits"] and rows["clamp"]["choices"] == []
     goal = ("--goal", "-0.4", "-0.1", "0.7", "--solver", "pseudoinverse", "--set")

@@ -64,7 +64,9 @@ def test_the_terminal_is_seen_behind_a_progress_bar() -> None:
             while part := screen.read(4096):
                 shown += part
         child.wait()
-    assert b"a terminal, TERM=xterm, iso8859-1" in shown or b"a terminal, TERM=xterm, latin-1" in shown
+    assert (
+        b"a terminal, TERM=xterm, iso8859-1" in shown or b"a terminal, TERM=xterm, latin-1" in shown
+    )
     assert b"not a terminal" not in shown and b"PYTHONIOENCODING=utf-8" in shown
 
 
@@ -72,7 +74,9 @@ def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: checks.CheckRow) -> None
     monkeypatch.setattr(doctor, "CHECKS", {"all": lambda until: list(rows)})
 
 
-def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_problem_ends_in_2_and_says_what_to_do(
+    robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake_checks(
         monkeypatch,
         checks.CheckRow("mujoco", checks.PROBLEM, "gone", "pip install [mujoco]"),
@@ -102,7 +106,9 @@ def test_it_never_takes_longer_than_it_may() -> None:
     """Ten children that would sleep for ten minutes each: the later ones get what time is left."""
 
     def slow(until: float) -> doctor.CheckFinding:
-        late = drawing_probe.run_probe("import time; time.sleep(600)", timeout=doctor.time_left(until))
+        late = drawing_probe.run_probe(
+            "import time; time.sleep(600)", timeout=doctor.time_left(until)
+        )
         doctor.in_time(late)
         return checks.OK, "not late", ""
 
@@ -160,7 +166,9 @@ def test_opencv_that_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     real = doctor.version_of
-    monkeypatch.setattr(doctor, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name))
+    monkeypatch.setattr(
+        doctor, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name)
+    )
     status, found, _ = doctor.check_packages(SOON)
     assert status == checks.PROBLEM and found == "missing: dynamixel-sdk"
 
@@ -216,9 +224,6 @@ def test_gl_switched_off_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor.check_user_gl(SOON)[0] == checks.OK
 
 
-# ----------------------------------------------------------------------------------- devices
-
-
 @linux
 def test_free_port_then_used_port() -> None:
     master, slave = pty.openpty()
@@ -238,8 +243,12 @@ def test_free_port_then_used_port() -> None:
 
 
 @linux
-@pytest.mark.parametrize(("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)])
-def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("text", "status"), [("16\n", checks.NOTE), ("1\n", checks.OK), ("?", checks.OK)]
+)
+def test_latency_timer(
+    text: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     port = tmp_path / "ttyUSB7"
     port.write_text("")
     monkeypatch.setattr(ports, "USB_SERIAL", tmp_path / "devices")
@@ -261,7 +270,9 @@ def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @linux
-def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_camera_that_hangs_leaves_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     nodes = [str(tmp_path / f"video{k}") for k in range(2)]
     for node in nodes:
         Path(node).write_text("")
@@ -278,6 +289,8 @@ def test_camera_that_hangs_leaves_the_others(monkeypatch: pytest.MonkeyPatch, tm
 def test_camera_probe_with_real_opencv(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     node = tmp_path / "video0"
     node.write_text("not a camera")
-    monkeypatch.setattr(device, "find_cameras", lambda: (CameraDevice(0, str(node), "", "", True, True),))
+    monkeypatch.setattr(
+        device, "find_cameras", lambda: (CameraDevice(0, str(node), "", "", True, True),)
+    )
     (row,) = doctor.check_cameras(SOON)
     assert row.status == checks.NOTE and "no picture" in row.found
