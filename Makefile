@@ -87,7 +87,7 @@ strangers: $(STAMP)
 lerobot:
 	@tests/lerobot/programs/install .venv-lerobot
 	@cd tests/lerobot/programs && ../../../.venv-lerobot/bin/python -m pytest --noconftest -p no:robot_ik.pytest_plugin \
-		-c /dev/null --rootdir . check_programs.py $(ARGS)
+		-c /dev/null --rootdir . check_programs.py ../../test_gym.py $(ARGS)
 
 check: lint types imports
 

@@ -1,7 +1,8 @@
-"""Lets type checkers see the editable install: mypy and pyright do not follow the import hook of setuptools.
+"""Make the editable install visible to type checkers.
 
-Makes a stub package (PEP 561) of links to the sources, ``FOLDER/robot_ik-stubs``, and names ``FOLDER`` in a
-``.pth`` file of this environment.  Nothing can be imported from there, so running programs do not change.
+mypy and pyright do not follow the import hook of setuptools. This makes a stub package (PEP 561) of
+links to the sources, ``FOLDER/robot_ik-stubs``, and names ``FOLDER`` in a ``.pth`` file of this
+environment. Nothing can be imported from there, so running programs do not change.
 
 Usage: python .ci/link_stubs.py FOLDER
 """
@@ -16,8 +17,10 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def main(folder: Path) -> None:
-    """Remakes ``folder``: one link, with the suffix of stubs, for each module."""
-    mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
+    """Make ``folder`` anew, with one link for each module that has the suffix of stubs."""
+    mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-dir"
+    ]
     shutil.rmtree(folder, ignore_errors=True)
     for package, source in mapping.items():
         outer, *inner = package.split(".")

@@ -1,7 +1,7 @@
-"""Links the packages of this checkout into one folder, laid out as they are when installed.
+"""Link the packages of this checkout into one folder, laid out as they are when installed.
 
-``robot_ik.hardware`` and ``robot_ik.models`` live beside ``robot_ik/``; setuptools maps them, tools
-that read the source (import-linter, pyright) do not.  This reads the mapping from pyproject.toml.
+``robot_ik.hardware`` and ``robot_ik.models`` are beside ``robot_ik/``. setuptools maps them, but
+tools that read the source (import-linter, pyright) do not. The mapping is that of pyproject.toml.
 
 Usage: python .ci/link_typed.py FOLDER
 """
@@ -15,8 +15,10 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def main(folder: Path) -> None:
-    """Remakes ``folder`` with one link per source; packages mapped elsewhere replace their place."""
-    mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
+    """Make ``folder`` anew, with one link for each source and each mapped package."""
+    mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-dir"
+    ]
     shutil.rmtree(folder, ignore_errors=True)
     for package, source in sorted(mapping.items()):
         place = folder.joinpath(*package.split("."))

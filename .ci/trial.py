@@ -1,4 +1,4 @@
-"""Run by the python of an environment that holds nothing but an installed robot_ik: is all of it there?
+"""Check that an installed robot_ik is complete, in an environment that holds nothing else.
 
 Usage: python -I .ci/trial.py '{"version": "0.1.0", "data": ["puma560/robot.toml", ...]}'
 """
@@ -15,7 +15,7 @@ DISTRIBUTION = "robot-ik-testbed"
 
 
 def main(version: str, data: list[str]) -> None:
-    """Imports it, asks the command for its version, looks for every data file, loads every robot."""
+    """Import the package, run the command, look for every data file and load every robot."""
     import robot_ik
 
     assert Path(robot_ik.__file__).is_relative_to(sys.prefix), f"imported from {robot_ik.__file__}"
@@ -23,7 +23,9 @@ def main(version: str, data: list[str]) -> None:
     names = {file.name for file in importlib.metadata.files(DISTRIBUTION) or []}
     assert names >= {"LICENSE", "NOTICE"}, "no licence file or no notice"
     for name in ("hardware", "models", "tests"):
-        assert importlib.util.find_spec(name) is None, f"`import {name}` works, but is nobody's name"
+        assert importlib.util.find_spec(name) is None, (
+            f"`import {name}` works, but belongs to no package"
+        )
 
     models = importlib.resources.files("robot_ik.models")
     missing = [name for name in data if not models.joinpath(name).is_file()]
@@ -32,8 +34,8 @@ def main(version: str, data: list[str]) -> None:
         assert robot_ik.load_robot(name).nv > 0
 
     command = [str(Path(sys.executable).parent / "robot-ik"), "--version"]
-    said = subprocess.run(command, capture_output=True, text=True)
-    assert said.returncode == 0 and version in said.stdout, f"{command}: {said}"
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 0 and version in run.stdout, f"{command}: {run}"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Installs the wheel, then the sdist, into one empty environment and tries them there.
+"""Install the wheel, then the sdist, into one empty environment and check both there.
 
 Usage: python .ci/try_wheel.py DIST
 """
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def main(dist: Path) -> None:
-    """Tries the only wheel and the only sdist in ``dist``; ends the program where one is wrong."""
+    """Check the only wheel and the only sdist in ``dist``. Exit if one does not work."""
     (wheel,) = dist.glob("*.whl")
     (sdist,) = dist.glob("*.tar.gz")
     source = (ROOT / "robot_ik" / "__init__.py").read_text(encoding="utf-8")
@@ -38,9 +38,8 @@ def main(dist: Path) -> None:
             trial = subprocess.run([python, "-I", ROOT / ".ci" / "trial.py", expected], cwd=place)
             if trial.returncode:
                 sys.exit(f"{artefact.name}: does not work in an empty environment")
-            print(
-                f"{artefact.name}: works in an empty environment ({artefact.stat().st_size / 1024:.0f} KiB)"
-            )
+            size = f"{artefact.stat().st_size / 1024:.0f} KiB"
+            print(f"{artefact.name}: works in an empty environment ({size})")
 
 
 if __name__ == "__main__":

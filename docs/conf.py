@@ -132,9 +132,8 @@ def add_front_page(app: Sphinx, failure: Exception | None) -> None:
     if failure is not None:
         return
     target = f"{root_doc}.html"
-    page = (
-        f'<!doctype html><meta http-equiv="refresh" content="0; url={target}"><a href="{target}">Docs</a>\n'
-    )
+    head = f'<!doctype html><meta http-equiv="refresh" content="0; url={target}">'
+    page = f'{head}<a href="{target}">Docs</a>\n'
     (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
 
 

@@ -1,8 +1,8 @@
-"""Solves inverse kinematics for the PUMA 560 and prints the result.
+"""Solve inverse kinematics for the PUMA 560 and print the result.
 
-Prints the joint angles for a goal within reach, the error that MuJoCo's own forward pass measures, and the
-effort of each method.  Then the same for a goal two metres too far: no exception, but a status, a proof and
-the nearest point that was found.
+The first goal is within reach. The program prints the joint angles, the error measured by a forward
+pass of MuJoCo, and the iterations of each method. The second goal is two metres too far. It raises
+no exception: the result has a status, a proof and the nearest point that was found.
 """
 
 import numpy as np

@@ -1,10 +1,11 @@
-"""Sees a printed marker, moves the servos so that the gripper is above it, and lets the camera judge.
+"""Detect a printed marker, move the gripper above it, and verify the result with a camera.
 
-    python examples/03_see_and_reach.py          a healthy arm: REACHED
-    python examples/03_see_and_reach.py 2        a hidden zero offset of 2 degrees in joint2: NOT REACHED
+    python examples/03_see_and_reach.py      no fault: REACHED
+    python examples/03_see_and_reach.py 2    zero offset of 2 degrees in joint2: NOT REACHED
 
-Camera and servos are simulated; nothing below looks at what they really know.  Prints the goal and how far
-the gripper is from it: by the servos' registers, in which the offset does not show, and by the camera.
+Camera and servos are simulated, and the program does not read their true state. It prints the goal
+and the distance of the gripper from it, by the registers of the servos and by the camera. The
+registers do not show the offset.
 """
 
 import sys
@@ -39,15 +40,19 @@ def main(offset_deg: float = 0.0) -> None:
         start = arm.read().q
         move = rik.joint_move(robot, start, rik.solve(robot, goal, start=start).require().q)
         rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
-        q, seen = arm.read().q, cube.find(camera.read(), lens)
+        q = arm.read().q
+        seen = cube.find(camera.read(), lens)
 
-    print(f"servos say: {1e3 * robot.measure(q).distance(goal.target)[0]:.2f} mm from the goal")
+    print(f"by the servos: {1e3 * robot.measure(q).distance(goal.target)[0]:.2f} mm from the goal")
     if seen is None:
         sys.exit("the gripper's markers are not in view")
     pose_cube_gripper = robot.forward(q, scene.cube_frame).inverse() @ robot.forward(q)
     gripper = eye @ seen.pose @ pose_cube_gripper
     miss = gripper.distance(goal.target)[0]
-    print(f"camera says: {1e3 * miss:.2f} mm from the goal: {'REACHED' if miss < 0.005 else 'NOT REACHED'}")
+    print(
+        f"by the camera: {1e3 * miss:.2f} mm from the goal: "
+        f"{'REACHED' if miss < 0.005 else 'NOT REACHED'}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""A standing figure reaches for a ball low before it: feet, balance, hand, gaze and comfort, in that order.
+"""A standing humanoid reaches for a low ball: feet, balance, hand, gaze and comfort, in this order.
 
-    python examples/04_whole_body.py                    a ball before its feet
-    python examples/04_whole_body.py 1.3 -0.3 1.2        a ball too far away
+    python examples/04_whole_body.py                    a ball in front of its feet
+    python examples/04_whole_body.py 1.3 -0.3 1.2       a ball too far away
 
-A later goal costs an earlier one nothing.  Prints the error of every goal by its priority, by MuJoCo:
-the feet stay and the balance holds even where the hand cannot come, and the posture only fills what is left.
+A later goal never makes the error of an earlier goal larger. The program prints the error of every
+goal by its priority, measured by MuJoCo. The feet stay and the balance holds even if the hand
+cannot reach the ball. The posture uses the freedom that is left.
 """
 
 import sys

@@ -1,10 +1,11 @@
-"""The lion takes a ball: three paws stay, the fourth reaches, the head turns to the ball.
+"""The lion touches a ball: three paws stay, the fourth reaches, and the head turns to the ball.
 
     python examples/05_lion.py                    the ball in front of its right paw
     python examples/05_lion.py 0.9 -0.35 0.5      higher and to its right
 
-Sixty-six degrees of freedom: a floating base, balls along spine, neck and tail, hinges in the legs.  Prints
-the error of every goal by its priority, measured by MuJoCo: of the last ones, how far each part had to bend.
+The lion has 66 degrees of freedom: a floating base, ball joints along spine, neck and tail, and
+hinges in the legs. The program prints the error of every goal by its priority, measured by MuJoCo.
+The errors of the last goals show how far each part had to bend.
 """
 
 import sys

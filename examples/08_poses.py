@@ -1,10 +1,10 @@
-"""Key poses of the figure: record two by reaching, play them as a loop, blend into a walk, save all.
+"""Record two key poses of the humanoid, play them in a loop, blend into a walk, and save all.
 
-    python examples/08_poses.py            prints what it made
-    python examples/08_poses.py FOLDER     and writes poses.toml, motion.csv and motion.bvh there
+    python examples/08_poses.py            prints the results
+    python examples/08_poses.py FOLDER     also writes poses.toml, motion.csv and motion.bvh there
 
-Each reach takes the likeliest of all poses that put the hand there (a learned prior).  Prints how long the
-motion is, how high the hand goes and how far the figure walks.
+Each reach uses the most likely of all poses that put the hand there (a learned prior). The program
+prints how long the motion is, how high the hand goes and how far the humanoid walks.
 """
 
 import sys
@@ -24,9 +24,14 @@ def recorded(figure: rik.Robot) -> KeyPoses:
     book = KeyPoses(figure)
     book.record("stand", figure.home)
     natural = rik.PosePriorGoal(prior=rik.PosePrior.of(figure))
-    feet = [rik.PoseGoal.at(foot, figure.forward(figure.home, foot)) for foot in ("left_foot", "right_foot")]
+    feet = [
+        rik.PoseGoal.at(foot, figure.forward(figure.home, foot))
+        for foot in ("left_foot", "right_foot")
+    ]
     for name, position in POSITIONS.items():
-        found = rik.solve(figure, [*feet, rik.PositionGoal("right_hand", position), natural], solver="lm")
+        found = rik.solve(
+            figure, [*feet, rik.PositionGoal("right_hand", position), natural], solver="lm"
+        )
         book.record(name, found.require().q)
     book.record_motion("greet", ["stand", "high", "low", "stand"], [0.8, 0.6, 0.8])
     return book

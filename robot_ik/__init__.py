@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from robot_ik.collision.obstacle_file import load_obstacles
     from robot_ik.collision.obstacles import Box, Capsule, Cylinder, Mesh, Plane, Sphere
     from robot_ik.collision.scene import Clearance, Scene, load_scene
+    from robot_ik.commands.reach import Reach
+    from robot_ik.commands.run import Run
+    from robot_ik.commands.solve import Solve
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -48,7 +51,11 @@ if TYPE_CHECKING:
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.pose_prior import PosePrior
     from robot_ik.problem import Problem
-    from robot_ik.reachability.reachability_map import Reach, ReachabilityMap, map_reachability
+    from robot_ik.reachability.reachability_map import (
+        ReachabilityMap,
+        ReachStatus,
+        map_reachability,
+    )
     from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_arm import RobotArm, open_robot
     from robot_ik.robot_file import catalogue
@@ -64,6 +71,9 @@ _HOME = {
     "robot_ik.collision.obstacle_file": ("load_obstacles",),
     "robot_ik.collision.obstacles": ("Box", "Capsule", "Cylinder", "Mesh", "Plane", "Sphere"),
     "robot_ik.collision.scene": ("Clearance", "Scene", "load_scene"),
+    "robot_ik.commands.reach": ("Reach",),
+    "robot_ik.commands.run": ("Run",),
+    "robot_ik.commands.solve": ("Solve",),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -88,7 +98,11 @@ _HOME = {
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.budget": ("Budget",),
     "robot_ik.problem": ("Problem",),
-    "robot_ik.reachability.reachability_map": ("Reach", "ReachabilityMap", "map_reachability"),
+    "robot_ik.reachability.reachability_map": (
+        "ReachStatus",
+        "ReachabilityMap",
+        "map_reachability",
+    ),
     "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_arm": ("RobotArm", "open_robot"),
     "robot_ik.robot_file": ("catalogue",),
@@ -129,13 +143,16 @@ __all__ = [
     "PostureGoal",
     "Problem",
     "Reach",
+    "ReachStatus",
     "ReachabilityMap",
     "RealClock",
     "Robot",
     "RobotArm",
     "RobotIkError",
+    "Run",
     "Scene",
     "Solution",
+    "Solve",
     "Sphere",
     "Status",
     "Tolerance",

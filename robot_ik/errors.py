@@ -573,7 +573,7 @@ class UnknownSolverError(_UnknownName):
 
 
 class NotConvergedError(RobotIkError):
-    """A solve did not converge. Only ``Solution.require()`` raises it.
+    """A solve did not converge, or its result is refused. Usually from ``Solution.require()``.
 
     Attributes:
         solution: The solution with its status.

@@ -34,6 +34,9 @@ from robot_ik.cli.main import find_command
 from robot_ik.commands import main as cli
 from tests.doc_pages import OTHERS, PAGES, ROOT, SHOWN, blocks, named, prose
 
+#: Longest line of Markdown, characters.
+MARKDOWN_WIDTH = 100
+TEXT_BLOCK = re.MULTILINE | re.DOTALL
 #: Page with the files of the desk arm, which other pages use.
 OWN_ROBOT = ROOT / "docs" / "start" / "own_robot.md"
 FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
@@ -84,7 +87,7 @@ def test_the_blocks_of_a_page_run(
                 padded = "\n" * (block.line - 1) + block.text
                 exec(compile(padded, str(page), "exec", dont_inherit=True), module.__dict__)
             elif block.language == "sh":
-                for line in block.text.splitlines():
+                for line in commands_of(block.text):
                     run_line(
                         line,
                         f"{named(page)}:{block.line}",
@@ -99,6 +102,11 @@ def test_the_blocks_of_a_page_run(
         for process in beside:
             process.send_signal(signal.SIGTERM)
     assert [process.wait() for process in beside] == [0] * len(beside)
+
+
+def commands_of(text: str) -> list[str]:
+    """Return the lines of a block. A line that ends in a backslash continues on the next one."""
+    return re.sub(r"\\\n\s*", "", text).splitlines()
 
 
 def give(page: Path, folder: Path) -> None:
@@ -138,6 +146,8 @@ def run_line(
 ) -> None:
     command, _, comment = line.partition("#")
     words = shlex.split(command)
+    if ">" in words:  # the output goes to a file
+        words = words[: words.index(">")]
     where += f": {line}"
     if not words:
         return
@@ -198,6 +208,14 @@ def test_links_lead_somewhere(page: Path) -> None:
         if anchor:
             headings = re.findall(r"^#+ (.*)$", prose(linked_file), re.MULTILINE)
             assert anchor in map(slug, headings), f"{named(page)}: {target}"
+
+
+@pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)
+def test_lines_have_at_most_100_characters(page: Path) -> None:
+    """Except for tables, pictures, and blocks whose text is not code."""
+    kept = re.sub(r"^```text\n.*?^```$", "", page.read_text(encoding="utf-8"), flags=TEXT_BLOCK)
+    lines = [line for line in kept.splitlines() if not line.lstrip().startswith(("|", "!["))]
+    assert [line for line in lines if len(line) > MARKDOWN_WIDTH] == []
 
 
 @pytest.mark.parametrize("page", PAGES + OTHERS, ids=named)

@@ -213,13 +213,6 @@ def test_the_comparison_states_the_hinges_of_the_humanoid() -> None:
     assert f" {robot.nv - 6} hinges and a floating base" in page  # no balls, one free joint
 
 
-def test_the_time_of_a_frame_is_that_of_the_table() -> None:
-    page = (ROOT / "docs" / "theory" / "figure.md").read_text(encoding="utf-8")
-    (stated,) = re.findall(r"A frame takes about (\d+) µs", " ".join(page.split()))
-    (measured,) = re.findall(r"^\| a frame of a walk;[^|]*\| (\d+) µs", page, re.MULTILINE)
-    assert stated == measured
-
-
 def test_every_goal_on_the_page_can_be_imported() -> None:
     import robot_ik as rik
 

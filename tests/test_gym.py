@@ -37,6 +37,22 @@ def test_gymnasiums_checker_has_no_complaint(robot, control):
             env.close()
 
 
+@pytest.mark.parametrize("control", ["tool", "joints"])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_checker_of_stable_baselines3_has_no_complaint(robot, control):
+    """``make lerobot`` runs it: the default environment has no PyTorch."""
+    checker = pytest.importorskip(
+        "stable_baselines3.common.env_checker",
+        reason="stable-baselines3 needs PyTorch; make lerobot runs this test",
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("Reach", "ReachDense"):
+            env = make(name, robot=robot, control=control, render_mode="rgb_array")
+            checker.check_env(env.unwrapped, warn=True)
+            env.close()
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_straight_policy_reaches_reachable_goals(robot):
     env = make(robot=robot)

@@ -62,8 +62,8 @@ def measure(robot: rik.Robot, count: int | None) -> str:
     began = time.thread_time()
     memory.sweep(positions, status, branches, *values)
     each = (time.thread_time() - began) / status.size
-    reached = np.mean(status == rik.Reach.REACHED)
-    touching = np.mean(status == rik.Reach.TOUCHING)
+    reached = np.mean(status == rik.ReachStatus.REACHED)
+    touching = np.mean(status == rik.ReachStatus.TOUCHING)
     kind = "-" if count is None else str(count)
     return (
         f"| {robot.name} | {kind} | {poses:.3g} | {status.size:.3g} "

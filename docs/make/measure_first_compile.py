@@ -1,10 +1,10 @@
-"""How long the first use of a method compiles, and how long later processes take to load it.
+"""Measure how long the first use of a method compiles, and how long later processes load it.
 
 Usage: python docs/make/measure_first_compile.py [METHOD | marker ...]
 
-Each method solves one goal in a process of its own with an empty cache, then in another one; ``marker`` sees
-the markers of a photograph.  Seconds of the clock and of the processor; the first includes all that the
-method needs, as on a fresh machine.
+Each method solves one goal in a process with an empty cache, then in another process. ``marker``
+detects the markers of a photograph. The times are wall-clock and processor seconds. The first time
+includes all that the method needs, as on a new machine.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ rik.solve(robot, goals, {options})
 print(time.perf_counter() - before[0], time.process_time() - before[1])
 """
 
-PHOTOGRAPH = Path(__file__).resolve().parents[2] / "tests" / "data" / "opencv" / "singlemarkersoriginal.jpg"
+PHOTOGRAPH = (
+    Path(__file__).resolve().parents[2] / "tests" / "data" / "opencv" / "singlemarkersoriginal.jpg"
+)
 
 MARKER = f"""
 import time
@@ -67,11 +69,14 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as cache:
             environment = os.environ | {"XDG_CACHE_HOME": cache}
             times = [
-                [float(token) for token in subprocess.check_output(
-                    [sys.executable, "-c", code], env=environment, text=True
-                ).split()]
+                [
+                    float(token)
+                    for token in subprocess.check_output(
+                        [sys.executable, "-c", code], env=environment, text=True
+                    ).split()
+                ]
                 for _ in range(2)
-            ]  # fmt: skip
+            ]
         print(f"| {name} | {times[0][0]:.1f} | {times[0][1]:.1f} | {times[1][0]:.2f} |", flush=True)
 
 

@@ -1,10 +1,11 @@
-"""Times of the front door: `rik.solve` in a plain loop against a prepared problem, small batches, verdicts.
+"""Measure `rik.solve` in a plain loop against a prepared problem, small batches and verdicts.
 
     python docs/make/measure_front_door.py            # prints the table
-    python docs/make/measure_front_door.py --write    # and puts it into docs/reference/performance.md
+    python docs/make/measure_front_door.py --write    # writes docs/reference/performance.md
 
-A time is the wall-clock time of a whole Python call in a plain loop over some poses, garbage collection off,
-one thread.  Each pose counts with the best of some rounds: other work on a machine only adds to a time.
+A time is the wall-clock time of a Python call in a plain loop over some poses, with one thread and
+without garbage collection. The best of some rounds counts for each pose, because other work on the
+machine only adds to a time.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ def poses_of(robot: rik.Robot, count: int) -> tuple[list[rik.Pose], list[rik.Pos
 def cases(robot: rik.Robot, count: int) -> dict[str, Callable[[int], object]]:
     """What is timed, by its name in the table; each takes the number of the pose."""
     near, far = poses_of(robot, count)
-    matrices, beyond = [pose.matrix for pose in near], [pose.matrix for pose in far]
+    matrices = [pose.matrix for pose in near]
+    beyond = [pose.matrix for pose in far]
     goals = [rik.PoseGoal.at(None, pose) for pose in near]
     problem = rik.Problem(robot, goals[0])
 
@@ -50,14 +52,16 @@ def cases(robot: rik.Robot, count: int) -> dict[str, Callable[[int], object]]:
 
     def out_of_reach(k: int) -> None:
         if problem.solve(target=beyond[k]).status is not rik.Status.UNREACHABLE:
-            raise AssertionError(f"pose {k} beyond the reach of {robot.name} is not called UNREACHABLE")
+            raise AssertionError(
+                f"pose {k} beyond the reach of {robot.name} is not called UNREACHABLE"
+            )
 
     return {
         "prepared: `problem.solve(q, target=…)`": prepared,
         "`rik.solve`, goal made before": lambda k: rik.solve(robot, goals[k]),
-        "making a `PoseGoal`": lambda k: rik.PoseGoal("gripper", (0.1, 0.2, 0.3), (0, 1, 0, 0)),
+        "making a `PoseGoal`": lambda _: rik.PoseGoal("gripper", (0.1, 0.2, 0.3), (0, 1, 0, 0)),
         "`solve_batch` of 1 pose": lambda k: rik.solve_batch(robot, matrices[k : k + 1]),
-        "`solve_batch` of 10, `lm`": lambda k: rik.solve_batch(robot, near[:10], solver="lm"),
+        "`solve_batch` of 10, `lm`": lambda _: rik.solve_batch(robot, near[:10], solver="lm"),
         "`solve_all`": lambda k: rik.solve_all(robot, goals[k]),
         "out of reach, nearest answer": out_of_reach,
     }
@@ -93,22 +97,32 @@ def lines(found: dict[str, dict[str, tuple[float, float]]]) -> list[str]:
     return [
         f"| µs, median / p99, {python} | {' | '.join(ROBOTS[robot] for robot in found)} |",
         "| --- |" + " ---: |" * len(found),
-        *(f"| {name} | {' | '.join(cell(one[name]) for one in found.values())} |" for name in names),
+        *(
+            f"| {name} | {' | '.join(cell(one[name]) for one in found.values())} |"
+            for name in names
+        ),
     ]
 
 
 def main() -> None:
     """Measures, prints, and writes the table if asked to."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=10, help="rounds, of which the quietest counts")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=10, help="rounds, of which the quietest counts"
+    )
     parser.add_argument("--count", type=int, default=300, help="poses in a round")
     parser.add_argument("--write", action="store_true", help="put the table into the page")
     options = parser.parse_args()
     gc.disable()
-    text = lines({name: measure(rik.load_robot(name), options.rounds, options.count) for name in ROBOTS})
+    text = lines(
+        {name: measure(rik.load_robot(name), options.rounds, options.count) for name in ROBOTS}
+    )
     Console(width=140).print("\n".join(text), markup=False, highlight=False)
     if options.write:
-        begin, end = "<!-- front door -->", "<!-- end -->"
+        begin = "<!-- front door -->"
+        end = "<!-- end -->"
         head, rest = PAGE.read_text(encoding="utf-8").split(begin)
         PAGE.write_text(
             f"{head}{begin}\n" + "\n".join(text) + f"\n{rest[rest.index(end) :]}", encoding="utf-8"

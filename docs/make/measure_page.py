@@ -1,11 +1,11 @@
-"""What the testbed's page costs and how soon it is there, each figure beside what is wanted of it.
+"""Measure what the page of the testbed costs and how soon it appears, beside the target values.
 
     python docs/make/measure_page.py [--seconds N]
 
-Needs a quiet machine and the extra web; the rows of the start need Chromium and the extra dev (playwright).
-The page runs in this process and the browsers in others, so that processor time is the page's own.
-A browser costs more than the page; only the rows of the start have one.  They are of `robot-ik view` with
-Chromium already open; with no kernel compiled: with an empty cache.  Ctrl-C keeps what is done.
+It needs a quiet machine and the extra web. The rows of the start need Chromium and the extra dev
+(playwright). The page runs in this process and the browsers in others, so the processor time is
+that of the page. The rows of the start are those of `robot-ik view` with Chromium already open, and
+with an empty cache of kernels. Ctrl-C keeps the finished rows.
 """
 
 from __future__ import annotations
@@ -48,14 +48,22 @@ from robot_ik.testbed.view import View
 COUNT: Count = 4
 """Arms side by side in every row but those of the start."""
 CHROMIUM = (
-    "--no-sandbox", "--disable-gpu", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-sync",
-    "--disable-background-networking", "--disable-component-update",
-)  # fmt: skip
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+)
 """Arguments of a Chromium that draws without a GPU and connects to nothing outside."""
 DRAWN = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;
-    return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 2300;
+    return seen && points && seen.nodeRefFromName["/goal"]
+        && points.rendererInfo.render.triangles > 2300;
 }"""
 """JavaScript: whether viser's page shows the robot."""
 _PORT = 8660
@@ -66,8 +74,15 @@ _PATIENCE = 180.0  # seconds for a kernel cache that is empty, on a slow machine
 _PLACES = (-0.45, -0.3, 0.9), (-0.45, -0.27, 0.88)  # of the ball, in the PUMA's reach, metres
 
 
-def measure_page(seconds: float = 10.0, say: Callable[[str], None] = lambda text: None) -> Iterator[Quantity]:
-    """All rows, one after the other; ``seconds``: for which processor time and bytes are counted."""
+def measure_page(
+    seconds: float = 10.0, say: Callable[[str], None] = lambda _: None
+) -> Iterator[Quantity]:
+    """Measure all rows, one after the other.
+
+    Args:
+        seconds: For which processor time and bytes are counted.
+        say: Called with the name of each step.
+    """
     say("running four arms")
     with Session(Start(count=COUNT)) as session:
         while session.busy or not session.ready:
@@ -85,10 +100,9 @@ def _tick_and_view(session: Session) -> Quantity:
         session.tick()
         session.view()
         times.append(time.perf_counter() - begin)
-    return Quantity("tick and view, four arms, tight loop", 1e3 * float(np.median(times)), "ms", 1.0)
-
-
-# ------------------------------------------------------------------------------------- a running page
+    return Quantity(
+        "tick and view, four arms, tight loop", 1e3 * float(np.median(times)), "ms", 1.0
+    )
 
 
 def _running(session: Session, seconds: float, say: Callable[[str], None]) -> Iterator[Quantity]:
@@ -127,8 +141,18 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
         ("the whole page, solved at 60 Hz, drawn at 30", 100.0 * alone, "% of a core", 10.0),
         ("a second browser", 100.0 * (two - alone), "% of a core", 5.0),
         ("on the wire to one browser", sent / 1000.0, "kB/s", 300.0),
-        ("from a goal message to the packet with the moved arm: median", np.median(delays), "ms", 40.0),
-        ("from a goal message to the packet with the moved arm: p90", np.percentile(delays, 90), "ms", 60.0),
+        (
+            "from a goal message to the packet with the moved arm: median",
+            np.median(delays),
+            "ms",
+            40.0,
+        ),
+        (
+            "from a goal message to the packet with the moved arm: p90",
+            np.percentile(delays, 90),
+            "ms",
+            60.0,
+        ),
     )
     for what, value, unit, most in rows:
         yield Quantity(what, float(value), unit, most)
@@ -137,9 +161,11 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
 def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
     """Share of a core that this process takes, and bytes a second that the watcher gets."""
     watcher.received()
-    clock, used = time.perf_counter(), time.process_time()
+    clock = time.perf_counter()
+    used = time.process_time()
     time.sleep(seconds)
-    used, clock = time.process_time() - used, time.perf_counter() - clock
+    used = time.process_time() - used
+    clock = time.perf_counter() - clock
     return used / clock, watcher.received() / clock
 
 
@@ -191,7 +217,8 @@ def _watch(url: str, pipe: Connection) -> None:
 
 
 def _drag(client: PageClient) -> list[float]:
-    rng, delays = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    delays = []
     for k in range(_GOALS + 2):
         client.drag_ball(_PLACES[k % 2])
         begin = time.perf_counter()
@@ -210,7 +237,7 @@ def _drag(client: PageClient) -> list[float]:
 
 
 class PageClient:
-    """As much of a browser as the page's server can see: says where its camera is, takes everything."""
+    """The part of a browser that the server sees: it sends its camera and takes all messages."""
 
     def __init__(self, url: str) -> None:
         where = urlsplit(url)
@@ -218,20 +245,34 @@ class PageClient:
         opened = socket.create_connection((where.hostname, where.port), 20.0)
         opened.settimeout(None)
         self._socket = connect(
-            f"ws://{where.netloc}/", sock=opened,
-            origin=f"http://{where.netloc}", subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[arg-type, list-item]
-            compression=None, max_size=None, max_queue=None, ping_interval=None,
-        )  # fmt: skip
+            f"ws://{where.netloc}/",
+            sock=opened,
+            origin=f"http://{where.netloc}",
+            subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[arg-type, list-item]
+            compression=None,
+            max_size=None,
+            max_queue=None,
+            ping_interval=None,
+        )
         self._channel = self._open_channel(where.netloc, where.hostname, where.port)
         self._channel_bytes = 0
         threading.Thread(target=self._read_channel, daemon=True).start()
         self._unpack = zstandard.ZstdDecompressor()
         self._coordinates: dict[str, bytes] = {}
-        self._send({
-            "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0],
-            "fov": 0.7, "near": 0.01, "far": 100.0, "look_at": [0.0, 0.0, 0.0],
-            "up_direction": [0.0, 0.0, 1.0], "image_height": 900, "image_width": 1440,
-        })  # fmt: skip
+        self._send(
+            {
+                "type": "ViewerCameraMessage",
+                "wxyz": [1.0, 0.0, 0.0, 0.0],
+                "position": [1.0, 1.0, 1.0],
+                "fov": 0.7,
+                "near": 0.01,
+                "far": 100.0,
+                "look_at": [0.0, 0.0, 0.0],
+                "up_direction": [0.0, 0.0, 1.0],
+                "image_height": 900,
+                "image_width": 1440,
+            }
+        )
 
     @staticmethod
     def _open_channel(netloc: str, host: str, port: int) -> Any:
@@ -258,11 +299,20 @@ class PageClient:
 
     def drag_ball(self, position: tuple[float, float, float]) -> None:
         """Drags the ball of the first arm to a position in the scene, metres."""
-        self._send({
-            "type": "SceneNodeDragMessage", "phase": "update", "name": "/robot/ball", "instance_index": 0,
-            "start_position": list(position), "start_screen_pos": [0.5, 0.5], "end_position": list(position),
-            "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None,
-        })  # fmt: skip
+        self._send(
+            {
+                "type": "SceneNodeDragMessage",
+                "phase": "update",
+                "name": "/robot/ball",
+                "instance_index": 0,
+                "start_position": list(position),
+                "start_screen_pos": [0.5, 0.5],
+                "end_position": list(position),
+                "end_screen_pos": [0.5, 0.5],
+                "button": "left",
+                "modifier": None,
+            }
+        )
 
     def receive(self, timeout: float) -> tuple[int, bool]:
         """Bytes since the last call, and whether a robot moves in a packet within ``timeout`` s."""
@@ -275,10 +325,16 @@ class PageClient:
         assert isinstance(data, bytes)
         begin = 16 + int.from_bytes(data[8:16], "little")
         packet = msgspec.msgpack.decode(self._unpack.decompress(data[16:begin]))
-        ends = np.cumsum([-(-size // 8) * 8 for size in packet["binaryBufferLengths"]]) + -(-begin // 8) * 8
+        ends = (
+            np.cumsum([-(-size // 8) * 8 for size in packet["binaryBufferLengths"]])
+            + -(-begin // 8) * 8
+        )
         moved = False
         for message in packet["messages"]:
-            if message["type"] != "SceneNodeUpdateMessage" or "batched_positions" not in message["updates"]:
+            if (
+                message["type"] != "SceneNodeUpdateMessage"
+                or "batched_positions" not in message["updates"]
+            ):
                 continue
             if name := re.fullmatch(r"/robot/\d+_\d+", message["name"]):
                 index = message["updates"]["batched_positions"]["__binary_index"]
@@ -298,11 +354,8 @@ class PageClient:
         self._channel.close()
 
 
-# ------------------------------------------------------------------------------------------ the start
-
-
 def _starts(say: Callable[[str], None]) -> Iterator[Quantity]:
-    """Warm and cold: seconds from the command to the robot in a running browser, and to the first answer."""
+    """Measure the seconds from the command to the robot in a browser and to the first answer."""
     with _browser() as (browser, why):
         say("starting the command")
         with tempfile.TemporaryDirectory() as empty:
@@ -356,13 +409,20 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
         "--port",
         str(_PORT),
     ]
-    begin, drawn = time.perf_counter(), float("nan")
+    begin = time.perf_counter()
+    drawn = float("nan")
     child = subprocess.Popen(
-        arguments, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        arguments,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
     )
     try:
         assert child.stdout is not None
-        found = next((one for line in child.stdout if (one := re.search(r"http://\S+", line))), None)
+        found = next(
+            (one for line in child.stdout if (one := re.search(r"http://\S+", line))), None
+        )
         if found is None:
             raise ChildProcessError("robot-ik view ended without an address")
         address = time.perf_counter() - begin
@@ -400,7 +460,8 @@ def main() -> int:
         default=10.0,
         help="for which processor time and bytes are counted, three times",
     )
-    asked, rows = parser.parse_args(), list[Quantity]()
+    asked = parser.parse_args()
+    rows = list[Quantity]()
     try:
         for row in measure_page(asked.seconds, lambda text: console.say(text, "dim")):
             rows.append(row)  # one by one: an interrupt keeps what is done

@@ -1,10 +1,10 @@
-"""Measures what performance.md and comparison.md in docs/reference say, for docs/make/performance.py.
+"""Measure the numbers of performance.md and comparison.md in docs/reference.
 
     python -m benchmarks.peers install ENVIRONMENTS
     python docs/make/measure_performance.py ENVIRONMENTS RESULTS
     python docs/make/performance.py RESULTS
 
-A library that is not installed is named; its rows are missing then.
+A library that is not installed is named, and its rows are missing.
 """
 
 from __future__ import annotations
@@ -16,8 +16,14 @@ from pathlib import Path
 
 #: Of the page; `ikpy` takes minutes for what the others do in seconds.
 LIBRARIES = (
-    "robot_ik", "robot_ik_lm", "robot_ik_analytic", "rtb_lm", "eaik", "placo", "placo_restarts",
-)  # fmt: skip
+    "robot_ik",
+    "robot_ik_lm",
+    "robot_ik_analytic",
+    "rtb_lm",
+    "eaik",
+    "placo",
+    "placo_restarts",
+)
 #: What is run of our own, each into a folder of its own.
 BENCHES = {
     "methods": "bench --count 200 --seconds 2",
@@ -30,9 +36,20 @@ def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
     """The comparison, then our own benchmarks; the exit code of the comparison."""
     out.mkdir(parents=True, exist_ok=True)
     code = call(
-        "-m", "benchmarks.peers", "run", "--environments", environments, "--out", out / "peers",
-        "--libraries", *LIBRARIES, "--rounds", rounds, "--count", count,
-    )  # fmt: skip
+        "-m",
+        "benchmarks.peers",
+        "run",
+        "--environments",
+        environments,
+        "--out",
+        out / "peers",
+        "--libraries",
+        *LIBRARIES,
+        "--rounds",
+        rounds,
+        "--count",
+        count,
+    )
     for name, arguments in BENCHES.items():
         code |= call("-m", "robot_ik", *arguments.split(), "--out", out / name)
     return code

@@ -1,13 +1,13 @@
-"""What one control cycle of six servos costs: ours, and the Dynamixel SDK's own group calls, in the same run.
+"""Measure one control cycle of six servos: ours, and the group calls of the Dynamixel SDK.
 
     python docs/make/measure_servo_cycle.py             print the table
-    python docs/make/measure_servo_cycle.py --write     and put it into docs/reference/hardware.md
+    python docs/make/measure_servo_cycle.py --write     and write it into docs/reference/hardware.md
 
-The servos are a process of its own behind a pty that takes no time for its bytes: it knows the requests and
-has the replies ready, so what is left is the client's software and two changes of process.  It has a core of
-its own where there are two: on one core a change of process is quicker, and the system would choose by
-chance.  Rounds of all contestants alternate; of each the p50 of its quietest round counts, for a neighbour at
-work disturbs all.
+The servos are a separate process behind a pty that takes no time for its bytes. It knows the
+requests and has the replies ready, so the time is that of the client's software and of two process
+switches. The process has its own core if there are two, because a process switch on one core is
+faster and the system would choose by chance. Rounds of all contestants alternate. The p50 of the
+quietest round counts, because other work on the machine disturbs all.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ def serve(replies: dict[bytes, bytes], back: Connection, baud: int) -> None:
     tty.setraw(slave)
     back.send(os.ttyname(slave))
     longest = max(map(len, replies))
-    tail, asked = b"", 0
+    tail = b""
+    asked = 0
     while True:
         data = os.read(master, 4096)
         arrived = time.perf_counter()
@@ -71,7 +72,8 @@ def serve(replies: dict[bytes, bytes], back: Connection, baud: int) -> None:
                 if baud:
                     wait_until(arrived + BITS_PER_BYTE * (asked + len(reply)) / baud)
                 os.write(master, reply)
-                tail, asked = b"", 0
+                tail = b""
+                asked = 0
                 break
 
 
@@ -114,7 +116,9 @@ def canned() -> dict[bytes, bytes]:
             plain = b"".join(build_status(id, 0, data) for id in IDS)
             total = 8 + len(IDS) * (4 + register.size)
             replies[read_request(asked, fast=False)] = plain
-            replies[read_request(asked, fast=True)] = build_fast_status([(0, id, data) for id in IDS], total)
+            replies[read_request(asked, fast=True)] = build_fast_status(
+                [(0, id, data) for id in IDS], total
+            )
     return replies
 
 
@@ -181,7 +185,7 @@ def spend(cycle: Callable[[int], None], cycles: int) -> list[float]:
 
 
 def measure(rounds: int, cycles: int) -> dict[str, tuple[float, float]]:
-    """Contestant -> p50 of a cycle and CPU time, µs, in its quietest round; CPU of this process alone."""
+    """Return contestant -> p50 of a cycle and CPU time of this process, µs, best round."""
     times: dict[str, list[float]] = {name: [] for name in CONTESTANTS}
     cpu: dict[str, list[float]] = {name: [] for name in CONTESTANTS}
     with port() as path:
@@ -198,10 +202,12 @@ def measure(rounds: int, cycles: int) -> dict[str, tuple[float, float]]:
 
 
 def measure_wire(baud: int, rounds: int) -> float:
-    """p50 of a cycle as ``Arm`` does it, µs, behind a wire of so many bits/s; the quietest round."""
+    """Return the p50 of a cycle of ``Arm`` behind a wire with this baud rate, µs."""
     with port(baud) as path:
         cycle, close = our_cycle(path, BLOCK, fast=True, baud=baud)
-        medians = [statistics.median(spend(cycle, max(20, baud // 10_000))) for _ in range(rounds + 1)]
+        medians = [
+            statistics.median(spend(cycle, max(20, baud // 10_000))) for _ in range(rounds + 1)
+        ]
         close()
     return 1e6 * min(medians[1:])
 
@@ -226,7 +232,8 @@ def lines(found: dict[str, tuple[float, float]], wires: dict[int, float]) -> lis
         "| ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for baud, measured in wires.items():
-        plain, ours = wire_us(baud, PRESENT, fast=False), wire_us(baud, BLOCK, fast=True)
+        plain = wire_us(baud, PRESENT, fast=False)
+        ours = wire_us(baud, BLOCK, fast=True)
         text.append(
             f"| {baud:_} | {plain:.0f} | {ours:.0f} | {measured:.0f} | {1e6 / measured:.0f} | "
             f"{100 * ours / measured:.0f} % |"
@@ -236,7 +243,9 @@ def lines(found: dict[str, tuple[float, float]], wires: dict[int, float]) -> lis
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=10, help="rounds of all contestants")
     parser.add_argument("--cycles", type=int, default=300, help="cycles in a round")
     parser.add_argument("--write", action="store_true", help="put the tables into the page")
@@ -246,7 +255,8 @@ def main() -> None:
     text = lines(found, {baud: measure_wire(baud, options.rounds) for baud in RATES})
     Console(width=140).print("\n".join(text), markup=False, highlight=False)
     if options.write:
-        begin, end = "<!-- servo cycle -->", "<!-- end -->"
+        begin = "<!-- servo cycle -->"
+        end = "<!-- end -->"
         page = PAGE.read_text(encoding="utf-8")
         head, rest = page.split(begin)
         tail = rest[rest.index(end) :]

@@ -1,8 +1,8 @@
-"""Measures the methods and writes the tables of the pages: `python docs/make/measurements.py`.
+"""Measure the methods and write the tables of the pages: `python docs/make/measurements.py`.
 
-A table stands between `<!-- measured: NAME -->` and `<!-- end -->`.  Steps, errors and joint changes are
-counted, nothing is timed: one machine gives the same numbers each time.  Other machines may differ in the
-last digit, so the tests look only for a row of every method.
+A table stands between `<!-- measured: NAME -->` and `<!-- end -->`. Steps, errors and joint changes
+are counted and nothing is timed, so one machine gives the same numbers each time. Other machines
+may differ in the last digit, so the tests look only for a row of every method.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ from robot_ik.solvers import SOLVERS, able_solvers
 Array = NDArray[np.float64]
 
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-PAGES = [Path(__file__).resolve().parents[1] / "theory" / name for name in ("methods.md", "singularities.md")]
+PAGES = [
+    Path(__file__).resolve().parents[1] / "theory" / name
+    for name in ("methods.md", "singularities.md")
+]
 
 # Joints of the PUMA, counted from 0.
 _ELBOW = 2
@@ -42,14 +45,16 @@ PATHS = {"exactly": 0.0, "0.2° off": np.radians(0.2)}
 def singular_cases(robot: rik.Robot, kind: str, count: int = TARGETS) -> list[tuple[Array, Array]]:
     """Joint angles (6,) at which the PUMA is exactly singular, and starts beside them.
 
-    The pose of a singular wrist has other branches, which are not singular: so the start is near this one.
+    The pose of a singular wrist has other branches, which are not singular. So the start is near
+    this one.
 
     Args:
         robot: The PUMA.
         kind: ``wrist`` (axes 4 and 6 in line), ``elbow`` (arm stretched) or ``both``.
         count: How many.
     """
-    rng, straight = np.random.default_rng(11), stretched(robot)
+    rng = np.random.default_rng(11)
+    straight = stretched(robot)
     cases = []
     for _ in range(count):
         q = robot.sample(rng)
@@ -84,7 +89,7 @@ def methods() -> Iterator[str]:
 
 
 def convergence_table(tables: ModuleType) -> str:
-    """What the pictures show, in numbers: the share that each method reaches, and its median steps."""
+    """Return the share that each method reaches, and its median steps, as in the pictures."""
     plots = _script("plots")
     rows = []
     for name in SOLVERS:
@@ -108,7 +113,7 @@ def _steps(counts: ArrayLike) -> str:
 
 
 def targets_table(tables: ModuleType) -> str:
-    """How often each method reaches targets at which the arm is exactly singular, and in how many steps."""
+    """Return how often each method reaches singular targets, and in how many steps."""
     robot = rik.load_robot("puma560")
     sets = {kind: singular_cases(robot, kind) for kind in ("wrist", "elbow", "both")}
     rows = []
@@ -136,7 +141,9 @@ def path_table(tables: ModuleType) -> str:
             change, error = follow(robot, name, off)
             cells += [f"{np.degrees(change):.1f}°", f"{np.degrees(error):.2f}°"]
         rows.append((_linked(name), *cells))
-    head = [f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest error")]
+    head = [
+        f"{label}: {what}" for label in PATHS for what in ("largest joint change", "largest error")
+    ]
     return str(tables.markdown(("method", *head), rows))
 
 

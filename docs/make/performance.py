@@ -1,13 +1,13 @@
-"""Makes the tables and pictures of performance.md and comparison.md in docs/reference.
+"""Write the tables and pictures of performance.md and comparison.md in docs/reference.
 
-From what docs/make/measure_performance.py measured:
+They come from the results of docs/make/measure_performance.py:
 
-    python docs/make/performance.py RESULTS    # RESULTS -> docs/performance.json, docs/images, the pages
-    python docs/make/performance.py            # docs/performance.json -> the pages
+    python docs/make/performance.py RESULTS    # RESULTS -> performance.json, images, pages
+    python docs/make/performance.py            # docs/performance.json -> pages
 
-Of RESULTS that lack a folder (``peers``, ``methods``, ``kernels``, ``batch``) the rest is taken: what was
-measured before stays.
-A table stands between `<!-- measured: NAME -->` and `<!-- end -->`; the tests fail where one is out of date.
+RESULTS may lack folders (``peers``, ``methods``, ``kernels``, ``batch``). Their earlier results
+stay. A table stands between `<!-- measured: NAME -->` and `<!-- end -->`. The tests fail if a table
+is out of date.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
 PAGES = [DOCS / "reference" / name for name in ("performance.md", "comparison.md")]
-DATA, IMAGES = DOCS / "performance.json", DOCS / "images"
+DATA = DOCS / "performance.json"
+IMAGES = DOCS / "images"
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
@@ -33,15 +34,17 @@ PICTURES = {
     "kernels/growth.png": "performance-growth.png",
 }
 
-# ------------------------------------------------------------------------------------------ collect
-
 
 def collect(results: Path) -> dict[str, Any]:
     """What the page needs of a folder of results; also puts the pictures into docs/images."""
     from robot_ik.bench.methods.results import Cell, Results
 
     def summary(cell: Cell) -> dict[str, Any]:
-        times = {str(k): round(cell.microsecond(k), 2) for k in ("median", "mean")} if cell.count else {}
+        times = (
+            {str(k): round(cell.microsecond(k), 2) for k in ("median", "mean")}
+            if cell.count
+            else {}
+        )
         about = {key: getattr(cell, key) for key in ("solver", "robot", "set", "goal", "count")}
         return about | {"rate": round(cell.rate, 4), **times}
 
@@ -49,8 +52,9 @@ def collect(results: Path) -> dict[str, Any]:
     if (results / "peers").is_dir():
         found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
         comparison = {key: found[key] for key in ("count", "rounds", "seconds", "seed")} | {
-            "when": found["machine"]["when"], "missing": sorted({**found["missing"], **found["failed"]}),
-        }  # fmt: skip
+            "when": found["machine"]["when"],
+            "missing": sorted({**found["missing"], **found["failed"]}),
+        }
         data |= {"comparison": comparison, "peers": collect_peers(found)}
         data["four_goals"] = collect_four_goals(found)
     runs = {
@@ -102,7 +106,11 @@ Data = dict[str, Any]
 def table(head: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     """A Markdown table; all columns but the first are numbers."""
     first = [str(cell) for cell in head]
-    lines = [first, ["---", *["---:"] * (len(first) - 1)], *([str(cell) for cell in row] for row in rows)]
+    lines = [
+        first,
+        ["---", *["---:"] * (len(first) - 1)],
+        *([str(cell) for cell in row] for row in rows),
+    ]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines)
 
 
@@ -113,13 +121,16 @@ def us(value: float) -> str:
 
 def machine(data: Data) -> str:
     """One line: where, when, with what."""
-    m, peers = data["machine"], data["peers"]
+    m = data["machine"]
+    peers = data["peers"]
     versions = {k: v for one in peers.values() for k, v in one["versions"].items()} | m["versions"]
     named = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
     speeds = [x for one in peers.values() for x in one["calibration_us"]]
     return (
-        f"{m['processor']}, {m['cores']} cores, {m['system']}, Python {m['python']}; {named}; {m['when']}.\n"
-        f"A loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs between the contestants: "
+        f"{m['processor']}, {m['cores']} cores, {m['system']}, Python {m['python']}; {named}; "
+        f"{m['when']}.\n"
+        f"A loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs between the "
+        "contestants: "
         "so much did the machine's speed vary.\n"
     )
 
@@ -144,7 +155,10 @@ def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
         jumps = f", {row['jumps']} jumps" if row["jumps"] else ""
         return f"{100 * row['exact']:.1f} / " + " / ".join(us(row[key]) for key in keys) + jumps
 
-    rows = [(f"`{name}`", *(cell(one, robot) for robot in ROBOTS)) for name, one in data["peers"].items()]
+    rows = [
+        (f"`{name}`", *(cell(one, robot) for robot in ROBOTS))
+        for name, one in data["peers"].items()
+    ]
     return table(("contestant", *ROBOTS.values()), rows)
 
 
@@ -152,45 +166,72 @@ def peers_edge(data: Data) -> str:
     """Exactly singular targets, and targets out of reach, on the PUMA."""
 
     def row(name: str, one: Data) -> tuple[str, ...]:
-        singular, far = one["puma560"]["singular"], one["puma560"]["unreachable"]
+        singular = one["puma560"]["singular"]
+        far = one["puma560"]["unreachable"]
         kinds = [f"{100 * share:.0f}" for share in singular["by_kind"].values()]
         return (f"`{name}`", *kinds, us(singular["median_us"]), us(far["median_us"]))
 
-    head = ("contestant", "wrist, %", "elbow, %", "median µs", "out of reach: median µs until it gives up")
+    head = (
+        "contestant",
+        "wrist, %",
+        "elbow, %",
+        "median µs",
+        "out of reach: median µs until it gives up",
+    )
     return table(head, [row(name, one) for name, one in data["peers"].items()])
 
 
 def ratios(data: Data) -> str:
     """Ours against the best of the others in the same run."""
-    peers, four = data["peers"], data["four_goals"]
+    peers = data["peers"]
+    four = data["four_goals"]
 
-    def line(case: str, other: str, theirs: float, mine: float, ours: str = "robot_ik") -> tuple[str, ...]:
+    def line(
+        case: str, other: str, theirs: float, mine: float, ours: str = "robot_ik"
+    ) -> tuple[str, ...]:
         return case, f"`{other}` {us(theirs)}", f"`{ours}` {us(mine)}", f"{mine / theirs:.2f}"
 
     rows = []
     for robot in ("puma560", "ur5e"):
-        mine, theirs = peers["robot_ik"][robot]["cold"], peers["eaik"][robot]["cold"]
+        mine = peers["robot_ik"][robot]["cold"]
+        theirs = peers["eaik"][robot]["cold"]
         rows.append(
-            line(f"cold {ROBOTS[robot]}, any method: mean", "eaik", theirs["mean_us"], mine["mean_us"])
+            line(
+                f"cold {ROBOTS[robot]}, any method: mean",
+                "eaik",
+                theirs["mean_us"],
+                mine["mean_us"],
+            )
         )
     for robot, title in ROBOTS.items():
-        mine, theirs = peers["robot_ik_lm"][robot]["cold"], peers["rtb_lm"][robot]["cold"]
+        mine = peers["robot_ik_lm"][robot]["cold"]
+        theirs = peers["rtb_lm"][robot]["cold"]
         for key, statistic in (("mean_us", "mean"), ("p99_us", "p99")):
             case = f"cold {title}, numeric: {statistic}"
             rows.append(line(case, "rtb_lm", theirs[key], mine[key], "robot_ik_lm"))
     for robot, title in ROBOTS.items():
-        warm = {name: peers[name][robot]["warm"]["median_us"] for name in peers if robot in peers[name]}
+        warm = {
+            name: peers[name][robot]["warm"]["median_us"] for name in peers if robot in peers[name]
+        }
         best = min(("rtb_lm", "placo"), key=lambda name: warm[name])
         ours = min(("robot_ik", "robot_ik_lm"), key=lambda name: warm[name])
         rows.append(line(f"warm {title}: median", best, warm[best], warm[ours], ours))
     far = {name: peers[name]["puma560"]["unreachable"]["median_us"] for name in peers}
     proof = "robot_ik_analytic"
     rows.append(line("out of reach, proof: median", "eaik", far["eaik"], far[proof], proof))
-    rows.append(line("out of reach, nearest answer: median", "placo", far["placo"], far["robot_ik"]))
+    rows.append(
+        line("out of reach, nearest answer: median", "placo", far["placo"], far["robot_ik"])
+    )
     for mode in ("cold", "warm"):
-        mine, theirs = four["robot_ik"][mode], four["placo"][mode]
+        mine = four["robot_ik"][mode]
+        theirs = four["placo"][mode]
         rows.append(
-            line(f"four goals, humanoid, {mode}: median", "placo", theirs["median_us"], mine["median_us"])
+            line(
+                f"four goals, humanoid, {mode}: median",
+                "placo",
+                theirs["median_us"],
+                mine["median_us"],
+            )
         )
     return table(("case, µs", "best of the others", "ours", "ratio"), rows)
 
@@ -207,7 +248,11 @@ def goals4(data: Data) -> str:
         rows.append((f"`{name}`", *cells))
     shape = ("%", "median / mean / p99 µs")
     return table(
-        ("contestant", *(f"{mode}: {statistic}" for mode in ("cold", "warm") for statistic in shape)), rows
+        (
+            "contestant",
+            *(f"{mode}: {statistic}" for mode in ("cold", "warm") for statistic in shape),
+        ),
+        rows,
     )
 
 
@@ -225,7 +270,13 @@ def comparison(data: Data) -> str:
 def batch(data: Data) -> str:
     """Solves per second."""
     rows = [
-        (f"`{b['solver']}`", b["poses"], b["threads"], f"{b['per_second']:.0f}", f"{100 * b['success']:.2f}")
+        (
+            f"`{b['solver']}`",
+            b["poses"],
+            b["threads"],
+            f"{b['per_second']:.0f}",
+            f"{100 * b['success']:.2f}",
+        )
         for b in data["batches"]
     ]
     return table(("method", "poses", "cores", "solves/s", "solved %"), rows)
@@ -234,7 +285,8 @@ def batch(data: Data) -> str:
 def floors(data: Data) -> str:
     """Kinematics alone."""
     rows = [
-        (ROBOTS[f["robot"]], f["joints"], us(f["forward_us"]), us(f["jacobian_us"])) for f in data["floors"]
+        (ROBOTS[f["robot"]], f["joints"], us(f["forward_us"]), us(f["jacobian_us"]))
+        for f in data["floors"]
     ]
     return table(("robot", "joints", "forward, µs", "forward + Jacobian, µs"), rows)
 
@@ -265,7 +317,8 @@ def methods(data: Data) -> str:
         mine = [cells.get((solver, name)) for name in sets]
         cell = "{:.1f} / {} / {}".format
         shown = [
-            cell(100 * c["rate"], us(c["median"]), us(c["mean"])) if c and c["count"] else "-" for c in mine
+            cell(100 * c["rate"], us(c["median"]), us(c["mean"])) if c and c["count"] else "-"
+            for c in mine
         ]
         goal = mine[0]["goal"] if mine[0] else ""
         rows.append((f"`{solver}`" + (" (position)" if goal == "position" else ""), *shown))
@@ -273,11 +326,21 @@ def methods(data: Data) -> str:
 
 
 TABLES: dict[str, Callable[[Data], str]] = {
-    make.__name__: make for make in (
-        machine, comparison, ratios, peers_cold, peers_warm, peers_edge, goals4, batch, floors, kernels,
+    make.__name__: make
+    for make in (
+        machine,
+        comparison,
+        ratios,
+        peers_cold,
+        peers_warm,
+        peers_edge,
+        goals4,
+        batch,
+        floors,
+        kernels,
         methods,
     )
-}  # fmt: skip
+}
 TABLES["growth_joints"] = lambda data: growth(data, "joints")
 TABLES["growth_goals"] = lambda data: growth(data, "goals")
 

@@ -1,8 +1,8 @@
-"""Draws the pictures of these pages: `python -m docs.make.pictures [NAME …]`.
+"""Draw pictures of the pages: `python -m docs.make.pictures [NAME ...]`.
 
-docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the solution of the
-example of that name, with its ball.  calibration.png: the printed board and two views of it.
-No OpenGL, nothing random: the same program draws the same picture.
+docs/images/whole_body.png and lion.png show a figure at home and the solution of the example of
+that name, with its ball. calibration.png shows the printed board and two views of it. No OpenGL and
+nothing random: the same program draws the same picture.
 """
 
 from __future__ import annotations
@@ -84,7 +84,8 @@ def example(name: str) -> ModuleType:
 
 def solved(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
     """What the example solves, and its ball."""
-    program, robot = example(scene.example), rik.load_robot(scene.robot)
+    program = example(scene.example)
+    robot = rik.load_robot(scene.robot)
     return rik.solve(robot, list(program.goals(robot).values())), program.BALL
 
 
@@ -92,9 +93,14 @@ def with_ball(path: Path, position: tuple[float, ...]) -> mujoco.MjModel:
     """The model with a ball that touches nothing."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.worldbody.add_geom(
-        name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_BALL_RADIUS, 0, 0], pos=list(position),
-        rgba=list(_BALL_COLOUR), contype=0, conaffinity=0,
-    )  # fmt: skip
+        name="ball",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[_BALL_RADIUS, 0, 0],
+        pos=list(position),
+        rgba=list(_BALL_COLOUR),
+        contype=0,
+        conaffinity=0,
+    )
     return spec.compile()
 
 
@@ -102,12 +108,15 @@ def draw(scene: Scene) -> Image:
     """Home and solution beside each other, BGR."""
     found, ball = solved(scene)
     robot = found.robot
-    model, optics = with_ball(robot.path, ball), lens(*SIZE)
+    model = with_ball(robot.path, ball)
+    optics = lens(*SIZE)
     poses = [robot.qpos(robot.home), robot.qpos(found.q)]
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())
     camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
-    photos = [photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor) for qpos in poses]
+    photos = [
+        photograph([Body(model, qpos)], optics, camera, SEAMLESS, floor=floor) for qpos in poses
+    ]
     columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)
     air = round(_AIR * SIZE[0])
     seen = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)
@@ -120,7 +129,8 @@ def calibration() -> Image:
     views = list(pattern_set(board, STANDARD_CAMERA, 3, seed=2, sensor=SensorModel(noise=1.0)))
     page = make_sheet_page(SheetRequest("charuco"))
     scale = 60.0 / 25.4
-    width, height = round(page.width * scale), round(page.height * scale)
+    width = round(page.width * scale)
+    height = round(page.height * scale)
     paper = (0.0, 0.0, float(width), float(height))
     sheet = Print.of_boxes(page.boxes[:, :4] * scale, paper, page.boxes[:, 4])
     tiles = [sheet.flat(width, height)]
@@ -139,17 +149,28 @@ def _tile(image: Image, width: int, height: int) -> Image:
     scale = min((width - 16) / bgr.shape[1], (height - 16) / bgr.shape[0])
     small = cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     tile = np.full((height, width, 3), 255, np.uint8)
-    y, x = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
+    y = (height - small.shape[0]) // 2
+    x = (width - small.shape[1]) // 2
     tile[y : y + small.shape[0], x : x + small.shape[1]] = small
     return tile
 
 
 def robot_in_the_picture() -> Image:
-    """Robots that are not there, on a board in photographs of a table; one stands behind real objects."""
+    """Draw virtual robots on a board in photographs of a table. One stands behind real objects."""
     objects = mujoco.MjSpec()
     for kind, position, size, colour in (
-        (mujoco.mjtGeom.mjGEOM_BOX, [0.075, -0.12, 0.055], [0.040, 0.03, 0.055], [0.70, 0.22, 0.16, 1]),
-        (mujoco.mjtGeom.mjGEOM_CYLINDER, [-0.15, -0.02, 0.08], [0.04, 0.08, 0], [0.16, 0.42, 0.46, 1]),
+        (
+            mujoco.mjtGeom.mjGEOM_BOX,
+            [0.075, -0.12, 0.055],
+            [0.040, 0.03, 0.055],
+            [0.70, 0.22, 0.16, 1],
+        ),
+        (
+            mujoco.mjtGeom.mjGEOM_CYLINDER,
+            [-0.15, -0.02, 0.08],
+            [0.04, 0.08, 0],
+            [0.16, 0.42, 0.46, 1],
+        ),
     ):
         objects.worldbody.add_geom(type=kind, pos=position, size=size, rgba=colour)
     real = objects.compile()
@@ -170,7 +191,9 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
     near = Pose.look_at((0.12, -0.66, 0.46), (0.0, 0.05, 0.13))
     source.scene = replace(source.scene, pose_world_camera=near)
     clock.sleep_until(1.0)
-    frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
+    frame = source.read().without_truth()
+    optics = source.scene.intrinsics
+    robot = rik.load_robot(name)
     low, high = heights(robot)
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
@@ -180,9 +203,13 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
 
 
 def error_map() -> Image:
-    """A simulated arm with a slipped horn on joint 2: where it is off, and with the zeros that were found."""
-    report = run_verify(VerifyRequest("tabletop_puma", fit=True, rehearsal=Rehearsal({"joint2": 1.5})))
-    drawn = cv2.imdecode(np.frombuffer(error_picture(report.error_maps()), np.uint8), cv2.IMREAD_COLOR)
+    """Draw the errors of an arm with a slipped horn on joint 2, before and after the fit."""
+    report = run_verify(
+        VerifyRequest("tabletop_puma", fit=True, rehearsal=Rehearsal({"joint2": 1.5}))
+    )
+    drawn = cv2.imdecode(
+        np.frombuffer(error_picture(report.error_maps()), np.uint8), cv2.IMREAD_COLOR
+    )
     return np.asarray(drawn, dtype=np.uint8)
 
 

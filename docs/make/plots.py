@@ -1,7 +1,7 @@
-"""Draws how each method converges: `python docs/make/plots.py [METHOD …]`.
+"""Draw how each method converges: `python docs/make/plots.py [METHOD ...]`.
 
-It writes docs/images/solvers/METHOD.png, by default of all methods.  Steps are counted, nothing is timed, so
-the same program draws the same picture.  Needs matplotlib (the extra `plots`).
+It writes docs/images/solvers/METHOD.png, by default of all methods. Steps are counted and nothing
+is timed, so the same program draws the same picture. Needs matplotlib (the extra `plots`).
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ class Curves:
 
     Attributes:
         task: Which.
-        residuals: For each target (steps + 1,) the least residual so far, in rad, the start's first.
+        residuals: Smallest residual so far, rad, (steps + 1,) for each target, beginning at the
+            start.
         steps: (COUNT,) steps that it took; inf where it did not get there.
     """
 
@@ -81,14 +82,18 @@ class Curves:
 
 def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
     """Runs a method from home to ``count`` seeded targets; None where it cannot do the task."""
-    robot, rng = task.robot(), np.random.default_rng(7)
+    robot = task.robot()
+    rng = np.random.default_rng(7)
     pose = robot.forward(robot.home)
     goal = rik.PoseGoal.at(None, pose) if task.pose else rik.PositionGoal(None, pose.position)
     try:
-        problem = rik.Problem(robot, goal, solver=name, tolerance=TOLERANCE, budget=BUDGET, trace=True)
+        problem = rik.Problem(
+            robot, goal, solver=name, tolerance=TOLERANCE, budget=BUDGET, trace=True
+        )
     except rik.RobotIkError:
         return None
-    residuals, steps = [], []
+    residuals = []
+    steps = []
     for _ in range(count):
         target = robot.forward(robot.sample(rng))
         problem.retarget(target if task.pose else target.position)
@@ -128,7 +133,9 @@ def draw(name: str, path: Path, count: int = COUNT) -> None:
         shown = next((c for c in found if np.isfinite(c.steps).mean() >= 0.5), found[-1])
         _draw_descents(left, shown)
         _draw_shares(right, found)
-        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        figure.legend(
+            *right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False
+        )
         figure.canvas.draw()
         pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
         plt.close(figure)
@@ -153,12 +160,14 @@ def _frame(axes: Any, title: str, label: str) -> None:
 
 
 def _draw_descents(axes: Any, curve: Curves) -> None:
-    """The least residual so far, target by target, and the median of all until half of them have arrived."""
+    """Draw the smallest residual so far of each target, and the median of all."""
     for residual in curve.residuals[:_THIN]:
         axes.plot(residual, color=curve.task.colour, alpha=0.3, linewidth=0.8)
     half = np.median(curve.steps)
     length = int(min(_STEPS, half, max(map(len, curve.residuals)) - 1)) + 1
-    table = np.array([np.pad(r[:length], (0, max(0, length - len(r))), mode="edge") for r in curve.residuals])
+    table = np.array(
+        [np.pad(r[:length], (0, max(0, length - len(r))), mode="edge") for r in curve.residuals]
+    )
     axes.plot(np.median(table, axis=0), color=curve.task.colour, linewidth=2.4)
     _frame(axes, curve.task.label, "residual, best so far")
     axes.set_yscale("log")
@@ -170,8 +179,11 @@ def _draw_shares(axes: Any, found: Iterable[Curves]) -> None:
     for curve in found:
         steps = np.sort(curve.steps[np.isfinite(curve.steps)])
         share = 100 * np.arange(1, len(steps) + 1) / len(curve.steps)
-        x, y = [0.0, *steps, _STEPS], [0.0, *share, share[-1] if len(share) else 0.0]
-        axes.step(x, y, where="post", color=curve.task.colour, linewidth=1.8, label=curve.task.label)
+        x = [0.0, *steps, _STEPS]
+        y = [0.0, *share, share[-1] if len(share) else 0.0]
+        axes.step(
+            x, y, where="post", color=curve.task.colour, linewidth=1.8, label=curve.task.label
+        )
     _frame(axes, "reached to 1 µm and 1 µrad", "% of targets")
     axes.set_ylim(-2, 104)
 

@@ -77,6 +77,7 @@ class Shot:
         bus: Bus of a servo arm. Empty: none.
         camera: Whether the camera's picture is shown.
         first_visit: Whether the page shows its first steps.
+        ar: Whether robot and ball are drawn into the picture of the synthetic camera.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Shot:
     bus: str = ""
     camera: bool = False
     first_visit: bool = False
+    ar: bool = False
 
 
 POSES = (
@@ -126,6 +128,15 @@ SHOTS = (
         Start("humanoid"),
         commands=(SetFigure("active"), MoveGoal((0.5, -0.2, 1.3))),
         until=lambda view: view.figure and view.instances[0].error < 0.01,
+    ),
+    Shot(
+        "ar",
+        Start("humanoid"),
+        tab="AR",
+        commands=(SetFigure("active"), MoveGoal((0.45, -0.25, 1.6))),
+        until=lambda view: view.figure and view.instances[0].error < 0.01,
+        text="pictures/s ·",
+        ar=True,
     ),
     Shot(
         "timeline",
@@ -204,6 +215,8 @@ def take(browser: Any, shot: Shot) -> None:
             session.send(command)
         if shot.camera:
             window.get_by_role("button", name="Camera", exact=True).click()
+        if shot.ar:
+            page.switch_ar(True)
         if shot.tab:
             window.get_by_role("tab", name=shot.tab, exact=True).click()
         for name in shot.press:

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
-from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
+from robot_ik.jobs.gallery import fitted_camera, lens
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 
@@ -42,8 +43,8 @@ def draw(robot: rik.Robot, qpos: NDArray[np.float64]) -> Image:
     optics = lens(*SIZE)
     points = surface_points(robot.model, qpos)
     camera = fitted_camera(points, VIEW_DEG, optics)
-    photo = photograph(robot.model, qpos, camera, optics, float(points[:, 2].min()))
-    return photo.image
+    floor = float(points[:, 2].min())
+    return photograph([Body(robot.model, qpos)], optics, camera, SEAMLESS, floor=floor).image
 
 
 def middle(robot: rik.Robot) -> NDArray[np.float64]:

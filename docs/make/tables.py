@@ -1,7 +1,7 @@
-"""Writes the tables of the documentation that come from the program: `python docs/make/tables.py`.
+"""Write the tables of the pages that come from the program: `python docs/make/tables.py`.
 
-A table stands between `<!-- table: NAME -->` and `<!-- end -->`; some are of one method, and have its name
-after theirs: `<!-- table: options lm -->`.  The tests fail where one is out of date.
+A table stands between `<!-- table: NAME -->` and `<!-- end -->`. Tables of one method have its name
+after theirs: `<!-- table: options lm -->`. The tests fail if a table is out of date.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ def markdown(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """A Markdown table."""
     lines = [list(head), *([str(cell) for cell in row] for row in rows)]
     lines.insert(1, ["---"] * len(lines[0]))
-    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)
+    return "".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines
+    )
 
 
 def solvers() -> str:
@@ -64,16 +66,26 @@ def options(name: str) -> str:
         bounded = option["lower"] is not None and not isinstance(option["default"], bool)
         span = f"{option['lower']:g} … {option['upper']:g} {option['unit']}" if bounded else ""
         span = span or ", ".join(option["choices"])
-        default = f"{option['default']:.4g}" if isinstance(option["default"], float) else option["default"]
+        default = (
+            f"{option['default']:.4g}"
+            if isinstance(option["default"], float)
+            else option["default"]
+        )
         rows.append((f"`{option['name']}`", default, span.strip(), option["help"]))
-    return markdown(("option", "default", "range", "meaning"), rows) if rows else "It has no options.\n\n"
+    return (
+        markdown(("option", "default", "range", "meaning"), rows)
+        if rows
+        else "It has no options.\n\n"
+    )
 
 
 def floors(name: str) -> str:
     """The solve rates below which the tests fail, of one method."""
     with (ROOT / "tests" / "solvers" / "floors.toml").open("rb") as stream:
         table: dict[str, Any] = tomllib.load(stream).get(name, {})
-    kinds = [k for k in ("position", "orientation", "pose") if any(k in row for row in table.values())]
+    kinds = [
+        k for k in ("position", "orientation", "pose") if any(k in row for row in table.values())
+    ]
     rows = []
     for robot, row in table.items():
         shares = [f"{100 * row[kind]:.0f} %" if kind in row else "" for kind in kinds]
@@ -128,16 +140,49 @@ def commands() -> str:
     return markdown(("command", "what it does"), ((f"`{row.name}`", row.help) for row in rows))
 
 
+def flag_rows() -> list[tuple[str, str, list[str]]]:
+    """Return flag, meaning and commands of all options. A flag with two meanings has two rows."""
+    from robot_ik.commands.main import GROUPS, make_app
+    from robot_ik.commands.usage import command_app, prepare_command
+
+    app = make_app()
+    commands: dict[tuple[str, str], list[str]] = {}
+    for row in (row for rows in GROUPS.values() for row in rows if row.target):
+        command = command_app(app, row.name)
+        prepare_command(command)
+        for argument in command.assemble_argument_collection(parse_docstring=True):
+            flags = [name for name in argument.names if name.startswith("--")]
+            meaning = (argument.parameter.help or "").split(". ")[0].rstrip(".")
+            if flags:
+                commands.setdefault((flags[0], meaning), []).append(row.name)
+    return [(flag, meaning, names) for (flag, meaning), names in sorted(commands.items())]
+
+
+def flags() -> str:
+    """One row for each option of `robot-ik`."""
+    count = sum(len(names) for _, _, names in flag_rows())
+    rows = [
+        (f"`{flag}`", meaning.replace("|", "\\|"), ", ".join(f"`{name}`" for name in names))
+        for flag, meaning, names in flag_rows()
+    ]
+    return f"{len(rows)} options, {count} uses.\n\n" + markdown(
+        ("option", "meaning", "commands"), rows
+    )
+
+
 def keys() -> str:
     """One row for each key of the testbed."""
     from robot_ik.testbed.keys import KEYMAP
 
-    rows = ((key.about, *(f"`{k}`" if k else "" for k in (key.label, key.window))) for key in KEYMAP)
+    rows = (
+        (key.about, *(f"`{k}`" if k else "" for k in (key.label, key.window))) for key in KEYMAP
+    )
     return markdown(("what it does", "browser", "window"), rows)
 
 
 TABLES: dict[str, Callable[..., str]] = {
-    make.__name__: make for make in (solvers, method, options, floors, buses, servos, faults, commands, keys)
+    make.__name__: make
+    for make in (solvers, method, options, floors, buses, servos, faults, commands, flags, keys)
 }
 
 

@@ -1,9 +1,10 @@
-"""Writes the torque table of models/tabletop_puma/README.md: `python docs/make/torque_table.py`.
+"""Write the torque table of models/tabletop_puma/README.md: `python docs/make/torque_table.py`.
 
-What the joints of the desk arm have to bear, by MuJoCo's inverse dynamics at random poses (seeded) all over
-the joint ranges with a payload between the fingers, beside what its servos can give.  Two loads: standing
-still, and all joints at the speed and acceleration of robot.toml [motion], each with a random sign, friction
-included.  The tests fail where the README is out of date.
+The table has the torque that the joints of the desk arm need, by the inverse dynamics of MuJoCo,
+and the torque that its servos give. The poses are random (seeded) in the joint ranges, with a
+payload between the fingers. There are two loads: at rest, and all joints at the speed and
+acceleration of robot.toml [motion], each with a random sign, friction included. The tests fail if
+the README is out of date.
 """
 
 from __future__ import annotations
@@ -54,13 +55,18 @@ class Loads:
 
 
 def loaded_model(robot: rik.Robot, payload: float = PAYLOAD) -> mujoco.MjModel:
-    """The robot's model with ``payload`` kg between the fingers; nothing touches, no joint has an end."""
+    """Return the model with ``payload`` kg between the fingers, without contacts and limits."""
     spec = mujoco.MjSpec.from_file(str(robot.path))
     site = spec.site("gripper")
     site.parent.add_geom(
-        name="payload", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.012, 0, 0], pos=site.pos, mass=payload,
-        contype=0, conaffinity=0,
-    )  # fmt: skip
+        name="payload",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[0.012, 0, 0],
+        pos=site.pos,
+        mass=payload,
+        contype=0,
+        conaffinity=0,
+    )
     model = spec.compile()
     model.opt.disableflags |= _NO_CONSTRAINT_BUT_FRICTION
     return model
@@ -71,7 +77,8 @@ def loads(robot: rik.Robot, model: mujoco.MjModel, poses: int = POSES, seed: int
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
-    still, moving = np.empty((poses, robot.nv)), np.empty((poses, robot.nv))
+    still = np.empty((poses, robot.nv))
+    moving = np.empty((poses, robot.nv))
     for k in range(poses):
         data.qpos[:] = robot.qpos(robot.sample(rng))
         signs = rng.choice([-1.0, 1.0], size=(2, robot.nv))
@@ -119,22 +126,44 @@ def table(poses: int = POSES, seed: int = SEED) -> str:
     robot = rik.load_robot(ROBOT)
     assert robot.arm_file is not None
     arm = ArmConfig.load(robot.arm_file)
-    load, can = loads(robot, loaded_model(robot), poses, seed), strength(robot, arm)
+    load = loads(robot, loaded_model(robot), poses, seed)
+    can = strength(robot, arm)
     head = (
-        "joint", "servo", "stall", "continuous", "still: worst", "99 %", "stall / worst",
-        "continuous / worst", "moving: worst", "99 %", "at that speed", "at that speed / worst",
-    )  # fmt: skip
+        "joint",
+        "servo",
+        "stall",
+        "continuous",
+        "still: worst",
+        "99 %",
+        "stall / worst",
+        "continuous / worst",
+        "moving: worst",
+        "99 %",
+        "at that speed",
+        "at that speed / worst",
+    )
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for k, joint in enumerate(_joints(arm)):
-        worst, usual = load.still[:, k].max(), np.percentile(load.still[:, k], 99)
-        hardest, hard = load.moving[:, k].max(), np.percentile(load.moving[:, k], 99)
+        worst = load.still[:, k].max()
+        usual = np.percentile(load.still[:, k], 99)
+        hardest = load.moving[:, k].max()
+        hard = np.percentile(load.moving[:, k], 99)
         belt = "" if joint.gear.ratio == 1.0 else f" × {joint.gear.ratio:g}"
         bare = max(float(worst), 1e-9)
         cells = (
-            f"`{joint.name}`", joint.servo.model + belt, f"{can.stall[k]:.2f}", f"{can.continuous[k]:.2f}",
-            f"{worst:.2f}", f"{usual:.2f}", _times(can.stall[k] / bare), _times(can.continuous[k] / bare),
-            f"{hardest:.2f}", f"{hard:.2f}", f"{can.at_speed[k]:.2f}", _times(can.at_speed[k] / hardest),
-        )  # fmt: skip
+            f"`{joint.name}`",
+            joint.servo.model + belt,
+            f"{can.stall[k]:.2f}",
+            f"{can.continuous[k]:.2f}",
+            f"{worst:.2f}",
+            f"{usual:.2f}",
+            _times(can.stall[k] / bare),
+            _times(can.continuous[k] / bare),
+            f"{hardest:.2f}",
+            f"{hard:.2f}",
+            f"{can.at_speed[k]:.2f}",
+            _times(can.at_speed[k] / hardest),
+        )
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

@@ -157,9 +157,9 @@ def write_files(reach_map: ReachabilityMap, folder: Path) -> list[Path]:
 
 def map_facts(reach_map: ReachabilityMap) -> dict[str, Any]:
     """Return the JSON object of a map, without time and files."""
-    from robot_ik.reachability.reachability_map import Reach
+    from robot_ik.reachability.reachability_map import ReachStatus
 
-    counts = {reach.name.lower(): int((reach_map.status == reach).sum()) for reach in Reach}
+    counts = {reach.name.lower(): int((reach_map.status == reach).sum()) for reach in ReachStatus}
     reached = reach_map.index > 0.0
     return {
         "schema": SCHEMA,

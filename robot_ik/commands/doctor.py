@@ -38,7 +38,7 @@ class Doctor(JsonOption):
         Parameter(
             alias="--port",
             metavar=BUS_METAVAR,
-            help=f"Check the servos of this bus, too. {BUS_HELP}. Default: none.",
+            help=f"Servo bus. {BUS_HELP}. Default: none; no servo is checked.",
         ),
     ] = ""
     arm: ArmName = "tabletop_puma"

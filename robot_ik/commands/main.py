@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 try:
     from cyclopts import App, CycloptsError, Group, Parameter
@@ -22,7 +22,13 @@ try:
     from robot_ik.commands.streams import open_console, prepare_streams, silence_output
     from robot_ik.commands.tables import table
     from robot_ik.commands.terminal import Report, Terminal, say, show_error, show_logs
-    from robot_ik.commands.usage import explain, prepare_command, refuse_empty
+    from robot_ik.commands.usage import (
+        command_app,
+        explain,
+        option_owners,
+        prepare_command,
+        refuse_empty,
+    )
     from robot_ik.errors import NOT_ACHIEVED_ERRORS, OutputError
     from robot_ik.signals import raised_signals
 except KeyboardInterrupt:  # a command that prints help spends most of its time here
@@ -200,6 +206,12 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "doctor:Doctor",
             mujoco=False,
         ),
+        Row(
+            "completion",
+            "Print the completion script of a shell.",
+            "completion:Completion",
+            mujoco=False,
+        ),
     ),
 }
 """All commands, in the order of ``robot-ik --help``."""
@@ -257,6 +269,16 @@ def make_app() -> App:
 def command_names() -> list[str]:
     """Return the names and aliases of all commands."""
     return [name for rows in GROUPS.values() for row in rows for name in (row.name, *row.aliases)]
+
+
+def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
+    """Return the script that completes commands and options in a shell. All are imported."""
+    app = make_app()
+    for rows in GROUPS.values():
+        for row in rows:
+            if row.target:
+                prepare_command(command_app(app, row.name))
+    return app.generate_completion(shell=shell)
 
 
 def _default_text(value: object) -> str | None:
@@ -331,7 +353,8 @@ def parse_command(words: Sequence[str]) -> tuple[str, Any]:
                 prepare_command(part)
         target, bound, _ = app.parse_args(words or ["--help"])
     except CycloptsError as error:
-        raise explain(error, app, command_names()) from error
+        names = command_names()
+        raise explain(error, names, lambda: option_owners(app, names)) from error
     result = target(*bound.args, **bound.kwargs)
     return " ".join(chain), result if hasattr(result, "run") else None
 

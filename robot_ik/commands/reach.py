@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from cyclopts import Group, Parameter
+from cyclopts.validators import Number
 
 from robot_ik.commands.arms import default_robot
 from robot_ik.commands.options import (
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from robot_ik.execution import Execution
     from robot_ik.geometry import Pose
     from robot_ik.goals import Goal, Tolerance
+    from robot_ik.jobs.marker_turn import AxisPromise
     from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup
     from robot_ik.jobs.verdict import Bound
     from robot_ik.jobs.vision import SeenTarget, Vision
@@ -89,6 +91,11 @@ class Reach(FolderOption, JsonOption):
     """Plan a motion around the obstacles of --scene and the robot itself."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
     """Follow the marker for this time after reaching it, in seconds."""
+    max_angle: Annotated[
+        float | None, Parameter(metavar="DEG", validator=Number(gte=0.0, lte=180.0))
+    ] = None
+    """Largest angle in degrees that an arm with five joints may leave to the axis of the marker.
+    With a larger angle nothing moves. Default: any angle."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """What to do if the marker is lost for 2 s while following."""
 
@@ -298,6 +305,7 @@ def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
     report.solved = solve(cell, report.goal)
     solution = report.solved.solution
     tolerance = accepted_error(cell, report.seen, solution)
+    report.promise = promise(cell, report.goal, report.seen, solution, terminal)
     if setup.guard is not None:
         plan_motion(cell, report.goal, solution)  # a blocked motion is refused before torque is on
 
@@ -314,7 +322,12 @@ def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
         sigma = goal_sigma(cell, report.seen).combined(goal_sigma(cell, report.seen))
 
     terminal.progress("looking again")
-    report.judged = judge(cell, report.goal, tolerance, sigma)
+    best_angle = 0.0
+    if report.promise is not None:
+        best_angle = report.promise.angle
+        if report.followed is not None:
+            best_angle = solve(cell, report.goal).solution.error.angle
+    report.judged = judge(cell, report.goal, tolerance, sigma, best_angle)
 
 
 def look(cell: Cell, terminal: Terminal) -> tuple[Goal, SeenTarget | None]:
@@ -374,6 +387,25 @@ def accepted_error(cell: Cell, seen: SeenTarget | None, solution: Solution) -> T
             )
     solution.require()
     return SOLVE_TOLERANCE
+
+
+def promise(
+    cell: Cell, goal: Goal, seen: SeenTarget | None, solution: Solution, terminal: Terminal
+) -> AxisPromise | None:
+    """Return how near the tool axis comes to the marker's, and print it if it stays off.
+
+    Raises:
+        NotConvergedError: The angle is larger than ``--max-angle``.
+    """
+    from robot_ik.jobs.marker_turn import promise_axis, require_angle
+
+    marker = None if seen is None else seen.pose_world_marker
+    axis = promise_axis(cell.setup.robot, goal, solution, marker)
+    limit = cell.command.max_angle
+    require_angle(axis, None if limit is None else math.radians(limit), solution)
+    if axis is not None and not axis.is_met:
+        terminal.say(axis.sentence())
+    return axis
 
 
 def goal_sigma(cell: Cell, seen: SeenTarget) -> Bound:
@@ -481,15 +513,25 @@ def follow(cell: Cell, seconds: float, terminal: Terminal) -> Followed:
     return Followed(ticks, median, max(distances, default=None))
 
 
-def judge(cell: Cell, goal: Goal, tolerance: Tolerance, sigma: Bound) -> Judged:
-    """Measure the error by the servos' positions and, independently, by the camera."""
+def judge(
+    cell: Cell, goal: Goal, tolerance: Tolerance, sigma: Bound, best_angle: float = 0.0
+) -> Judged:
+    """Measure the error by the servos' positions and, independently, by the camera.
+
+    Args:
+        cell: Everything that is open.
+        goal: The goal.
+        tolerance: Accepted error of the solution.
+        sigma: Standard deviation of the goal.
+        best_angle: Angle that the arm promised, rad.
+    """
     from robot_ik.jobs.verdict import judge_by_camera, judge_read_back, quantisation
 
     setup = cell.setup
     vision = cell.vision
     q = setup.q.copy()
     bound = quantisation(setup.robot, q, setup.resolution, setup.frame, tolerance)
-    read_back = judge_read_back(setup.robot, q, goal, setup.frame, bound, sigma)
+    read_back = judge_read_back(setup.robot, q, goal, setup.frame, bound, sigma, best_angle)
     if vision is None or vision.why_blind:
         blind = "no camera watched the arm" if vision is None else vision.why_blind
         return Judged(q, bound, read_back, None, blind, None)
@@ -498,7 +540,9 @@ def judge(cell: Cell, goal: Goal, tolerance: Tolerance, sigma: Bound) -> Judged:
     if body is not None:
         pose_body_tool = vision.pose_body_tool(setup.shown)
         camera = vision.scene.pose_world_camera
-        by_camera = judge_by_camera(setup.robot, body, camera, pose_body_tool, goal, bound, sigma)
+        by_camera = judge_by_camera(
+            setup.robot, body, camera, pose_body_tool, goal, bound, sigma, best_angle
+        )
     return Judged(q, bound, read_back, by_camera, "", vision.last_image)
 
 

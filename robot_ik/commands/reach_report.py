@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from robot_ik.execution import Execution, FollowReport
     from robot_ik.geometry import Pose
     from robot_ik.goals import Goal
+    from robot_ik.jobs.marker_turn import AxisPromise
     from robot_ik.jobs.robot_setup import JointLimits, RobotSetup
     from robot_ik.jobs.verdict import Bound, Judgement
     from robot_ik.jobs.vision import SeenTarget, Vision
@@ -85,6 +86,7 @@ class ReachReport(Report):
         seen: The sighting of the target marker. None if the goal was given.
         q_start: (nq,) joint angles before the motion.
         solved: The solution.
+        promise: How near the tool axis of an arm with five joints comes to the marker's.
         trajectory: The planned motion.
         execution: The motion.
         followed: What happened during ``--follow``.
@@ -103,6 +105,7 @@ class ReachReport(Report):
     seen: SeenTarget | None = None
     q_start: Array | None = None
     solved: Solved | None = None
+    promise: AxisPromise | None = None
     trajectory: Trajectory | None = None
     execution: Execution | None = None
     followed: Followed | None = None
@@ -231,6 +234,8 @@ class ReachReport(Report):
         yield "solver", ", ".join(parts)
         angle = math.degrees(solution.error.angle)
         yield "its error", f"{1e3 * solution.error.position:.4f} mm, {angle:.4f}°  (by MuJoCo)"
+        if self.promise is not None and not self.promise.is_met:
+            yield "axis", self.promise.sentence()
 
     def _motion_rows(self) -> Iterator[tuple[str, str]]:
         run = self.execution
@@ -328,6 +333,7 @@ class ReachReport(Report):
             "position_asked": self.goal.weights[0] > 0.0,
             "angle_asked": self.goal.weights[1] > 0.0,
             "free_axis": getattr(self.goal, "free_axis", None),
+            "orientation": getattr(self.goal, "orientation", None),
         }
 
     def _solution_facts(self) -> dict[str, Any] | None:
@@ -343,6 +349,7 @@ class ReachReport(Report):
             "microseconds": self.solved.microseconds,
             "miss_position_m": solution.error.position,
             "miss_angle_rad": solution.error.angle,
+            "angle_bound_rad": solution.angle_bound,
         }
 
     def _motion_facts(self) -> dict[str, Any] | None:

@@ -78,12 +78,13 @@ def catalogue_rows() -> list[CatalogueRow]:
     for name, folder in catalogue().items():
         path, file = read_robot_file(folder / "robot.toml")
         arm = folder / "arm.toml"
+        default = [tool for tool in file.tools if tool == file.tool]
         rows.append(
             CatalogueRow(
                 name,
                 file.title,
                 list(file.groups.get("arm", ())) or model_joints(path),
-                sorted(file.tools, key=lambda tool, default=file.tool: tool != default),
+                default + [tool for tool in file.tools if tool != file.tool],
                 str(arm) if arm.is_file() else None,
             )
         )

@@ -17,6 +17,7 @@ from robot_ik.commands.options import (
     BUS_METAVAR,
     OUTPUT,
     OUTPUT_GROUP,
+    ArmName,
     JsonOption,
     OverwriteOption,
     RecordFile,
@@ -57,12 +58,13 @@ class Run(JsonOption, OverwriteOption):
         str, Parameter(alias="--port", metavar=BUS_METAVAR, help=f"Servo bus. {BUS_HELP}.")
     ] = "sim"
     robot: RobotName = ""
-    arm: Annotated[
-        str, Parameter(metavar="NAME|FILE", help="Arm file (TOML). Default: the script's.")
-    ] = ""
+    arm: ArmName = ""
     seed: Annotated[
         int | None,
-        Parameter(metavar="N", help="Seed of faults, restarts and noise. Default: the script's."),
+        Parameter(
+            metavar="N",
+            help="Random seed. The same seed gives the same result. Default: the script's.",
+        ),
     ] = None
     junit: Annotated[Path | None, Parameter(metavar="FILE.xml", group=OUTPUT_GROUP), OUTPUT] = None
     """Write the report as JUnit XML, for build servers."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import re
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, get_args
 
 from cyclopts import UNSET, App, CycloptsError, exceptions
@@ -68,13 +68,22 @@ def prepare_command(app: App) -> None:
     command.__signature__ = signature.replace(parameters=parameters)
 
 
-def explain(error: CycloptsError, app: App, names: Sequence[str]) -> RobotIkError:
+def command_app(app: App, name: str) -> App:
+    """Return the parser of a command by its name. Its module is imported."""
+    for word in name.split():
+        app = app[word]
+    return app
+
+
+def explain(
+    error: CycloptsError, names: Sequence[str], owners: Callable[[], Mapping[str, list[str]]]
+) -> RobotIkError:
     """Return the error to show for a wrong command line.
 
     Args:
         error: What the parser found.
-        app: The parser.
         names: All commands: ``reach``, ``servo scan``.
+        owners: Returns option -> commands that have it, as ``option_owners``.
     """
     command = " ".join((PROGRAM, *(error.command_chain or ())))
     hint = f"all options: {command} --help"
@@ -82,7 +91,7 @@ def explain(error: CycloptsError, app: App, names: Sequence[str]) -> RobotIkErro
         case exceptions.UnknownCommandError():
             return _unknown_command(error, names)
         case exceptions.UnknownOptionError():
-            return _unknown_option(error, app, names, hint)
+            return _unknown_option(error, owners, hint)
         case exceptions.UnusedCliTokensError():
             words = shlex.join(error.unused_tokens or ())
             return OptionError("", f"unexpected argument {words}", hint=hint)
@@ -152,7 +161,9 @@ def _ending_with(leaf: str, names: Sequence[str]) -> list[str]:
     return [name for name in names if name.split()[-1] == leaf]
 
 
-def _unknown_option(error: Any, app: App, names: Sequence[str], hint: str) -> OptionError:
+def _unknown_option(
+    error: Any, owners_of: Callable[[], Mapping[str, list[str]]], hint: str
+) -> OptionError:
     """Suggest another name of the same option, or an option that differs by a typing error.
 
     An option of another command is no typing error: ``solve --speed`` does not mean ``--seed``.
@@ -165,7 +176,7 @@ def _unknown_option(error: Any, app: App, names: Sequence[str], hint: str) -> Op
         return OptionError(
             "", f"unknown option {option}; here it is {OTHER_OPTIONS[option]}", hint=hint
         )
-    owners = _commands_with(option, app, names)
+    owners = owners_of().get(option, [])
     if owners:
         where = ", ".join(owners[:4]) + (", …" if len(owners) > 4 else "")
         problem = f"{command} has no option {option} (an option of: {where})"
@@ -177,18 +188,17 @@ def _unknown_option(error: Any, app: App, names: Sequence[str], hint: str) -> Op
     return OptionError("", f"{command} has no option {option}", hint=hint)
 
 
-def _commands_with(option: str, app: App, names: Sequence[str]) -> list[str]:
-    """Return the commands that have an option. All commands are imported: 0.1 s, for an error."""
-    owners = []
+def option_owners(app: App, names: Sequence[str]) -> dict[str, list[str]]:
+    """Return option -> commands that have it. All commands are imported: 0.1 s, for an error."""
+    owners: dict[str, list[str]] = {}
     for name in names:
-        command = app
-        for word in name.split():
-            command = command[word]
+        command = command_app(app, name)
         if not isinstance(command.default_command, type):
             continue
         prepare_command(command)
-        if any(option in argument.names for argument in command.assemble_argument_collection()):
-            owners.append(name)
+        for argument in command.assemble_argument_collection():
+            for option in argument.names:
+                owners.setdefault(option, []).append(name)
     return owners
 
 

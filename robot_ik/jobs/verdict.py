@@ -107,7 +107,13 @@ def quantisation(
 
 
 def judge_read_back(
-    robot: Robot, q: Array, goal: Goal, frame: str, bound: Bound, goal_sigma: Bound = EXACT
+    robot: Robot,
+    q: Array,
+    goal: Goal,
+    frame: str,
+    bound: Bound,
+    goal_sigma: Bound = EXACT,
+    best_angle: float = 0.0,
 ) -> Judgement:
     """Return the error of a frame at the joint angles read back, by MuJoCo's forward kinematics.
 
@@ -119,10 +125,13 @@ def judge_read_back(
         bound: Result of ``quantisation``.
         goal_sigma: Standard deviation of the goal relative to the pose to which the arm was sent.
             Zeros if both are the same.
+        best_angle: Angle that the arm promised, rad. It is added to the allowed angle.
     """
     pose = robot.measure(q, frame)
     position, angle = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
-    return Judgement(position, angle, bound.widened(goal_sigma), goal_sigma, pose)
+    allowed = bound.widened(goal_sigma)
+    allowed = Bound(allowed.position, best_angle + allowed.angle)
+    return Judgement(position, angle, allowed, goal_sigma, pose)
 
 
 def judge_by_camera(
@@ -133,6 +142,7 @@ def judge_by_camera(
     goal: Goal,
     bound: Bound,
     goal_sigma: Bound = EXACT,
+    best_angle: float = 0.0,
 ) -> Judgement:
     """Return the error of the tool measured by a camera.
 
@@ -147,6 +157,7 @@ def judge_by_camera(
         goal: The goal.
         bound: Result of ``quantisation``.
         goal_sigma: See ``judge_read_back``.
+        best_angle: See ``judge_read_back``.
     """
     pose = pose_world_camera.compose(observation.pose).compose(pose_body_tool)
     position, angle = frame_error(goal.rows(robot), goal.weights, pose, goal.target)
@@ -154,7 +165,7 @@ def judge_by_camera(
     sigma = Bound(*worst_sigmas(observation.covariance, lever)).combined(goal_sigma)
     allowed = Bound(
         min(LARGEST_ERROR, SIGMAS * sigma.position + bound.position),
-        min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
+        best_angle + min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
     )
     return Judgement(position, angle, allowed, sigma, pose)
 

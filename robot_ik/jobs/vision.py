@@ -30,7 +30,7 @@ from robot_ik.errors import (
     OptionError,
 )
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.goals import BEST, Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import Bound
 from robot_ik.ports import Array, Clock
@@ -248,7 +248,7 @@ class Vision:
         if not isinstance(goal, PoseGoal) or self.setup.dof >= POSE_DOF:
             return goal
         if self.setup.dof >= AXIS_DOF:
-            return replace(goal, free_axis="z")
+            return replace(goal, free_axis="z", orientation=BEST)
         return PositionGoal(self.setup.frame, goal.position, weight=goal.position_weight)
 
     def _not_found(self) -> MarkerNotFoundError:

@@ -57,7 +57,7 @@ QUANTITIES = {
 """Quantities of a cell, with their titles."""
 
 
-class Reach(enum.IntEnum):
+class ReachStatus(enum.IntEnum):
     """Status of a pose in a map."""
 
     UNREACHABLE = cells.UNREACHABLE
@@ -72,10 +72,10 @@ class Reach(enum.IntEnum):
 
 
 _MEANING = {
-    Reach.UNREACHABLE: "proven out of reach",
-    Reach.NOT_FOUND: "not reached with any of the values of the swept joint",
-    Reach.TOUCHING: "reached only with a collision",
-    Reach.REACHED: "reached",
+    ReachStatus.UNREACHABLE: "proven out of reach",
+    ReachStatus.NOT_FOUND: "not reached with any of the values of the swept joint",
+    ReachStatus.TOUCHING: "reached only with a collision",
+    ReachStatus.REACHED: "reached",
 }
 
 
@@ -91,7 +91,7 @@ class ReachabilityMap:
         frame: Name of the frame that stands in the poses.
         grid: The poses: cells in space times orientations.
         collisions: Condition that a branch must keep to be free; None for no condition.
-        status: (x, y, z, o) number of ``Reach`` of each pose.
+        status: (x, y, z, o) number of ``ReachStatus`` of each pose.
         branches: (x, y, z, o) number of free branches of each pose; of an arm of seven joints the
             sum over the values of its swept joint, at most 255.
         manipulability: (x, y, z) largest √det(J Jᵀ) of the free branches, metres and radians.
@@ -154,7 +154,7 @@ class ReachabilityMap:
     @cached_property
     def direction_reached(self) -> NDArray[np.bool_]:
         """(x, y, z, directions) whether a direction is reached, with any roll."""
-        reached = self.status == Reach.REACHED
+        reached = self.status == ReachStatus.REACHED
         return np.asarray(
             reached.reshape(*self.grid.shape, self.grid.directions, self.grid.rolls).any(axis=-1)
         )
@@ -177,7 +177,7 @@ class ReachabilityMap:
             raise OptionError("quantity", f"{name!r}", ", ".join(QUANTITIES))
         is_reached = self.index > 0.0
         if name == "branches":
-            counts = (self.status == Reach.REACHED).sum(axis=-1)
+            counts = (self.status == ReachStatus.REACHED).sum(axis=-1)
             values = self.branches.sum(axis=-1) / np.maximum(counts, 1)
         else:
             values = getattr(self, name)
@@ -191,13 +191,13 @@ class ReachabilityMap:
             return 0.0
         return float(self.index[tuple(cell)])
 
-    def reach_at(self, pose: Pose) -> Reach:
+    def reach_at(self, pose: Pose) -> ReachStatus:
         """Return the status of the entry nearest to a pose of the frame, world."""
         cell = self.grid.cell_of(np.array(pose.position)[None])[0]
         if (cell < 0).any() or (cell >= self.grid.shape).any():
-            return Reach.UNREACHABLE
+            return ReachStatus.UNREACHABLE
         orientation = self.grid.orientation_of(pose.rotation[None])[0]
-        return Reach(int(self.status[(*cell, orientation)]))
+        return ReachStatus(int(self.status[(*cell, orientation)]))
 
     def cloud(self, quantity: str = "index", above: float = 0.0) -> PointCloud:
         """Return the centres of the reached cells, coloured by a quantity.

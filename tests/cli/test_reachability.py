@@ -28,7 +28,7 @@ def test_the_map_and_its_pictures_are_written(robot_ik: Any, tmp_path: Path) -> 
     assert sorted(Path(file).name for file in facts["files"]) == names
     reach_map = rik.ReachabilityMap.load(tmp_path / "reach" / "map.zarr")
     assert sum(facts["counts"].values()) == facts["poses"] == reach_map.grid.poses
-    assert facts["counts"]["reached"] == (reach_map.status == rik.Reach.REACHED).sum()
+    assert facts["counts"]["reached"] == (reach_map.status == rik.ReachStatus.REACHED).sum()
     assert facts["counts"]["touching"] > 0
     again = robot_ik("reachability", "puma560", *SMALL, "--out", tmp_path / "reach")
     assert again.code == 0 and "reached only with a collision" in again.out

@@ -21,5 +21,5 @@ def test_the_so101_reaches_a_marker(tmp_path, real_time, bus):
 
 def test_a_stuck_joint_is_not_a_reach(tmp_path):
     out = tmp_path / "reach"
-    options = ["--robot", "so101", "--bus", "sim", "--rehearse.stuck", "shoulder_pan"]
+    options = ["--robot", "so101", "--bus", "sim", "--fault", "stuck:shoulder_pan"]
     assert main(["reach", *options, "--out", str(out)]) == 1

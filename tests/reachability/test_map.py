@@ -62,8 +62,8 @@ def reached_by_brute_force(robot, pose, rng):
 def test_reached_entries_are_those_that_brute_force_reaches(reach_map):
     robot = reach_map.robot
     rng = np.random.default_rng(1)
-    within = [rik.Reach.REACHED, rik.Reach.TOUCHING]
-    for reach in rik.Reach:
+    within = [rik.ReachStatus.REACHED, rik.ReachStatus.TOUCHING]
+    for reach in rik.ReachStatus:
         for cell, orientation in entries(reach_map, reach, 25):
             pose = pose_of(reach_map, cell, orientation)
             assert reached_by_brute_force(robot, pose, rng) == (reach in within), (cell, reach)
@@ -72,7 +72,7 @@ def test_reached_entries_are_those_that_brute_force_reaches(reach_map):
 
 def test_free_branches_are_those_that_mujoco_calls_free(reach_map):
     compared = 0
-    for reach in (rik.Reach.REACHED, rik.Reach.TOUCHING):
+    for reach in (rik.ReachStatus.REACHED, rik.ReachStatus.TOUCHING):
         for cell, orientation in entries(reach_map, reach, 60):
             pose = pose_of(reach_map, cell, orientation)
             branches = rik.solve_all(reach_map.robot, pose, collisions=reach_map.collisions)
@@ -85,7 +85,7 @@ def test_free_branches_are_those_that_mujoco_calls_free(reach_map):
 
 def test_manipulability_and_clearance_are_the_largest_of_the_free_branches(reach_map):
     robot = reach_map.robot
-    for cell in {cell for cell, _ in entries(reach_map, rik.Reach.REACHED, 6)}:
+    for cell in {cell for cell, _ in entries(reach_map, rik.ReachStatus.REACHED, 6)}:
         best = 0.0
         farthest = -np.inf
         for orientation in range(reach_map.grid.orientations):
@@ -111,9 +111,9 @@ def test_the_panda_is_swept_over_its_last_joint(panda):
     is_outside = np.linalg.norm(cells - center, axis=-1) > radius
     assert 0 < is_outside.sum() < is_outside.size
     for orientation in range(panda.grid.orientations):
-        unreachable = panda.status[..., orientation] == rik.Reach.UNREACHABLE
+        unreachable = panda.status[..., orientation] == rik.ReachStatus.UNREACHABLE
         np.testing.assert_array_equal(unreachable, is_outside)
-    for reach in (rik.Reach.REACHED, rik.Reach.TOUCHING, rik.Reach.NOT_FOUND):
+    for reach in (rik.ReachStatus.REACHED, rik.ReachStatus.TOUCHING, rik.ReachStatus.NOT_FOUND):
         for cell, orientation in entries(panda, reach, 8):
             pose = pose_of(panda, cell, orientation)
             branches = [
@@ -126,27 +126,27 @@ def test_the_panda_is_swept_over_its_last_joint(panda):
             for branch in branches:
                 assert max(robot.measure(branch.q).distance(pose)) < 1e-6
             assert panda.branches[(*cell, orientation)] == sum(b.free for b in branches)
-            assert (reach is rik.Reach.NOT_FOUND) == (not branches)
+            assert (reach is rik.ReachStatus.NOT_FOUND) == (not branches)
 
 
 def test_without_a_condition_collisions_do_not_count(reach_map):
     plain = small_map(reach_map.robot.name, checked=False)
-    within = np.isin(reach_map.status, [rik.Reach.REACHED, rik.Reach.TOUCHING])
-    np.testing.assert_array_equal(plain.status == rik.Reach.REACHED, within)
+    within = np.isin(reach_map.status, [rik.ReachStatus.REACHED, rik.ReachStatus.TOUCHING])
+    np.testing.assert_array_equal(plain.status == rik.ReachStatus.REACHED, within)
     assert np.isnan(plain.clearance).all()
     assert (plain.branches >= reach_map.branches).all()
 
 
 def test_the_index_is_the_share_of_directions_that_are_reached_with_any_roll(reach_map):
     shape = (*reach_map.grid.shape, reach_map.grid.directions, reach_map.grid.rolls)
-    reached = (reach_map.status == rik.Reach.REACHED).reshape(shape)
-    for cell, _ in entries(reach_map, rik.Reach.REACHED, 5):
+    reached = (reach_map.status == rik.ReachStatus.REACHED).reshape(shape)
+    for cell, _ in entries(reach_map, rik.ReachStatus.REACHED, 5):
         share = np.mean([reached[cell][d].any() for d in range(reach_map.grid.directions)])
         assert reach_map.index[cell] == pytest.approx(share)
         center = np.array(reach_map.grid.corner) + reach_map.grid.cell * (np.array(cell) + 0.5)
         assert reach_map.index_at(center) == reach_map.index[cell]
     assert reach_map.index_at((9.0, 0.0, 0.0)) == 0.0
-    assert reach_map.reach_at(rik.Pose((9.0, 0.0, 0.0))) is rik.Reach.UNREACHABLE
+    assert reach_map.reach_at(rik.Pose((9.0, 0.0, 0.0))) is rik.ReachStatus.UNREACHABLE
 
 
 def test_orientations_are_rotations_with_evenly_spread_directions():

@@ -56,6 +56,11 @@ class ArPictures(Closing):
         """Whether pictures are taken."""
         return self._is_on
 
+    @property
+    def live_status(self) -> ArStatus | None:
+        """How it goes. None before the first pictures."""
+        return None if self._live is None else self._live.status
+
     def switch(self, on: bool) -> None:
         """Take pictures, or none. What that needs is loaded on a thread, the first time."""
         with self._lock:

@@ -1,0 +1,1 @@
+"""Measurements of live augmented reality."""

@@ -1,0 +1,273 @@
+"""What holds for every command: signals, closed pipes, poor terminals, files, wrong options."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import random
+import re
+import signal
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pytest
+
+from robot_ik.commands import main as main_module
+from robot_ik.commands.main import GROUPS, make_app
+from robot_ik.commands.options import OUTPUT, FolderOption
+from robot_ik.commands.terminal import Terminal
+from robot_ik.commands.usage import command_app, explain, option_owners
+from tests.doc_pages import script
+
+LINES = {
+    "solve": "--goal -0.4 -0.1 0.7",
+    "reach": "--bus sim --goal -0.42 -0.08 0.80",
+    "run": "overload",
+    "servo scan": "--bus sim --baud 1000000",
+    "servo move": "joint1=5 --bus sim",
+    "robots": "puma560",
+    "solvers": "dls",
+    "doctor": "",
+    "completion": "bash",
+}
+"""Command -> arguments of a short run without hardware that succeeds."""
+
+COMMANDS = [row for rows in GROUPS.values() for row in rows if row.target]
+NAMES = [row.name for row in COMMANDS]
+UNWRITABLE = "/proc/robot_ik"
+"""A folder that even root cannot make."""
+
+
+def command_class(name: str) -> Any:
+    """Return the class of a command."""
+    return command_app(make_app(), name).default_command
+
+
+def output_options(name: str) -> list[str]:
+    """Return the options of a command that name a file or a folder to write."""
+    command = command_class(name)
+    hints = get_type_hints(command, include_extras=True)
+    names = [
+        item.name
+        for item in fields(command)
+        if OUTPUT in getattr(hints[item.name], "__metadata__", ()) and item.kw_only
+    ]
+    if issubclass(command, FolderOption):
+        names.append("out")
+    return ["--" + option.replace("_", "-") for option in names]
+
+
+OUTPUTS = [(name, option) for name in NAMES for option in output_options(name)]
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run each test in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def test_every_command_has_a_line() -> None:
+    assert set(LINES) == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("number", "code", "text"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_a_signal_during_a_run(
+    name: str, number: int, code: int, text: str, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The signal comes when the command reports for the first time."""
+    sent = []
+
+    def send(*_: object) -> None:
+        if not sent:
+            sent.append(number)
+            os.kill(os.getpid(), number)
+
+    real_busy = Terminal.busy
+
+    @contextlib.contextmanager
+    def busy(*arguments: Any) -> Iterator[None]:
+        with real_busy(*arguments):
+            send()
+            yield
+
+    monkeypatch.setattr(Terminal, "busy", busy)
+    for method in ("progress", "print", "print_json_line", "end_progress", "show"):
+        real = getattr(Terminal, method)
+        wrapped = lambda *arguments, real=real: (send(), real(*arguments))  # noqa: E731
+        monkeypatch.setattr(Terminal, method, wrapped)
+    run = robot_ik(*name.split(), *LINES[name].split())
+    assert run.code == code, run
+    assert run.err.splitlines()[-1] == text and "Traceback" not in run.err
+    assert not list(Path().rglob("*.lock"))
+
+
+class ClosedPipe(io.StringIO):
+    """A standard output whose reader has gone."""
+
+    def write(self, text: str) -> int:
+        raise BrokenPipeError
+
+    flush = write  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_closed_pipe_is_quiet(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdout", ClosedPipe())
+    code = main_module.main([*name.split(), *LINES[name].split()])
+    err = capsys.readouterr().err
+    assert code == 128 + signal.SIGPIPE, err
+    assert "Traceback" not in err and "error" not in err
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_narrow_ascii_output_without_a_terminal(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    streams = {}
+    for stream in ("stdout", "stderr"):
+        streams[stream] = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
+        monkeypatch.setattr(sys, stream, streams[stream])
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setenv("COLUMNS", "60")
+    code = main_module.main([*name.split(), *LINES[name].split()])
+    out, err = (stream.buffer.getvalue().decode("ascii") for stream in streams.values())  # type: ignore[attr-defined]
+    assert code == 0, (out, err)
+    assert "\x1b" not in out + err
+    # "deg" and "..." are longer than the characters they stand for. A verdict is never folded.
+    wide = [line for line in out.splitlines() if "  " in line.strip() and len(line) > 72]
+    assert len(wide) <= 1 or name == "completion", out
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_narrow_ascii_help(name: str, robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    run = robot_ik(*name.split(), "--help")
+    assert run.code == 0 and run.err == ""
+    assert max(map(len, run.out.splitlines())) <= 60
+
+
+@pytest.mark.parametrize(("name", "option"), OUTPUTS)
+def test_an_unwritable_folder_is_refused_before_the_run(
+    name: str, option: str, robot_ik: Any
+) -> None:
+    line = [*name.split(), *LINES[name].split(), option, f"{UNWRITABLE}/file.csv"]
+    run = robot_ik(*line)
+    run.assert_one_screen_error()
+    assert UNWRITABLE in run.err
+
+
+@pytest.mark.parametrize(("name", "option"), OUTPUTS)
+def test_an_existing_output_is_kept(name: str, option: str, robot_ik: Any, tmp_path: Path) -> None:
+    target = tmp_path / "results"
+    if option == "--out" and issubclass(command_class(name), FolderOption):
+        target.mkdir()
+        file = target / "notes.txt"
+    else:
+        file = target
+    file.write_text("precious")
+    run = robot_ik(*name.split(), *LINES[name].split(), option, target)
+    run.assert_one_screen_error()
+    assert "--overwrite" in run.err and file.read_text() == "precious"
+
+
+def test_an_option_of_another_command_draws_no_suggestion() -> None:
+    app = make_app()
+    owners = option_owners(app, NAMES)
+    count = 0
+    for name in NAMES:
+        for flag in (flag for flag, names in owners.items() if name not in names):
+            if not flag.startswith("--"):  # the name of an argument
+                continue
+            with pytest.raises(main_module.CycloptsError) as caught:
+                app.parse_args([*name.split(), flag, "1"])
+            text = str(explain(caught.value, NAMES, lambda: owners))
+            count += 1
+            assert "did you mean" not in text, (name, flag, text)
+    assert count > 100
+
+
+WORDS = (
+    *(
+        "--",
+        "-",
+        "=",
+        "--=",
+        "-x",
+        "-1",
+        "--goal=",
+        "--goal=1",
+        "nan",
+        "inf",
+        "1e400",
+        "--1",
+        "-h=",
+    ),
+    *("'", '"', "\\", "\t", "\x7f", "ä", "关", "🦾", "a" * 300, "%s", "{}", "[bold]", "$HOME", "*"),
+    *(
+        "--no-json",
+        "--json=maybe",
+        "--json",
+        "--speed",
+        "--seed",
+        "0x10",
+        "1_000",
+        "1,5",
+        "--help=",
+    ),
+    *(
+        "none",
+        "None",
+        "true",
+        "--bus",
+        "sim",
+        "--robot",
+        "puma560",
+        "--set",
+        "a=",
+        "=b",
+        "--_",
+        "-",
+    ),
+)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hostile_lines_are_one_sentence(
+    seed: int, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """100 random lines a seed. A line that happens to be right is not run."""
+    monkeypatch.setattr(main_module, "_run", lambda *_, **__: 0)
+    rng = random.Random(seed)
+    refused = 0
+    for _ in range(100):
+        words = rng.choice(NAMES).split() if rng.random() < 0.8 else []
+        words += rng.choices(WORDS, k=rng.randint(1, 5))
+        run = robot_ik(*words)
+        assert run.code in (0, 2), (words, run)
+        if run.code == 0 or run.out:
+            continue
+        refused += 1
+        assert run.err.startswith("error: "), (words, run)
+        assert len(run.err.splitlines()) <= 2, (words, run)
+        assert not re.search(r"Traceback|bug in robot_ik|<class|Cyclopts|\[bold ", run.err), words
+    assert refused > 60
+
+
+def test_a_flag_has_one_meaning_and_the_page_lists_it() -> None:
+    meanings: defaultdict[str, set[str]] = defaultdict(set)
+    rows = script("tables").flag_rows()
+    for flag, meaning, _ in rows:
+        meanings[flag].add(meaning)
+    several = {flag: texts for flag, texts in meanings.items() if len(texts) > 1}
+    assert not several
