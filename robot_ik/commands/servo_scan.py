@@ -38,7 +38,7 @@ class ServoScan(BusOptions, JsonOption):
         tuple[int, ...],
         Parameter(metavar="RATE …", consume_multiple=True, allow_repeating=True),
     ] = ()
-    """Baud rates to try, in bits/s. Default: all."""
+    """Baud rate of servos, in bits/s. Default: all are tried."""
 
     def run(self, terminal: Terminal = QUIET) -> ServoScanReport:
         """Ping all ids at each baud rate."""

@@ -35,9 +35,9 @@ class ServoSetup(BusOptions, JsonOption):
     joint: Annotated[str, Parameter(metavar="JOINT")] = ""
     """Joint of the arm file that this servo is for: its id, rate and model. Or use --id."""
     id: Annotated[int | None, Parameter(metavar="N")] = None
-    """New id, 0 to 252. Or use --joint."""
+    """Id of a servo or marker. The new id, 0 to 252. Or use --joint."""
     baud: Annotated[int | None, Parameter(metavar="RATE")] = None
-    """New baud rate, in bits/s. Default: that of the arm file."""
+    """Baud rate of servos, in bits/s. The new rate. Default: that of the arm file."""
     from_baud: Annotated[
         tuple[int, ...],
         Parameter(metavar="RATE …", consume_multiple=True, allow_repeating=True),

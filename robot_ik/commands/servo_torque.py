@@ -41,9 +41,9 @@ class ServoTorque(BusOptions, JsonOption):
         tuple[int, ...],
         Parameter(metavar="N …", consume_multiple=True, allow_repeating=True),
     ] = field(default=(), kw_only=True)
-    """For off: ids of servos, also if they are not in the arm file."""
+    """Id of a servo or marker. Only for off, also for servos that are not in the arm file."""
     baud: Annotated[int | None, Parameter(metavar="RATE")] = field(default=None, kw_only=True)
-    """For --id: baud rate of these servos, in bits/s. Default: that of the arm file."""
+    """Baud rate of servos, in bits/s. Only with --id. Default: that of the arm file."""
 
     def run(self, terminal: Terminal = QUIET) -> ServoTorqueReport:
         """Switch torque and read it back."""

@@ -27,7 +27,7 @@ class Stop(JsonOption):
     """
 
     bus: Annotated[str, Parameter(alias="--port", metavar="PORT")] = ""
-    """Port of the arm. Default: every arm of this user."""
+    """Servo bus. A port. Default: every arm of this user."""
     torque_off: bool = False
     """Switch torque off instead, after a confirmation: the arm may fall."""
     yes: bool = False
