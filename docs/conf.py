@@ -7,6 +7,7 @@ README, docs/ and models/ are the same in the files, on the site and in any view
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import os
 import re
@@ -122,6 +123,24 @@ def help_of(words: list[str]) -> str:
     return out.getvalue()
 
 
+def shorten_signatures(
+    _app: Sphinx,
+    what: str,
+    _name: str,
+    documented: object,
+    _options: object,
+    _signature: str,
+    returned: str,
+) -> tuple[str, str] | None:
+    """Return the signature of a command without the help of its options, None for other objects."""
+    module = getattr(documented, "__module__", "")
+    if what != "class" or not module.startswith("robot_ik.commands"):
+        return None
+    fields = dataclasses.fields(documented)
+    options = ", ".join(f"{field.name}={field.default!r}" for field in fields if field.init)
+    return f"(*, {options})", returned
+
+
 def toctree(pages: list[str], options: list[str]) -> str:
     """Return a hidden table of contents."""
     return "\n".join(["", ":::{toctree}", ":hidden:", *options, "", *pages, ":::", ""])
@@ -141,4 +160,5 @@ def setup(app: Sphinx) -> None:
     """Connect the functions above to the events of Sphinx."""
     app.connect("source-read", add_toctrees)
     app.connect("source-read", add_helps)
+    app.connect("autodoc-process-signature", shorten_signatures)
     app.connect("build-finished", add_front_page)

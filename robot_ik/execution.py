@@ -541,14 +541,19 @@ class _FollowState:
         report.last = solution
         report.statuses[solution.status.name] += 1
         difference = solution.q - report.q
-        if not np.isfinite(difference).all():  # NUMERICAL
+        change = np.abs(difference)
+        excess = float((change / self._largest_allowed).max())
+        if not math.isfinite(excess):  # NUMERICAL
             return solution, False
-        excess = float(np.max(np.abs(difference) / self._largest_allowed))
-        q = report.q + difference / excess if excess > 1.0 else solution.q
-        report.largest_step = np.maximum(report.largest_step, np.abs(q - report.q))
+        q = solution.q
+        is_capped = excess > 1.0
+        if is_capped:
+            q = report.q + difference / excess
+            change = np.abs(q - report.q)
+        report.largest_step = np.maximum(report.largest_step, change)
         report.q = _frozen(q)
-        report.capped += excess > 1.0
-        return solution, excess > 1.0
+        report.capped += is_capped
+        return solution, is_capped
 
     def better_branch(self, solution: Solution | None) -> Solution | None:
         """Return a solution on another branch with a clearly nearer orientation, or None."""

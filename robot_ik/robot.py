@@ -426,6 +426,34 @@ class Robot:
             raise UnsupportedJointError("no joint would be left", path=self.path, hint=hint)
         return self if kept.all() else self._with_frozen(kept, self.home)
 
+    def with_held(self, joints: Sequence[str], q: ArrayLike) -> Robot:
+        """Return this robot with joints that cannot leave their values in ``q`` (nq,).
+
+        Unlike ``with_joints`` they stay in ``q``, as an arm with servos needs it.
+
+        Raises:
+            UnknownJointError: There is no such active joint. The message has close names.
+            UnsupportedJointError: A joint is a ball or free.
+            ModelError: As ``check_q``.
+        """
+        require_joints(joints, self.joints)
+        inside = self.clip(q)
+        lower = self.lower.copy()
+        upper = self.upper.copy()
+        for joint in joints:
+            node = self.joints.index(joint)
+            if self.tree.kind[node] not in (HINGE, SLIDE):
+                raise UnsupportedJointError(
+                    f"joint {joint!r} is a ball or free joint, which cannot be held",
+                    path=self.path,
+                    hint="hold hinges and slides only",
+                )
+            value = inside[self.tree.qadr[node]]
+            lower[self.tree.vadr[node]] = value
+            upper[self.tree.vadr[node]] = value
+        held = dataclasses.replace(self, tree=self.tree.with_limits(lower, upper))
+        return held._with_home_inside()
+
     def with_base(self, frame: str) -> Robot:
         """Return this robot with only the joints between a frame and the tool active.
 

@@ -118,3 +118,22 @@ def test_a_moved_foot_is_no_support() -> None:
     neck = lion.with_joints(["neck", "head"])
     assert supported_frames(neck, ["nose"]) == (), "nothing moves the paws"
     assert rik.support_goals(rik.load_robot("puma560"), ["gripper"]) == []
+
+
+def test_held_joints_stay_in_q_and_do_not_move() -> None:
+    robot = rik.load_robot("puma560")
+    q = robot.sample(np.random.default_rng(3))
+    held = robot.with_held(["joint1", "joint4"], q)
+    assert held.joints == robot.joints
+    wanted = q.copy()
+    wanted[[1, 2]] += (0.1, -0.2)
+    goal = PositionGoal(None, robot.measure(wanted).position)
+    for solver in ("lm", "dls", "auto"):
+        solution = rik.solve(held, goal, solver=solver, start=q)
+        assert solution.converged, solver
+        assert np.allclose(solution.q[[0, 3]], q[[0, 3]], atol=1e-9), solver
+    with pytest.raises(UnknownJointError):
+        robot.with_held(["joint7"], q)
+    figure = rik.load_robot("humanoid")
+    with pytest.raises(UnsupportedJointError, match="root"):
+        figure.with_held(["root"], figure.home)

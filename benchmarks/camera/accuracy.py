@@ -138,12 +138,12 @@ def marker(effort: Effort) -> Iterator[Quantity]:
         views = standard_set(distance, count, seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
         pose_errors = []
         for number, view in enumerate(views):
-            seen = target.find(frame_of(view.image, number), STANDARD_CAMERA)
-            if seen is None:
+            observation = target.find(frame_of(view.image, number), STANDARD_CAMERA)
+            if observation is None:
                 missed += 1
                 continue
-            pose_errors.append(seen.pose.distance(view.pose))
-            errors.append(seen.pixels - view.corners)
+            pose_errors.append(observation.pose.distance(view.pose))
+            errors.append(observation.pixels - view.corners)
             outwards.append(outward(errors[-1], view.corners))
         flips += sum(angle > _FLIPPED for _, angle in pose_errors)
         metres, radians = np.array(pose_errors).T
@@ -195,12 +195,13 @@ def _board_figures(
     where: str,
 ) -> Iterator[Quantity]:
     """Return the figures of a board."""
-    errors = np.array([seen.pose.distance(pose) for pose, seen in pairs if seen is not None])
+    observed = [(pose, observation) for pose, observation in pairs if observation is not None]
+    errors = np.array([observation.pose.distance(pose) for pose, observation in observed])
     degrees = np.degrees(errors[:, 1])
     yield Quantity(f"position {where}, RMS", 1e3 * rms(errors[:, 0]), "mm", limits[0])
     yield Quantity(f"orientation {where}, RMS", rms(degrees), "°", limits[1])
     yield Quantity(f"orientation {where}, worst", float(degrees.max()), "°", limits[2])
-    yield Quantity(f"not found {where}", sum(seen is None for _, seen in pairs), "", 0)
+    yield Quantity(f"not found {where}", len(pairs) - len(observed), "", 0)
 
 
 def board(effort: Effort) -> Iterator[Quantity]:
@@ -269,13 +270,13 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
         for trial in range(1 if effort.quick else _SETS):
             # Each seed has its own sets.
             seed = _SETS * (effort.seed - 1) + trial + 1
-            views = pattern_set(pattern, true, _VIEWS, seed=seed, sensor=WEBCAM)
-            found = [view for image, _ in views if (view := pattern.find(image)) is not None]
-            lens = calibrate(found, true.size).intrinsics
+            pictures = pattern_set(pattern, true, _VIEWS, seed=seed, sensor=WEBCAM)
+            views = [view for image, _ in pictures if (view := pattern.find(image)) is not None]
+            lens = calibrate(views, true.size).intrinsics
             focal.append(max(abs(lens.fx / true.fx - 1.0), abs(lens.fy / true.fy - 1.0)))
             centre.append(float(np.hypot(lens.cx - true.cx, lens.cy - true.cy)))
             error.append(lens.rms or np.nan)
-            counted.append(len(found))
+            counted.append(len(views))
         count = min(counted)
         yield Quantity(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
         yield Quantity(f"{name}: optical centre, off by", max(centre), "px", 2.0)
@@ -290,9 +291,9 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
     for trial in range(effort.count(_HANDEYE_SETS)):
         seed = 1000 * effort.seed + trial
         truth, samples = handeye_set(_POSES, spread_deg=_SPREAD_DEG, seed=seed)
-        found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
-        errors.append(found.pose_parent_camera.distance(truth.pose_parent_camera))
-        stated.append((found.sigma_position, found.sigma_angle))
+        result = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
+        errors.append(result.pose_parent_camera.distance(truth.pose_parent_camera))
+        stated.append((result.sigma_position, result.sigma_angle))
     error = np.array(errors)
     sigma = np.array(stated)
     degrees = float(np.degrees(rms(error[:, 1])))

@@ -48,11 +48,11 @@ _SERVO = np.deg2rad(0.044)
 _DISTANCE = 0.8
 # Largest distance of a joint from home in a view, rad.
 _BEND = 1.2
-# Least cosine between the normal of the board and the direction to the camera.
+# Smallest cosine between the normal of the board and the direction to the camera.
 _STEEPEST = 0.4
-# Least distance of the camera's image plane to a board in a view, metres.
+# Smallest distance of the camera's image plane to a board in a view, metres.
 _NEAREST = 0.3
-# Least distance of a board's corners from the edge of the picture, px.
+# Smallest distance of a board's corners from the edge of the picture, px.
 _EDGE = 6.0
 # Pose of the board on the tool by the drawing of its mount.
 _DRAWN = Pose((0.0, 0.0, 0.03))
@@ -104,8 +104,9 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
     hand.
     """
     robot = load_robot(_ROBOT)
-    seen = robot.forward(robot.home).compose(_DRAWN)
-    eye = Pose.look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
+    board_at_home = robot.forward(robot.home).compose(_DRAWN)
+    position = board_at_home.apply([0.05, -0.1, _DISTANCE])
+    eye = Pose.look_at(position, board_at_home.position)
     cameras: dict[str, list[float]] = {"camera by a sheet": [], "camera by the arm's views": []}
     zeros: dict[str, list[tuple[Array, Array]]] = {case: [] for case in _CASES}
     for seed in range(effort.count(_SEEDS)):
@@ -116,13 +117,13 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
         camera = _located(eye, rng)
         # With the true zeros, the same pictures give the camera's pose without the arm's errors.
         right = _handeye(robot, views, hidden)
-        for errors, found, covariance in zip(
+        for errors, pose, covariance in zip(
             cameras.values(),
             (camera.pose, right.pose_parent_camera),
             (camera.covariance, right.covariance[:6, :6]),
             strict=True,
         ):
-            errors.append(_nees(found.minus(eye), covariance))
+            errors.append(_nees(pose.minus(eye), covariance))
         start = _handeye(robot, views, np.zeros(robot.nv))
         anywhere = KnownPose.within(start.pose_parent_camera, *ANYWHERE)
         held = KnownPose.within(start.pose_other_board, *ANYWHERE)
@@ -139,11 +140,11 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
             f"{what}, squared error over the stated", float(np.mean(errors)), "", most, least
         )
     for case, results in zeros.items():
-        off = np.degrees(np.concatenate([error for error, _ in results]))
-        nees = float(np.mean([_nees(*one) for one in results]))
+        degrees = np.degrees(np.concatenate([error for error, _ in results]))
+        nees = float(np.mean([_nees(error, covariance) for error, covariance in results]))
         yield Quantity(f"{case}: joint zeros, squared error over the stated", nees, "", most, least)
-        yield Quantity(f"{case}: joint zeros, RMS", rms(off), "°", 0.1)
-        yield Quantity(f"{case}: joint zeros, worst", float(np.abs(off).max()), "°", 0.1)
+        yield Quantity(f"{case}: joint zeros, RMS", rms(degrees), "°", 0.1)
+        yield Quantity(f"{case}: joint zeros, worst", float(np.abs(degrees).max()), "°", 0.1)
         counted = min(len(error) for error, _ in results)
         yield Quantity(f"{case}: joints of 6 observable", counted, least=_CASES[case])
 
@@ -155,13 +156,13 @@ def _mounted(drawn: Pose, rng: np.random.Generator) -> Pose:
 
 def _handeye(robot: Robot, views: Sequence[CalibrationStation], offsets: Array) -> HandEye:
     """Return the poses of the camera and of the board in the hand, for assumed joint offsets."""
-    samples = [HandEyeSample(robot.forward(one.q + offsets), one.view) for one in views]
+    samples = [HandEyeSample(robot.forward(view.q + offsets), view.view) for view in views]
     return solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
 
-def _nees(off: Array, covariance: Array) -> float:
-    """Return the squared error ``off`` (n,) over the ``covariance`` (n, n), divided by n."""
-    return float(off @ np.linalg.solve(covariance, off)) / len(off)
+def _nees(error: Array, covariance: Array) -> float:
+    """Return the squared ``error`` (n,) over the ``covariance`` (n, n), divided by n."""
+    return float(error @ np.linalg.solve(covariance, error)) / len(error)
 
 
 def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
@@ -169,8 +170,8 @@ def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
     sheet = _photographed(_SHEET_SEEN, _SHEET, rng)
     if sheet is None:
         raise RuntimeError("the sheet of the bench was not found")
-    found = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
-    return KnownPose(found.pose_parent_camera, found.covariance)
+    camera = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
+    return KnownPose(camera.pose_parent_camera, camera.covariance)
 
 
 def _photographed(pose: Pose, board: MarkerTarget, rng: np.random.Generator) -> Observation | None:
@@ -185,16 +186,16 @@ def _view(
     while True:
         q = robot.clip(robot.home + rng.uniform(-_BEND, _BEND, robot.nq))
         true = q + hidden + rng.normal(0.0, _SERVO, robot.nv)
-        there = eye.inverse().compose(robot.forward(true)).compose(board)
-        direction = -there.position / np.linalg.norm(there.position)
-        if there.position[2] < _NEAREST or there.rotation[:, 2] @ direction < _STEEPEST:
+        pose = eye.inverse().compose(robot.forward(true)).compose(board)
+        direction = -pose.position / np.linalg.norm(pose.position)
+        if pose.position[2] < _NEAREST or pose.rotation[:, 2] @ direction < _STEEPEST:
             continue
         corners = _CARRIED.points(_CARRIED.markers).reshape(-1, 3)
-        pixels = STANDARD_CAMERA.project(there.apply(corners))
+        pixels = STANDARD_CAMERA.project(pose.apply(corners))
         if (pixels > _EDGE).all() and (pixels < np.array(STANDARD_CAMERA.size) - _EDGE - 1).all():
-            seen = _photographed(there, _CARRIED, rng)
-            if seen is not None:
-                return CalibrationStation(q, seen)
+            observation = _photographed(pose, _CARRIED, rng)
+            if observation is not None:
+                return CalibrationStation(q, observation)
 
 
 def hand(rng: np.random.Generator) -> Callable[[float], Array]:
@@ -233,17 +234,17 @@ def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Gener
     rows = []
     for k in range(int(seconds * _RATE_HZ)):
         time = k / _RATE_HZ
-        seen = Pose(
+        measured = Pose(
             path(time) + rng.normal(0.0, _NOISE_M, 3), rotation_exp(rng.normal(0.0, _NOISE_RAD, 3))
         )
-        tracked.update(time, seen, covariance)
+        tracked.update(time, measured, covariance)
         if k < _RUN_IN:
             continue
         truths = [path(time + delay) for delay in DELAYS]
         predicted = [tracked.predict(time + delay).pose.position for delay in DELAYS]
         rows.append(
             [
-                [np.linalg.norm(found - truth) for found in (seen.position, forecast)]
+                [np.linalg.norm(position - truth) for position in (measured.position, forecast)]
                 for truth, forecast in zip(truths, predicted, strict=True)
             ]
         )

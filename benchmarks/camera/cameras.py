@@ -112,10 +112,10 @@ class Errors:
     outward: list[float] = field(default_factory=list)
     missed: int = 0
 
-    def add(self, distance: float, off: Array, covariance: Array) -> None:
-        """Add a pose by its error ``off`` (3,), metres, and its stated ``covariance`` (3, 3)."""
-        self.metres.setdefault(distance, []).append(float(np.linalg.norm(off)))
-        self.nees.append(float(off @ np.linalg.solve(covariance, off)) / 3.0)
+    def add(self, distance: float, error: Array, covariance: Array) -> None:
+        """Add a pose by its ``error`` (3,), metres, and its stated ``covariance`` (3, 3)."""
+        self.metres.setdefault(distance, []).append(float(np.linalg.norm(error)))
+        self.nees.append(float(error @ np.linalg.solve(covariance, error)) / 3.0)
 
 
 def measured(
@@ -136,11 +136,11 @@ def measured(
                 STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE
             )
             placed = {i: (side, pose.compose(on)) for i, (side, on) in target.markers.items()}
-            begun = rng.bit_generator.state
+            state = rng.bit_generator.state
             lights = {}
             for bleed in {condition.sensor.bleed for condition in conditions}:
                 # The same random numbers give the same wall behind the print.
-                rng.bit_generator.state = begun
+                rng.bit_generator.state = state
                 lights[bleed], centre = marker_light(
                     STANDARD_CAMERA,
                     placed,
@@ -152,11 +152,11 @@ def measured(
             for condition in conditions:
                 noise = np.random.default_rng([seed, number, round(1e3 * distance)])
                 image = photograph(lights[condition.sensor.bleed], centre, noise, condition.sensor)
-                _see(target, image, pose, distance, result[condition.name], board)
+                _observe(target, image, pose, distance, result[condition.name], board)
     return result
 
 
-def _see(
+def _observe(
     target: MarkerTarget,
     image: NDArray[np.uint8],
     pose: Pose,
@@ -164,33 +164,35 @@ def _see(
     errors: Errors,
     board: bool,
 ) -> None:
-    seen = target.find(frame_of(image), STANDARD_CAMERA)
-    if seen is None:
+    """Find a target at the true ``pose`` in a picture, and add its errors to ``errors``."""
+    observation = target.find(frame_of(image), STANDARD_CAMERA)
+    if observation is None:
         errors.missed += 1
         return
-    errors.add(distance, seen.pose.position - pose.position, seen.covariance[:3, :3])
+    error = observation.pose.position - pose.position
+    errors.add(distance, error, observation.covariance[:3, :3])
     if not board:
         true = STANDARD_CAMERA.project(pose.apply(marker_points(STANDARD_SIZE)))
-        errors.outward.append(float(outward(seen.pixels - true, true).mean()))
+        errors.outward.append(float(outward(observation.pixels - true, true).mean()))
 
 
 def cameras(effort: Effort) -> Iterator[Quantity]:
     """Yield the errors of markers and 2×2 boards, of every camera at three distances."""
     for board, count in ((False, _SINGLES), (True, _BOARDS)):
         chosen = tuple(c for c in CONDITIONS if c.board or not board)
-        found = measured(
+        errors = measured(
             chosen, effort.count(count), effort.seed, board=board, distances=STANDARD_DISTANCES
         )
         for condition in chosen:
-            yield from _figures(condition, found[condition.name], board)
+            yield from _figures(condition, errors[condition.name], board)
 
 
 def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Quantity]:
     what = f"{condition.name}, {'2×2 board' if board else 'marker'}"
-    wanted = condition.board if board else condition.single
-    for distance, most in zip(STANDARD_DISTANCES, wanted, strict=True):
-        off = errors.metres.get(distance, [float("nan")])
-        yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
+    limits = condition.board if board else condition.single
+    for distance, limit in zip(STANDARD_DISTANCES, limits, strict=True):
+        metres = errors.metres.get(distance, [float("nan")])
+        yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(metres), "mm", limit)
     nees = float(np.mean(errors.nees))
     yield Quantity(f"{what}, squared error over the stated", nees, least=_NEES[0], most=_NEES[1])
     yield Quantity(f"{what}, not found", errors.missed, "", 0)

@@ -41,14 +41,14 @@ CHARUCOS = (
     CharucoPattern(5, 7, 0.04, 0.02, "DICT_6X6_250", legacy=True),
     CharucoPattern(8, 6, 0.03, 0.022, "DICT_5X5_50"),
 )
-# Least number of chessboards of one picture size for a calibration.
-_LEAST_BOARDS = 6
-# Least number of saddle points of a ChArUco board for a homography.
-_LEAST_SADDLES = 8
+# Smallest number of chessboards of one picture size for a calibration.
+_MIN_BOARDS = 6
+# Smallest number of saddle points of a ChArUco board for a homography.
+_MIN_SADDLES = 8
 # Chessboards that are searched for markers of all dictionaries. Each takes more than a second.
-_ASKED = 3
+_SEARCHED = 3
 # When ``cv2.cornerSubPix`` stops: after 30 steps, or after a step of 0.01 px.
-_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
+_SUBPIX_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.01)
 # Largest time of the first command, s.
 _FIRST_SECONDS = 20.0
 # Time after which the first command is stopped, s.
@@ -68,15 +68,17 @@ def photographs(effort: Effort) -> Iterator[Quantity]:
     pictures = [to_gray(read_image(f)) for f in files]
     if not pictures:
         raise CameraError(f"no pictures in {folder}")
-    boards = [(one, view) for one in pictures if (view := CHESSBOARD.find(one)) is not None]
+    boards = [
+        (picture, view) for picture in pictures if (view := CHESSBOARD.find(picture)) is not None
+    ]
     if boards:
-        finds = sum(any_finds(one) for one, _ in boards[:_ASKED])
+        finds = sum(any_finds(picture) for picture, _ in boards[:_SEARCHED])
         yield Quantity(
-            f"finds of any dictionary on {min(len(boards), _ASKED)} chessboards", finds, "", 0
+            f"finds of any dictionary on {min(len(boards), _SEARCHED)} chessboards", finds, "", 0
         )
-    plain = [one for one in pictures if all(one is not other for other, _ in boards)]
+    plain = [picture for picture in pictures if all(picture is not board for board, _ in boards)]
     finder = MarkerFinder("DICT_5X5_50")
-    finds = sum(len(finder.observe(frame_of(one)).markers) for one in plain)
+    finds = sum(len(finder.observe(frame_of(picture)).markers) for picture in plain)
     yield Quantity(f"finds in {len(plain)} photographs without markers (DICT_5X5_50)", finds, "", 0)
     yield from _of_chessboards(boards)
     yield from _of_charuco(plain, folder)
@@ -94,18 +96,17 @@ def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Quanti
 
     The lens is calibrated by the other pictures, and every other corner of a picture is left out.
     """
-    size = max(
-        (one.shape for one, _ in boards), key=[one.shape for one, _ in boards].count, default=(0, 0)
-    )
-    boards = [(one, view) for one, view in boards if one.shape == size]
+    shapes = [picture.shape for picture, _ in boards]
+    size = max(shapes, key=shapes.count, default=(0, 0))
+    boards = [(picture, view) for picture, view in boards if picture.shape == size]
     views = [view for _, view in boards]
-    if len(views) < _LEAST_BOARDS:
+    if len(views) < _MIN_BOARDS:
         return
-    mine = calibrate(views, (size[1], size[0])).intrinsics.rms or np.nan
-    yield Quantity(f"calibration by {len(views)} chessboards, RMS", mine, "px")
-    yield Quantity("the same, beside OpenCV's corners", mine / opencv_rms(boards), "", 1.0)
+    error = calibrate(views, (size[1], size[0])).intrinsics.rms or np.nan
+    yield Quantity(f"calibration by {len(views)} chessboards, RMS", error, "px")
+    yield Quantity("the same, beside OpenCV's corners", error / opencv_rms(boards), "", 1.0)
     squares = [
-        _unseen(view, views[:k] + views[k + 1 :], (size[1], size[0]))
+        _held_out(view, views[:k] + views[k + 1 :], (size[1], size[0]))
         for k, view in enumerate(views)
     ]
     error = float(np.sqrt(np.mean(np.concatenate(squares))))
@@ -117,9 +118,11 @@ def opencv_rms(boards: Sequence[tuple[Image, FoundPattern]]) -> float:
     points = []
     pixels = []
     for gray, view in boards:
-        seen, corners = cv2.findChessboardCorners(gray, (CHESSBOARD.columns, CHESSBOARD.rows))
-        if seen:
-            fine = cv2.cornerSubPix(gray, corners.reshape(-1, 1, 2), (11, 11), (-1, -1), _STOP)
+        found, corners = cv2.findChessboardCorners(gray, (CHESSBOARD.columns, CHESSBOARD.rows))
+        if found:
+            fine = cv2.cornerSubPix(
+                gray, corners.reshape(-1, 1, 2), (11, 11), (-1, -1), _SUBPIX_STOP
+            )
             pixels.append(np.asarray(fine, dtype=np.float32).reshape(-1, 2))
             points.append(view.points_board.astype(np.float32))
     return float(cv2.calibrateCamera(points, pixels, boards[0][0].shape[::-1], None, None)[0])
@@ -135,7 +138,7 @@ def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Quantity]:
         with contextlib.suppress(CalibrationError):
             lens = CameraIntrinsics.load(file)
             lenses[lens.size] = lens
-    off: list[float] = []
+    errors: list[float] = []
     for picture in pictures:
         size = (picture.shape[1], picture.shape[0])
         if size not in lenses:
@@ -143,19 +146,19 @@ def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Quantity]:
         lens = lenses[size]
         for board in CHARUCOS:
             corners = unique(find_corners(frame_of(picture), lens, board.dictionary))
-            seen = {marker_id: c.pixels for marker_id, c in corners.items()}
-            off += outward_of_saddles(picture, lens, board, seen)
-    if off:
-        text = f"{len(off)} markers, corners outside of where their chessboard puts them"
-        yield Quantity(f"{text}, mean", abs(float(np.mean(off))), "px", 0.15)
-        yield Quantity(f"{text}, scatter", float(np.std(off)), "px", 0.12)
+            pixels = {marker_id: marker.pixels for marker_id, marker in corners.items()}
+            errors += outward_of_saddles(picture, lens, board, pixels)
+    if errors:
+        text = f"{len(errors)} markers, corners outside of where their chessboard puts them"
+        yield Quantity(f"{text}, mean", abs(float(np.mean(errors))), "px", 0.15)
+        yield Quantity(f"{text}, scatter", float(np.std(errors)), "px", 0.12)
 
 
 def outward_of_saddles(
     gray: Image,
     lens: CameraIntrinsics,
     board: CharucoPattern,
-    seen: Mapping[int, NDArray[np.float64]],
+    pixels: Mapping[int, NDArray[np.float64]],
 ) -> list[float]:
     """Return how far outwards the corners of markers lie from their positions by the saddles, px.
 
@@ -165,22 +168,22 @@ def outward_of_saddles(
         gray: Picture.
         lens: Its intrinsics.
         board: Board to look for.
-        seen: Corners (4, 2) of the detected markers by id, px.
+        pixels: Corners (4, 2) of the detected markers by id, px.
 
     Returns:
         Mean of the four corners of each marker.
     """
-    found = board.find(gray)
-    if found is None or len(found.pixels) < _LEAST_SADDLES:
+    view = board.find(gray)
+    if view is None or len(view.pixels) < _MIN_SADDLES:
         return []
-    homography, _ = cv2.findHomography(found.points_board[:, :2], lens.undistort(found.pixels))
-    off = []
+    homography, _ = cv2.findHomography(view.points_board[:, :2], lens.undistort(view.pixels))
+    errors = []
     for number, (column, row) in enumerate(board.marker_squares()):
-        if number not in seen or not 0 < row < board.rows - 1:
+        if number not in pixels or not 0 < row < board.rows - 1:
             continue
         expected = lens.distort(_predicted(homography, board, column, row))
-        off.append(float(outward(seen[number] - expected, expected).mean()))
-    return off
+        errors.append(float(outward(pixels[number] - expected, expected).mean()))
+    return errors
 
 
 def _predicted(
@@ -189,23 +192,30 @@ def _predicted(
     """Return the undistorted corners (4, 2) of the marker in a square of the board."""
     middle = (np.array([column, row]) + 0.5) * board.square
     half = 0.5 * board.marker * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    there = np.column_stack([middle + half, np.ones(4)]) @ homography.T
-    return np.asarray(there[:, :2] / there[:, 2:], dtype=float)
+    points = np.column_stack([middle + half, np.ones(4)]) @ homography.T
+    return np.asarray(points[:, :2] / points[:, 2:], dtype=float)
 
 
-def _unseen(
+def _held_out(
     view: FoundPattern, others: list[FoundPattern], size: tuple[int, int]
 ) -> NDArray[np.float64]:
+    """Return the squared errors (k,), px^2, of the corners of ``view`` that were left out.
+
+    Args:
+        view: Every other corner gives the pose of the board.
+        others: They give the lens.
+        size: Width and height of the pictures, px.
+    """
     lens = calibrate(others, size).intrinsics
     fitted = np.arange(len(view.pixels)) % 2 == 0
     _, rotation, translation = cv2.solvePnP(
         view.points_board[fitted], view.pixels[fitted], lens.matrix, lens.coefficients
     )
-    there, _ = cv2.projectPoints(
+    projected, _ = cv2.projectPoints(
         view.points_board[~fitted], rotation, translation, lens.matrix, lens.coefficients
     )
-    off = np.asarray(there, dtype=float).reshape(-1, 2) - view.pixels[~fitted]
-    return np.asarray((off**2).sum(axis=1), dtype=float)
+    errors = np.asarray(projected, dtype=float).reshape(-1, 2) - view.pixels[~fitted]
+    return np.asarray((errors**2).sum(axis=1), dtype=float)
 
 
 def first_command(_effort: Effort) -> Iterator[Quantity]:

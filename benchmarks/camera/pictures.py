@@ -43,8 +43,8 @@ _HANDEYE_DISTANCES = (0.5, 0.9)
 _ACROSS_SIGMA = 0.04
 _ON_HAND_SIGMA = 0.05
 _IN_WORLD_SIGMA = 0.3
-# A view states at least this uncertainty of its corners, px.
-_SMALLEST_SIGMA = 0.01
+# Smallest stated standard deviation of the corners of a view, px.
+_MIN_SIGMA = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +145,11 @@ def handeye_set(
         rotation = rotation_exp(np.deg2rad(spread_deg) * rng.normal(0, 1, 3) * axes)
         position = (*rng.normal(0, _ACROSS_SIGMA, 2), rng.uniform(*_HANDEYE_DISTANCES))
         # The marker faces the camera, then it is turned.
-        seen = Pose(position, (0, 1, 0, 0)).compose(Pose(wxyz=rotation))
+        pose = Pose(position, (0, 1, 0, 0)).compose(Pose(wxyz=rotation))
         noise = rng.normal(0, 1, (4, 2)) * corner_sigma
-        pixels = STANDARD_CAMERA.project(seen.apply(points)) + noise
+        pixels = STANDARD_CAMERA.project(pose.apply(points)) + noise
         arm_error = Pose().plus(rng.normal(0, 1, 6) * np.repeat(arm_sigma, 3))
         rough = Pose().plus(rng.normal(0, corner_sigma, 6) * _ROUGH_SIGMA)
-        view = Observation(points, pixels, seen.compose(rough), max(corner_sigma, _SMALLEST_SIGMA))
-        samples.append(HandEyeSample(truth.pose_world_hand(seen).compose(arm_error), view))
+        view = Observation(points, pixels, pose.compose(rough), max(corner_sigma, _MIN_SIGMA))
+        samples.append(HandEyeSample(truth.pose_world_hand(pose).compose(arm_error), view))
     return truth, samples

@@ -244,9 +244,9 @@ def _goals(
 ) -> MarkerGoalSource:
     """Return a source of goals. The marker is where the tool is at home, so that it is in reach."""
     tool = robot.forward(robot.home)
-    seen = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))
+    pose_camera_marker = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))
     flip = Pose(wxyz=(0, 1, 0, 0))
-    world_camera = tool.compose(flip.inverse()).compose(seen.inverse())
+    world_camera = tool.compose(flip.inverse()).compose(pose_camera_marker.inverse())
     target = marker(_MARKER, _SIZE, _DICTIONARY)
     return MarkerGoalSource(source, camera, target, world_camera, flip, robot.tool, **options)
 

@@ -1,27 +1,32 @@
 """Certified edges among thin plates and slots, sampled densely by MuJoCo.
 
-    nice -n 5 python -m benchmarks.collision.edges [EDGES]
+    nice -n 5 python -m benchmarks.collision.edges [EDGES] [--state FILE]
 
 Random short lines in joint space, between plates of 0.5 mm and slots of 2 to 20 mm, are certified
 until the given number is proven free. Each proven line is sampled at steps of 0.001 rad or m, and
 ``mj_collision`` judges every sample. A contact ends the program with an error. Refuted lines
-are judged too: MuJoCo must find a part nearer than the margin at the place that is named.
+are judged too: MuJoCo must find a part nearer than the margin at the place that is named. With
+``--state`` an interrupted run goes on after the last finished hall.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
+import json
 import sys
 import time
+from pathlib import Path
 
-import mujoco
 import numpy as np
 
 import robot_ik as rik
+from benchmarks.collision.scenes import has_contact, pairs_of
 from robot_ik.errors import MotionBlockedError
 from robot_ik.motion.certificate import certify
 
 ROBOTS = ("puma560", "ur5e", "panda", "omx_f", "humanoid")
+SEED = 11
 EDGES = 10_000
 STEP = 1e-3
 """rad or m. Distance of the samples that judge a certificate."""
@@ -67,23 +72,11 @@ def hall(robot: rik.Robot, rng: np.random.Generator) -> list[rik.Box]:
             plates += trial
 
 
-def has_contact(scene: rik.Scene, pairs: set[tuple[int, int]], q: np.ndarray) -> bool:
-    """Return whether MuJoCo finds two parts of a pair in contact."""
-    data = scene.data_at(q)
-    mujoco.mj_comPos(scene.model, data)
-    mujoco.mj_collision(scene.model, data)
-    for contact in data.contact[: data.ncon]:
-        pair = tuple(sorted((int(contact.geom1), int(contact.geom2))))
-        if contact.dist < 0.0 and pair in pairs:
-            return True
-    return False
-
-
 def judge(robot: rik.Robot, rng: np.random.Generator, wanted: int) -> dict[str, int]:
     """Certify edges in one hall until ``wanted`` are proven; return the counts."""
     scene = rik.Scene(robot, hall(robot, rng))
     avoid = rik.CollisionAvoidance(scene, margin=MARGIN)
-    pairs = {tuple(sorted(pair)) for pair in scene.pairs.tolist()}
+    pairs = pairs_of(scene)
     counts = {"proven": 0, "refuted": 0, "open": 0, "samples": 0}
     while counts["proven"] < wanted:
         first = robot.sample(rng)
@@ -111,25 +104,49 @@ def judge(robot: rik.Robot, rng: np.random.Generator, wanted: int) -> dict[str, 
     return counts
 
 
+def hall_results(robot: rik.Robot, hall_number: int, wanted: int) -> dict[str, int]:
+    """Return the counts of one hall. They depend on its number only."""
+    return judge(robot, np.random.default_rng((SEED, hall_number)), wanted)
+
+
+def read_state(file: Path | None) -> dict[str, list[dict[str, float]]]:
+    """Return the results of the halls that an earlier run has finished, by robot."""
+    halls: dict[str, list[dict[str, float]]] = {name: [] for name in ROBOTS}
+    if file is not None and file.exists():
+        for line in file.read_text(encoding="utf-8").splitlines():
+            row = json.loads(line)
+            halls[row.pop("robot")].append(row)
+    return halls
+
+
 def main() -> None:
     """Print the table."""
-    edges = int(sys.argv[1]) if len(sys.argv) > 1 else EDGES
-    each = -(-edges // len(ROBOTS))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("edges", type=int, nargs="?", default=EDGES)
+    parser.add_argument("--state", type=Path, help="results so far; the next run continues there")
+    options = parser.parse_args()
+    each = -(-options.edges // len(ROBOTS))
+    halls = read_state(options.state)
     print("| robot | proven | refuted | open | samples | contacts | s |")
     print("|---|---:|---:|---:|---:|---:|---:|")
     for name in ROBOTS:
         robot = rik.load_robot(name)
-        rng = np.random.default_rng(11)
-        began = time.perf_counter()
-        total = {"proven": 0, "refuted": 0, "open": 0, "samples": 0}
-        while total["proven"] < each:
-            wanted = min(EDGES_PER_HALL, each - total["proven"])
-            for key, count in judge(robot, rng, wanted).items():
-                total[key] += count
-        seconds = time.perf_counter() - began
+        rows = halls[name]
+        while (proven := sum(row["proven"] for row in rows)) < each:
+            began = time.perf_counter()
+            wanted = min(EDGES_PER_HALL, int(each - proven))
+            row: dict[str, float] = dict(hall_results(robot, len(rows), wanted))
+            row["seconds"] = time.perf_counter() - began
+            rows.append(row)
+            if options.state is not None:
+                with options.state.open("a", encoding="utf-8") as out:
+                    out.write(json.dumps({"robot": name, **row}) + "\n")
+            done = int(proven + row["proven"])
+            print(f"{name}: {done} of {each} edges proven", file=sys.stderr, flush=True)
+        total = {key: sum(row[key] for row in rows) for key in rows[0]}
         print(
-            f"| {name} | {total['proven']} | {total['refuted']} | {total['open']} "
-            f"| {total['samples']:.3g} | 0 | {seconds:.0f} |",
+            f"| {name} | {total['proven']:.0f} | {total['refuted']:.0f} | {total['open']:.0f} "
+            f"| {total['samples']:.3g} | 0 | {total['seconds']:.0f} |",
             flush=True,
         )
 

@@ -57,7 +57,7 @@ def measure(robot: rik.Robot, count: int | None) -> str:
     status = np.zeros((len(positions), grid.orientations), dtype=np.uint8)
     branches = np.zeros_like(status)
     values = [np.zeros(len(positions), dtype=np.float32) for _ in range(2)]
-    memory = SweepMemory(sweep)
+    memory = SweepMemory(sweep, arm)
     memory.sweep(positions[:1], status[:1], branches[:1], *(value[:1] for value in values))
     began = time.thread_time()
     memory.sweep(positions, status, branches, *values)

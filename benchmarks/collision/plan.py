@@ -25,7 +25,14 @@ import mujoco
 import numpy as np
 
 import robot_ik as rik
-from benchmarks.collision.scenes import boxes, free_postures, postures_in_shelf, shelf
+from benchmarks.collision.scenes import (
+    boxes,
+    free_postures,
+    has_contact,
+    pairs_of,
+    postures_in_shelf,
+    shelf,
+)
 from robot_ik.motion.plan_search import search_path
 
 MARGIN = 0.002
@@ -155,15 +162,17 @@ def run_ompl(problems: Problems, python: str) -> Outcome:
 
 
 def judged(problems: Problems, paths: list[np.ndarray | None], seconds: list[float]) -> Outcome:
-    """Return the outcome; MuJoCo judges the paths at samples of 0.002 rad."""
+    """Return the outcome; ``mj_collision`` judges the paths at samples of 0.002 rad."""
     solved = [k for k, path in enumerate(paths) if path is not None]
+    scene = problems.avoid.scene
+    pairs = pairs_of(scene)
     lengths = []
     free = 0
     for k in solved:
         path = paths[k]
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         lengths.append(float(steps.sum()))
-        free += bool(problems.avoid.scene.free(densely(path), 0.0).all())
+        free += not any(has_contact(scene, pairs, q) for q in densely(path))
     times = [seconds[k] for k in solved]
     return Outcome(
         len(solved) / len(paths),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
 import robot_ik as rik
@@ -103,3 +104,20 @@ def into_shelf(
     centre = (middle[0], middle[1] + side * width / FLOORS, middle[2] + floor * height / FLOORS)
     position = np.array(centre) + rng.uniform(-SCATTER, SCATTER, 3) - (INSIDE, 0.0, 0.0)
     return rik.Pose(position, INTO_SHELF)
+
+
+def pairs_of(scene: rik.Scene) -> set[tuple[int, int]]:
+    """Return the pairs of geoms that a scene compares, the smaller id first."""
+    return {(min(pair), max(pair)) for pair in scene.pairs.tolist()}
+
+
+def has_contact(scene: rik.Scene, pairs: set[tuple[int, int]], q: np.ndarray) -> bool:
+    """Return whether MuJoCo finds two parts of a pair in contact."""
+    data = scene.data_at(q)
+    mujoco.mj_comPos(scene.model, data)
+    mujoco.mj_collision(scene.model, data)
+    for contact in data.contact[: data.ncon]:
+        pair = tuple(sorted((int(contact.geom1), int(contact.geom2))))
+        if contact.dist < 0.0 and pair in pairs:
+            return True
+    return False

@@ -1,7 +1,6 @@
 """Steps a second of the Gymnasium environments with random actions.
 
-    python benchmarks/gym/throughput.py             print the table
-    python benchmarks/gym/throughput.py --write     and put it into docs/how-to/five_joint_arms.md
+    python benchmarks/gym/throughput.py
 
 A step of a vector environment with n arms counts as n steps. Of each row the quickest round counts.
 """
@@ -11,14 +10,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import gymnasium
 import numpy as np
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "five_joint_arms.md"
-BEGIN = "<!-- gym throughput -->"
-END = "<!-- end -->"
+ENVIRONMENT = "robot_ik.gym:robot_ik/Reach-v0"
+"""Module that registers the environment, and its name."""
 
 ROBOT = "koch_v11"
 CONTROLS = ("tool", "joints")
@@ -34,7 +31,7 @@ ACTIONS = 64
 
 def single_step(control: str) -> Callable[[], None]:
     """Return a function that makes one step of the plain environment."""
-    env = gymnasium.make("robot_ik/Reach-v0", robot=ROBOT, control=control)
+    env = gymnasium.make(ENVIRONMENT, robot=ROBOT, control=control)
     env.reset(seed=0)
     size = env.action_space.shape[0]
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (ACTIONS, size)).astype(np.float32)
@@ -52,7 +49,7 @@ def single_step(control: str) -> Callable[[], None]:
 
 def vector_step(control: str, arms: int) -> Callable[[], None]:
     """Return a function that makes one step of the vector environment."""
-    envs = gymnasium.make_vec("robot_ik/Reach-v0", num_envs=arms, robot=ROBOT, control=control)
+    envs = gymnasium.make_vec(ENVIRONMENT, num_envs=arms, robot=ROBOT, control=control)
     envs.reset(seed=0)
     shape = (ACTIONS, *envs.action_space.shape)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
@@ -98,15 +95,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=5, help="rounds of each row")
-    parser.add_argument("--write", action="store_true", help="put the table into the page")
     options = parser.parse_args()
-    table = lines(options.rounds)
-    print("\n".join(table))
-    if options.write:
-        page = PAGE.read_text(encoding="utf-8")
-        head, rest = page.split(BEGIN)
-        tail = rest[rest.index(END) :]
-        PAGE.write_text(f"{head}{BEGIN}\n" + "\n".join(table) + f"\n{tail}", encoding="utf-8")
+    print("\n".join(lines(options.rounds)))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,9 @@ PAGES = (
     DOCS.parent / "README.md",
 )
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+# Length of a line of the pages.
+_LINE_LENGTH = 100
 
 #: Row with the same figures for every camera.
 BY_CAMERA = "cameras"
@@ -95,7 +99,8 @@ def camera(data: Data, _others: Data) -> str:
     for where, names in places.items():
         m = json.loads(where)
         place = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
-        lines += ["", f"{', '.join(f'`{name}`' for name in names)}: {place}."]
+        sentence = f"{', '.join(f'`{name}`' for name in names)}: {place}."
+        lines += ["", textwrap.fill(sentence, _LINE_LENGTH, break_on_hyphens=False)]
     return "\n".join([*lines, ""])
 
 

@@ -2,7 +2,7 @@
 
 It reads docs/learn_to_reach.csv and writes docs/images/learn_to_reach.png. The CSV file comes from
 
-    python examples/09_learn_to_reach.py --steps 8000 --curve docs/learn_to_reach.csv
+    python examples/09_learn_to_reach.py --steps 4000 --curve docs/learn_to_reach.csv
 
 in an environment with stable-baselines3. Needs matplotlib (the extra `plots`).
 """

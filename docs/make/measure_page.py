@@ -365,7 +365,7 @@ def _starts(say: Callable[[str], None]) -> Iterator[Quantity]:
     rows = (
         ("command to address printed, warm", warm[0], 5.0, ""),
         ("command to robot drawn in a running browser, warm", warm[1], 5.0, why),
-        ("command to robot drawn, at home, with no kernel compiled", cold[1], 8.0, why),
+        ("command to robot drawn, at home, with no kernel compiled", cold[1], 10.0, why),
         ("command to first answer, with no kernel compiled", cold[2], 45.0, ""),
     )
     for what, value, most, note in rows:

@@ -28,11 +28,19 @@ from robot_ik.testbed.commands import (
     Command,
     MoveGoal,
     MoveObstacle,
+    PlanMotion,
     RecordPose,
+    ResizeObstacle,
     Scrub,
     SetArm,
+    SetCourse,
     SetFigure,
+    SetGoalKind,
     SetJoint,
+    SetLimits,
+    SetMotion,
+    SetPace,
+    SetRestarts,
     ShowBranches,
     Start,
 )
@@ -71,6 +79,8 @@ class Shot:
         dark: Whether colours are dark.
         tab: The tab that is open. Empty: the first.
         press: Names of buttons that are pressed, in order.
+        switches: Names of switches that are switched.
+        scroll: Text that the side panel is scrolled to.
         commands: What the session gets.
         until: Whether the view is as wanted.
         text: Text that must be on the page.
@@ -86,6 +96,8 @@ class Shot:
     dark: bool = False
     tab: str = ""
     press: tuple[str, ...] = ()
+    switches: tuple[str, ...] = ()
+    scroll: str = ""
     commands: tuple[Command, ...] = ()
     until: Callable[[View], object] = _has_run
     text: str = ""
@@ -113,6 +125,43 @@ POSES = (
 SHOTS = (
     Shot("first_screen", Start(), first_visit=True),
     Shot("four_dark", Start(count=4), dark=True),
+    Shot(
+        "four_methods",
+        Start("seven_segment", count=4, methods=("ccd", "transpose", "pseudoinverse", "dls")),
+        commands=(
+            SetLimits(True),
+            SetGoalKind("position"),
+            SetPace(0.0),
+            SetRestarts(False),
+            SetMotion("random"),
+        ),
+    ),
+    Shot(
+        "table_4_1",
+        Start("seven_segment"),
+        press=("Run the four cases",),
+        text="Thesis S12, table 4.1: the thesis and this page",
+    ),
+    Shot(
+        "course",
+        Start(methods=("dls",)),
+        commands=(SetCourse(7),),
+        until=lambda view: view.course and view.course.frame > STATISTICS,
+        scroll="failed sooner than 6",
+    ),
+    Shot(
+        "paw",
+        Start("lion", tool="front_right_paw"),
+        tab="Goals",
+    ),
+    Shot(
+        "regions",
+        Start("humanoid"),
+        tab="Scene",
+        switches=("Regions of the figure",),
+        commands=(SetMotion("hand"),),
+        until=lambda view: view.motion == "hand",
+    ),
     Shot("gallery", Start(), press=("robot",)),
     Shot("parameters", Start(count=2), press=("parameters of robot 2",)),
     Shot("humanoid", Start("humanoid"), tab="Goals"),
@@ -157,6 +206,33 @@ SHOTS = (
         ),
         until=lambda view: len(view.obstacles) == 2 and view.obstacles[1].part,
     ),
+    Shot(
+        "contacts",
+        Start(),
+        tab="Scene",
+        commands=(
+            AddObstacle("box"),
+            ResizeObstacle(0, (0.5, 0.4, 0.15)),
+            MoveObstacle(0, (-0.5, -0.3, 0.88)),
+            MoveGoal((-0.45, -0.3, 0.9), (0.258819, 0.0, -0.965926, 0.0)),
+        ),
+        until=lambda view: view.contacts,
+    ),
+    Shot(
+        "plan",
+        Start("panda"),
+        tab="Scene",
+        commands=(
+            MoveGoal((0.35, 0.45, 0.35), (0.0, 1.0, 0.0, 0.0)),
+            AddObstacle("box"),
+            ResizeObstacle(0, (0.06, 0.06, 0.7)),
+            MoveObstacle(0, (0.4, 0.2, 0.35)),
+            PlanMotion(),
+        ),
+        until=lambda view: view.plan.state == "found",
+    ),
+    Shot("reach_cloud", Start(), tab="Scene", press=("Cloud",), text="% of directions"),
+    Shot("reach_shell", Start(), tab="Scene", press=("Shell",), text="% of directions"),
     Shot("camera", Start("tabletop_puma"), camera=True, text="away, m"),
     Shot(
         "arm",
@@ -221,7 +297,11 @@ def take(browser: Any, shot: Shot) -> None:
             window.get_by_role("tab", name=shot.tab, exact=True).click()
         for name in shot.press:
             window.get_by_role("button", name=name, exact=True).click()
+        for name in shot.switches:
+            window.get_by_role("switch", name=name, exact=True).click(force=True)
         wait(lambda: not session.busy and shot.until(page._view))
+        if shot.scroll:
+            window.get_by_text(shot.scroll).scroll_into_view_if_needed()
         if shot.text:
             window.get_by_text(shot.text).first.wait_for()
         for client in page.server.get_clients().values():

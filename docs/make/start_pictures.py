@@ -225,8 +225,9 @@ def scan() -> str:
 def moved() -> Image:
     """Draw the desk arm before and after the move of page 3."""
     robot = rik.load_robot("desk_arm")
-    poses = [robot.qpos(np.radians(q)) for q in ([0.0, 0.0, 0.0], [40.0, 0.0, 50.0])]
-    return draw(robot.model, poses, DESK_VIEW_DEG)
+    lift = robot.home[1]
+    goal = np.array([np.radians(40.0), lift, np.radians(50.0)])
+    return draw(robot.model, [robot.qpos(robot.home), robot.qpos(goal)], DESK_VIEW_DEG)
 
 
 def execute() -> Image:

@@ -21,6 +21,7 @@ PROMPT = "#7cc4ff"
 DOTS = ("#ff6058", "#ffbd2e", "#28c940")
 FONTS = "ui-monospace,SFMono-Regular,Menlo,Consolas,DejaVu Sans Mono,monospace"
 
+NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 _ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
@@ -55,10 +56,11 @@ def terminal_svg(command: str, output: str, label: str) -> str:
             continue
         y = BAR_HEIGHT + BORDER + LINE_HEIGHT * row + FONT_SIZE - 2
         colour = PROMPT if row == 0 else TEXT
-        # The viewer's font may be wider: textLength keeps the columns in line.
+        # Browsers merge spaces. The font of the viewer may be wider, and textLength corrects it.
+        text = html.escape(line).replace(" ", NO_BREAK_SPACE)
         parts.append(
             f'<text x="{BORDER:g}" y="{y:g}" fill="{colour}" '
             f'textLength="{len(line) * advance:.1f}" '
-            f'lengthAdjust="spacingAndGlyphs">{html.escape(line)}</text>'
+            f'lengthAdjust="spacingAndGlyphs">{text}</text>'
         )
     return "\n".join([*parts, "</g>", "</svg>", ""])

@@ -121,7 +121,7 @@ def _measure(campaign: Campaign, results: Results) -> None:
 
 
 def _finish(results: Results, folder: Path, *, plots: bool) -> None:
-    from robot_ik.bench.methods.results import draw
+    from robot_ik.bench.methods.plots import draw
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
     if not (results.cells or results.lower_bounds or results.batches):

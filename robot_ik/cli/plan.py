@@ -153,7 +153,7 @@ def _pairs(items: Sequence[str], option: str) -> list[tuple[str, str]]:
 
 def _collisions(options: PlanOptions, robot: Robot) -> CollisionAvoidance:
     """Return the condition: the robot among the obstacles of the scene file."""
-    from robot_ik.jobs.obstacles import condition_among
+    from robot_ik.workcell.motion_condition import condition_among
 
     ignore = _pairs(options.ignore, "--ignore")
     return condition_among(robot, options.scene, options.margin, ignore)

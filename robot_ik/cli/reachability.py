@@ -165,6 +165,7 @@ def map_facts(reach_map: ReachabilityMap) -> dict[str, Any]:
         "schema": SCHEMA,
         "robot": reach_map.robot.name,
         "frame": reach_map.frame,
+        "method": reach_map.method,
         "cell": reach_map.grid.cell,
         "cells": list(reach_map.grid.shape),
         "orientations": reach_map.grid.orientations,

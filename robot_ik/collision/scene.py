@@ -286,6 +286,29 @@ class Scene:
             normal / length if length > 0.0 else np.full(3, np.nan),
         )
 
+    def contacts(self, q: ArrayLike, pairs: Ints | None = None) -> tuple[Clearance, ...]:
+        """Return the contacts of all parts that touch at ``q``, deepest first, by MuJoCo.
+
+        Two parts have one contact: that of the two geoms with the largest depth.
+
+        Args:
+            q: Joint angles (nq,).
+            pairs: (p, 2) ids of geoms. None for all pairs of the scene.
+
+        Raises:
+            ModelError: ``q`` has another length, or is not finite.
+        """
+        pairs = self.pairs if pairs is None else pairs
+        distances = self.pair_distances(q, pairs, 0.0)
+        contacts: dict[frozenset[str], Clearance] = {}
+        for k in np.argsort(distances, kind="stable").tolist():
+            if distances[k] >= 0.0:
+                break
+            parts = frozenset(part_name(self.model, geom) for geom in pairs[k].tolist())
+            if parts not in contacts:
+                contacts[parts] = self.clearance(q, pairs[k : k + 1])
+        return tuple(contacts.values())
+
     def pair_distances(self, q: ArrayLike, pairs: Ints, reach: float) -> Array:
         """Return the distances (p,) of pairs at ``q``, by MuJoCo.
 

@@ -16,7 +16,6 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from robot_ik.errors import OptionError
-from robot_ik.files import make_folder
 from robot_ik.hardware import BUSES
 
 if TYPE_CHECKING:
@@ -163,6 +162,8 @@ class FolderOption(OverwriteOption):
         A call from Python writes files only if the class was given ``out``.
         """
         if terminal.folder is None and self.out is not None:
+            from robot_ik.files import make_folder  # not for --help
+
             return make_folder(self.out)
         return terminal.folder
 

@@ -22,9 +22,11 @@ from robot_ik.commands.options import (
     BUS_METAVAR,
     NO_BUS,
     ArmName,
+    BaseName,
     FolderOption,
     FrameName,
     GoalNumbers,
+    JointNames,
     JsonOption,
     RecordFile,
     RobotName,
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from robot_ik.jobs.vision import SeenTarget, Vision
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.ports import Array
+    from robot_ik.robot import Robot
     from robot_ik.solution import Solution
 
 # The phases import MuJoCo, Numba and OpenCV: 1.1 s of CPU time. --help takes 0.1 s without them.
@@ -82,13 +85,15 @@ class Reach(FolderOption, JsonOption):
     robot: RobotName = ""
     goal: GoalNumbers = ()
     frame: FrameName = None
+    base: BaseName = None
+    joints: JointNames = ()
     solver: SolverName = ""
     line: bool = False
     """Move the tool on a straight line."""
     scene: Annotated[Path | None, Parameter(metavar="FILE.xml")] = None
     """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
     avoid: bool = False
-    """Plan a motion around the obstacles of --scene and the robot itself."""
+    """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
     """Follow the marker for this time after reaching it, in seconds."""
     max_angle: Annotated[
@@ -211,7 +216,7 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
         RobotIkError: An option, a file or a device is wrong.
     """
     from robot_ik.jobs.films import require_films
-    from robot_ik.jobs.precompile import Precompilation
+    from robot_ik.jobs.precompile import precompile_solver
     from robot_ik.jobs.recording import open_recording
     from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
     from robot_ik.jobs.vision import CameraRequest, open_vision
@@ -228,7 +233,7 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
 
     robot = command.robot_name
     solver = solver_name(command.solver, find_robot(robot)[1])
-    compilation = stack.enter_context(Precompilation.solver(robot, solver))
+    compilation = stack.enter_context(precompile_solver(robot, solver))
     setup = prepare_robot(
         ArmRequest(
             robot=robot,
@@ -264,9 +269,10 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
     window = open_window(setup, vision, stack) if command.viewer else None
     collisions = None
     if command.scene is not None or command.avoid:
-        from robot_ik.jobs.obstacles import condition_among  # collision kernels: 50 ms
+        from robot_ik.workcell.motion_condition import motion_condition  # kernels: 50 ms
 
-        collisions = condition_among(setup.robot, command.scene)
+        of_arm = setup.collisions
+        collisions = motion_condition(setup.robot, command.scene, command.avoid, of_arm)
     return Cell(command, solver, setup, vision, window, compilation, collisions)
 
 
@@ -283,6 +289,12 @@ def require_possible(command: Reach) -> None:
     if command.follow is not None and (command.scene or command.avoid):
         problem = "the obstacles of --scene are not used while following"
         raise OptionError("--follow", problem, "without --scene and --avoid")
+    if command.joints or command.base:
+        others = ("follow", "line", "scene", "avoid")
+        used = next((name for name in others if getattr(command, name)), None)
+        if used is not None:
+            problem = "joints that are held hold for one motion to a goal"
+            raise OptionError("--joints", problem, f"without --{used}")
     if command.avoid and command.line:
         raise OptionError("--line", "a planned motion is not straight", "without --avoid")
 
@@ -351,7 +363,7 @@ def solve(cell: Cell, goal: Goal) -> Solved:
     from robot_ik.problem import Problem
 
     problem = Problem(
-        cell.setup.robot,
+        moving_robot(cell),
         goal,
         solver=cell.solver,
         tolerance=SOLVE_TOLERANCE,
@@ -362,6 +374,21 @@ def solve(cell: Cell, goal: Goal) -> Solved:
     solution = problem.solve(q)
     # The first solve of a process loads or compiles the kernel. The second is timed.
     return Solved(solution, 1e6 * problem.solve(q).seconds)
+
+
+def moving_robot(cell: Cell) -> Robot:
+    """Return the robot, with the joints held that --base and --joints do not name.
+
+    Raises:
+        RobotIkError: There is no such frame or joint, or no joint would move the frame.
+    """
+    robot = cell.setup.robot
+    command = cell.command
+    if not command.base and not command.joints:
+        return robot
+    chosen = robot.with_parts(tool=cell.setup.frame, base=command.base, joints=command.joints)
+    held = [joint for joint in robot.joints if joint not in chosen.joints]
+    return robot.with_held(held, cell.setup.q)
 
 
 def accepted_error(cell: Cell, seen: SeenTarget | None, solution: Solution) -> Tolerance:

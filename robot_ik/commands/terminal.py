@@ -15,18 +15,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, Progress, Task, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
 from robot_ik.commands.streams import is_unicode, open_console
 from robot_ik.commands.tables import plural
 from robot_ik.errors import RobotIkError, install_command
-from robot_ik.files import json_text, plain
+
+if TYPE_CHECKING:
+    from robot_ik.commands.progress import CommandProgress
 
 SILENCE_SECONDS = 3.0
 """Away from a terminal, a running command prints its name after this time."""
@@ -95,9 +95,18 @@ class Report(ABC):
         return {"schema": self.SCHEMA, **self.facts()}
 
 
+_BARS: list[CommandProgress] = []
+"""The progress bar that is shown, if any. Lines on stderr are printed above it."""
+
+
+def stderr_console() -> Console:
+    """Return the console on stderr: that of the progress bar while one is shown."""
+    return _BARS[-1].console if _BARS else open_console(sys.stderr, stderr=True)
+
+
 def say(text: str, style: str = "") -> None:
     """Print one line on stderr. It is never folded."""
-    open_console(sys.stderr, stderr=True).print(Text(text, style=style), soft_wrap=True)
+    stderr_console().print(Text(text, style=style), soft_wrap=True)
 
 
 def show_error(error: BaseException, *, debug: bool = False) -> None:
@@ -110,7 +119,7 @@ def show_error(error: BaseException, *, debug: bool = False) -> None:
     text = Text.assemble(("error: ", "bold red"), message)
     if hint:
         text.append("\n" + hint, "cyan")
-    open_console(sys.stderr, stderr=True).print(text, soft_wrap=True)
+    stderr_console().print(text, soft_wrap=True)
 
 
 def describe_error(error: BaseException) -> tuple[str, str]:
@@ -149,16 +158,6 @@ def _first_lines(text: str, count: int) -> str:
     )
 
 
-class _ShareColumn(BarColumn):
-    """A bar of the share that is done. It fills with the time if the duration is known."""
-
-    def render(self, task: Task) -> ProgressBar:
-        seconds = task.fields.get("seconds")
-        if seconds:
-            task.completed = min((task.elapsed or 0.0) / seconds, 1.0)
-        return super().render(task)
-
-
 @dataclass
 class Terminal:
     """The output of one command.
@@ -175,8 +174,7 @@ class Terminal:
     debug: bool = False
     folder: Path | None = None
     shown: Report | None = field(default=None, init=False)
-    _bar: Progress | None = field(default=None, init=False)
-    _task: TaskID | None = field(default=None, init=False)
+    _bar: CommandProgress | None = field(default=None, init=False)
 
     @property
     def console(self) -> Console:
@@ -201,22 +199,22 @@ class Terminal:
     @contextlib.contextmanager
     def busy(self, phase: str, seconds: float | None = None) -> Iterator[None]:
         """Show a phase, with a bar that fills with the time if its duration is known."""
-        if self._bar is not None and self._task is not None:
-            self._bar.reset(self._task, total=1.0 if seconds else None, seconds=seconds)
-        self._advance(description=phase)
+        if self._bar is not None:
+            self._bar.begin(phase, seconds)
         try:
             yield
         finally:
             self._advance(seconds=None)
 
     def _advance(self, **values: Any) -> None:
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, **values)
+        if self._bar is not None:
+            self._bar.update(**values)
 
     def end_progress(self) -> None:
         """Remove the progress bar, before a command prints or draws during its run."""
         if self._bar is not None:
             self._bar.stop()
+            _BARS.remove(self._bar)
             self._bar = None
 
     def say(self, text: str, style: str = "") -> None:
@@ -246,6 +244,8 @@ class Terminal:
         """Print one JSON object on one line of stdout, at once."""
         if self.quiet:
             return
+        from robot_ik.files import plain  # not for --help
+
         self.end_progress()
         sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
         sys.stdout.flush()
@@ -263,6 +263,8 @@ class Terminal:
         if report.streamed:
             pass
         elif self.json:
+            from robot_ik.files import json_text, plain  # not for --help
+
             values = plain(report.json_object())
             sys.stdout.write(json_text(values, ascii=not is_unicode(sys.stdout)) + "\n")
             sys.stdout.flush()
@@ -295,14 +297,15 @@ class Terminal:
             finally:
                 timer.cancel()
             return
-        columns = (TextColumn("{task.description}"), _ShareColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True) as bar:
-            self._bar = bar
-            self._task = bar.add_task(name, total=None, seconds=None)
-            try:
-                yield
-            finally:
-                self._bar = None
+        from robot_ik.commands.progress import CommandProgress  # 15 ms: not for --help
+
+        self._bar = CommandProgress(name, console)
+        self._bar.start()
+        _BARS.append(self._bar)
+        try:
+            yield
+        finally:
+            self.end_progress()
 
 
 QUIET = Terminal(quiet=True)

@@ -18,6 +18,7 @@ from cyclopts.validators import Number
 from robot_ik.errors import OptionError, RobotIkError, close_matches
 
 PROGRAM = "robot-ik"
+"""Name of the program."""
 
 OTHER_OPTIONS = {
     "--method": "--solver",
@@ -36,7 +37,7 @@ OTHER_OPTIONS = {
     "--rehearse": "--fault",
     "--by": "--relative",
 }
-"""Names that other programs or former versions use, and ours."""
+"""Option of other programs or of former versions -> option here."""
 
 OTHER_COMMANDS = {
     "ik": "solve",
@@ -44,9 +45,10 @@ OTHER_COMMANDS = {
     "find-cameras": "camera list",
     "viz": "view",
 }
-"""Names of commands that other programs use, and ours. Exact synonyms are aliases instead."""
+"""Command of other programs -> command here. Exact synonyms are aliases of a row instead."""
 
 _KINDS = {float: "a number", int: "a whole number", str: "a word"}
+"""Description of each type of value."""
 
 
 def prepare_command(app: App) -> None:
@@ -170,9 +172,9 @@ def _unknown_option(
     """
     command = " ".join((PROGRAM, *error.command_chain))
     option = (error.token.keyword or error.token.value).partition("=")[0]
-    own = [name for argument in error.argument_collection for name in argument.names]
-    own = [name for name in own if name.startswith("--")]
-    if OTHER_OPTIONS.get(option) in own:
+    options = [name for argument in error.argument_collection for name in argument.names]
+    options = [name for name in options if name.startswith("--")]
+    if OTHER_OPTIONS.get(option) in options:
         return OptionError(
             "", f"unknown option {option}; here it is {OTHER_OPTIONS[option]}", hint=hint
         )
@@ -181,8 +183,8 @@ def _unknown_option(
         where = ", ".join(owners[:4]) + (", …" if len(owners) > 4 else "")
         problem = f"{command} has no option {option} (an option of: {where})"
         return OptionError("", problem, hint=hint)
-    beginning = [name for name in own if len(option) > 3 and name.startswith(option)]
-    close = beginning if len(beginning) == 1 else close_matches(option, own, 1)
+    beginning = [name for name in options if len(option) > 3 and name.startswith(option)]
+    close = beginning if len(beginning) == 1 else close_matches(option, options, 1)
     if close:
         return OptionError("", f"unknown option {option}{_meant(close)}", hint=hint)
     return OptionError("", f"{command} has no option {option}", hint=hint)

@@ -61,11 +61,22 @@ class PointCloud:
         return file
 
 
-def coloured(points: Array, values: NDArray[np.float32]) -> PointCloud:
-    """Return points (n, 3) with colours from the smallest to the largest of their values (n,)."""
+def coloured(
+    points: Array, values: NDArray[np.float32], bounds: tuple[float, float] | None = None
+) -> PointCloud:
+    """Return points (n, 3) with the colours of their values (n,).
+
+    Args:
+        points: (n, 3) world, m.
+        values: (n,) the quantity that gives the colours.
+        bounds: Values of the first and the last colour. None for the smallest and the largest of
+            the values.
+    """
     finite = values[np.isfinite(values)]
-    lowest = float(finite.min(initial=np.inf))
-    highest = float(finite.max(initial=-np.inf))
+    lowest, highest = bounds or (
+        float(finite.min(initial=np.inf)),
+        float(finite.max(initial=-np.inf)),
+    )
     span = highest - lowest
     shares = (values - lowest) / span if span > 0.0 else np.ones(len(values))
     steps = np.linspace(0.0, 1.0, len(_COLOURS))

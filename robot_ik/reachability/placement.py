@@ -20,6 +20,7 @@ from robot_ik.errors import OptionError, ReachabilityMapError
 from robot_ik.geometry import Array, Pose, is_real
 from robot_ik.reachability import cells
 from robot_ik.reachability.grid import require_count
+from robot_ik.reachability.numeric_sweep import has_free_roll
 
 if TYPE_CHECKING:
     from robot_ik.reachability.grid import Grid
@@ -68,6 +69,11 @@ def place_base(
         raise OptionError("height", f"{height!r}", "a finite number, m")
     require_count("yaws", yaws, MAX_YAWS)
     require_count("tries", tries, MAX_TRIES)
+    if has_free_roll(reach_map.robot, reach_map.frame):
+        raise ReachabilityMapError(
+            f"{reach_map.robot.name!r} has too few joints to stand in a pose",
+            hint="a place for the base needs an arm of six joints or more",
+        )
     if reach_map.collisions is None and np.isfinite(reach_map.clearance).any():
         raise ReachabilityMapError(
             "this map was computed with a condition on collisions, and loaded without it",

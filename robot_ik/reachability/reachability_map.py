@@ -27,7 +27,8 @@ from robot_ik.errors import OptionError, ReachabilityMapError
 from robot_ik.geometry import Pose, vector
 from robot_ik.reachability import cells
 from robot_ik.reachability.cloud import PointCloud, coloured
-from robot_ik.reachability.grid import Grid, require_count
+from robot_ik.reachability.grid import MAX_ROLLS, Grid, require_count
+from robot_ik.reachability.numeric_sweep import has_free_roll
 from robot_ik.reachability.placement import BasePlacement, place_base
 from robot_ik.reachability.store import MapStore
 from robot_ik.reachability.sweep import BlockResult, Sweep, arm_form, run_pickled
@@ -73,7 +74,7 @@ class ReachStatus(enum.IntEnum):
 
 _MEANING = {
     ReachStatus.UNREACHABLE: "proven out of reach",
-    ReachStatus.NOT_FOUND: "not reached with any of the values of the swept joint",
+    ReachStatus.NOT_FOUND: "not found, and not proven out of reach",
     ReachStatus.TOUCHING: "reached only with a collision",
     ReachStatus.REACHED: "reached",
 }
@@ -93,11 +94,14 @@ class ReachabilityMap:
         collisions: Condition that a branch must keep to be free; None for no condition.
         status: (x, y, z, o) number of ``ReachStatus`` of each pose.
         branches: (x, y, z, o) number of free branches of each pose; of an arm of seven joints the
-            sum over the values of its swept joint, at most 255.
-        manipulability: (x, y, z) largest √det(J Jᵀ) of the free branches, metres and radians.
+            sum over the values of its swept joint, at most 255. 1 if ``method`` is "lm".
+        manipulability: (x, y, z) largest √det(J Jᵀ) of the free branches, metres and radians; of
+            fewer than six joints √det(Jᵀ J).
         clearance: (x, y, z) largest clearance of the free branches, up to 0.1 m; NaN without one,
             and without a condition on collisions.
         is_complete: Whether all blocks of the map have been swept.
+        method: How the poses were solved: "closed form", "swept joint" or "lm", see
+            ``sweep.METHODS``. Only a closed form proves that a pose is out of reach.
     """
 
     robot: Robot
@@ -109,6 +113,7 @@ class ReachabilityMap:
     manipulability: NDArray[np.float32]
     clearance: NDArray[np.float32]
     is_complete: bool
+    method: str
 
     def __repr__(self) -> str:
         cells_text = " x ".join(map(str, self.grid.shape))
@@ -255,15 +260,17 @@ def map_reachability(
 ) -> ReachabilityMap:
     """Compute in which poses a frame of an arm can stand.
 
-    The arm needs a closed form for poses: six hinges of a known geometry, or seven of which one is
-    swept over 24 values. A pose that is not reached is proven out of reach for six joints.
+    An arm of six hinges of a known geometry is swept by its closed form: a pose that is not reached
+    is proven out of reach. Of seven hinges one is swept over 24 values. Other arms are solved by
+    ``lm`` from several starts. That takes much longer. An arm of fewer than six joints
+    cannot choose its roll: its map has one roll, and a solution with any roll counts.
 
     Args:
         robot: The arm.
         frame: Frame that stands in the poses; default the tool.
         cell: Edge length of a cell, m.
         directions: Number of directions of the frame's z axis.
-        rolls: Number of turns of the frame about each direction.
+        rolls: Number of turns of the frame about each direction; 1 for fewer than six joints.
         collisions: Condition that a branch must keep to be free; None for no condition.
         out: Folder for the map, written block by block (extra ``maps``). If it holds a part of this
             map already, only the missing blocks are computed.
@@ -274,7 +281,6 @@ def map_reachability(
         progress: Called with the number of finished blocks and the number of all blocks.
 
     Raises:
-        ModelError: The arm has no closed form for a pose of the frame.
         OptionError: A number out of its range.
         UnknownFrameError: The robot has no such frame.
         OutputError: The folder holds something else, or it cannot be written.
@@ -293,6 +299,9 @@ def map_reachability(
     ball = robot.reach(name)
     if ball is None:
         raise ReachabilityMapError(f"the reach of {robot.name!r} is not bounded")
+    require_count("rolls", rolls, MAX_ROLLS)
+    if has_free_roll(robot, name):
+        rolls = 1
     grid = Grid.around(*ball, cell, directions, rolls)
     sweep = Sweep(robot, name, grid, arm, collisions)
     target = _Arrays(grid) if out is None else MapStore.create(out, grid, _facts(sweep))
@@ -346,7 +355,8 @@ def _facts(sweep: Sweep) -> dict[str, Any]:
         "frame": sweep.frame,
         "checked": collisions is not None,
         "margin": None if collisions is None else collisions.margin,
-        "swept": sweep.arm.swept,
+        "swept": None if sweep.arm is None else sweep.arm.swept,
+        "method": sweep.method,
         "fingerprint": sweep.fingerprint(),
     }
 
@@ -358,6 +368,7 @@ def _map_of(sweep: Sweep, arrays: dict[str, NDArray[Any]], is_complete: bool) ->
         grid=sweep.grid,
         collisions=sweep.collisions,
         is_complete=is_complete,
+        method=sweep.method,
         **arrays,
     )
 

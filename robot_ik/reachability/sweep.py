@@ -21,6 +21,7 @@ from robot_ik.kernels.tree import HINGE
 from robot_ik.model import qpos_addresses
 from robot_ik.reachability import cells
 from robot_ik.reachability.grid import Grid
+from robot_ik.reachability.numeric_sweep import NumericMemory
 from robot_ik.robot import Robot
 from robot_ik.solvers.analytic import form_block
 from robot_ik.solvers.analytic.recognise import Form, recognise
@@ -30,6 +31,13 @@ if TYPE_CHECKING:
 
 SWEPT_VALUES = 24
 """Values of the joint that is fixed in turn on an arm of seven joints."""
+
+METHODS = {
+    "closed form": "all branches of a closed form; a pose without one is proven out of reach",
+    "swept joint": f"closed forms with a joint fixed at {SWEPT_VALUES} values; nothing is proven",
+    "lm": "damped least squares from several starts, one solution a pose; nothing is proven",
+}
+"""How the poses of a map are solved."""
 
 CELLS_PER_CALL = 8
 """Cells of one call of the kernel. A thread checks between two calls whether it must stop."""
@@ -59,14 +67,11 @@ class ArmForm:
         return self.swept is None
 
 
-def arm_form(robot: Robot, frame: str | None, values: int = SWEPT_VALUES) -> ArmForm:
-    """Return the closed forms with which a frame is swept.
+def arm_form(robot: Robot, frame: str | None, values: int = SWEPT_VALUES) -> ArmForm | None:
+    """Return the closed forms with which a frame is swept; None if none is known.
 
     Of an arm of seven hinges the last joint that leaves a closed form is fixed at ``values``
     values, each in the middle of an equal part of its range.
-
-    Raises:
-        ModelError: The arm has no closed form for a pose of the frame.
     """
     node, local = robot.attachment(frame)
     chain = robot.tree.ancestors(node)
@@ -85,11 +90,7 @@ def arm_form(robot: Robot, frame: str | None, values: int = SWEPT_VALUES) -> Arm
             fixed = lower + shares * (upper - lower)
             if swept := _swept_forms(robot, frame, robot.joints[k], fixed):
                 return swept
-    raise ModelError(
-        f"no closed form is known for a pose of {frame or robot.tool!r} of {robot.name!r}",
-        hint="reachability maps need six hinges with a closed form, or seven of which one, "
-        "once fixed, leaves a closed form (docs/theory/methods.md)",
-    )
+    return None
 
 
 def _swept_forms(robot: Robot, frame: str | None, joint: str, values: Array) -> ArmForm | None:
@@ -134,15 +135,27 @@ class Sweep:
         robot: The arm.
         frame: Frame that stands in the poses; None for the tool.
         grid: The poses.
-        arm: The closed forms of the arm.
+        arm: The closed forms of the arm; None for a sweep by ``lm``.
         collisions: Condition that a branch must keep to be free; None for no condition.
     """
 
     robot: Robot
     frame: str | None
     grid: Grid
-    arm: ArmForm
+    arm: ArmForm | None
     collisions: CollisionAvoidance | None
+
+    @property
+    def method(self) -> str:
+        """Name of the method, one of ``METHODS``."""
+        if self.arm is None:
+            return "lm"
+        return "closed form" if self.arm.swept is None else "swept joint"
+
+    def _memory(self) -> SweepMemory | NumericMemory:
+        if self.arm is None:
+            return NumericMemory(self.robot, self.frame, self.grid.rotations, self.collisions)
+        return SweepMemory(self, self.arm)
 
     def run(self, block: int, stop: threading.Event | None = None) -> BlockResult | None:
         """Sweep one block. The result does not depend on the blocks before it.
@@ -152,7 +165,7 @@ class Sweep:
             stop: Ends the sweep early when it is set; the result is None then.
         """
         positions = self.grid.block_positions(block)
-        memory = SweepMemory(self)
+        memory = self._memory()
         count = len(positions)
         orientations = self.grid.orientations
         status = np.zeros((count, orientations), dtype=np.uint8)
@@ -184,9 +197,11 @@ class Sweep:
         mujoco.mj_saveModel(model, None, buffer)
         digest.update(buffer.tobytes())
         node, local = robot.attachment(self.frame)
-        for array in (robot.lower, robot.upper, robot.frozen_qpos, local, self.arm.values):
+        values = np.zeros(0) if self.arm is None else self.arm.values
+        for array in (robot.lower, robot.upper, robot.frozen_qpos, local, values):
             digest.update(np.ascontiguousarray(array).tobytes())
-        words: list[object] = [robot.joints, node, self.grid, self.arm.swept]
+        swept = None if self.arm is None else self.arm.swept
+        words: list[object] = [robot.joints, node, self.grid, swept]
         if self.collisions is not None:
             digest.update(self.collisions.tables.geoms.tobytes())
             words.append(self.collisions.margin)
@@ -203,10 +218,9 @@ class SweepMemory:
     change the last bits.
     """
 
-    def __init__(self, sweep: Sweep) -> None:
+    def __init__(self, sweep: Sweep, arm: ArmForm) -> None:
         robot = sweep.robot
         tree = robot.tree
-        arm = sweep.arm
         node, local = robot.attachment(sweep.frame)
         chain = np.array(tree.ancestors(node), dtype=np.int64)
         addresses = qpos_addresses(robot.model, tree)

@@ -28,15 +28,20 @@ from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.files import write_atomically
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Length = Annotated[float, Field(gt=0.0, le=100.0)]
 Point = Annotated[
     tuple[Number, Number, Number], Field(strict=False, description="3 numbers within 1e6")
+]
+Size = Annotated[
+    tuple[Length, Length, Length],
+    Field(strict=False, description="3 lengths above 0 and up to 100"),
 ]
 Index = Annotated[int, Field(ge=0, le=3)]
 Name = Annotated[str, Field(max_length=200)]
 Seconds = Annotated[float, Field(ge=0.0, le=3600.0)]
 Count = Literal[1, 2, 4]
 BallMotion = Literal["curve", "random", "hand"]
-Motion = Literal["curve", "random", "hand", "joints", "timeline", "course"]
+Motion = Literal["curve", "random", "hand", "joints", "timeline", "plan", "course"]
 GoalKind = Literal["pose", "position", "orientation", "aim", "line", "plane", "half_space"]
 ArmMode = Literal["follow", "hold", "release", "teach", "replay"]
 FigureMode = Literal["off", "active", "passive"]
@@ -59,6 +64,9 @@ RATE = 60
 
 LAST_TICK = 1 << 40
 """No session runs longer."""
+
+MAX_MESH_VERTICES = 2000
+"""Vertices of the convex hull of a mesh obstacle."""
 
 LONGEST_POSES = 200_000
 """Characters of a poses file that a page may load."""
@@ -374,6 +382,26 @@ class AddObstacle(Command):
     shape: Shape
 
 
+class AddMesh(Command):
+    """Add the convex hull of points (metres, frame of the obstacle) as an obstacle."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    vertices: Annotated[
+        tuple[Point, ...], Field(strict=False, min_length=4, max_length=MAX_MESH_VERTICES)
+    ]
+
+
+class ResizeObstacle(Command):
+    """Give the box around an obstacle other edge lengths (metres, frame of the obstacle).
+
+    A sphere takes its diameter from the first length, a cylinder its diameter from the first and
+    its height from the third.
+    """
+
+    index: Annotated[int, Field(ge=0, le=31)]
+    size: Size
+
+
 class MoveObstacle(Command):
     """Move an obstacle to a position (metres, world)."""
 
@@ -385,6 +413,39 @@ class RemoveObstacle(Command):
     """Remove an obstacle."""
 
     index: Annotated[int, Field(ge=0, le=31)]
+
+
+class MarkPlanStart(Command):
+    """Let planned motions start at the present posture of the first instance."""
+
+
+class PlanMotion(Command):
+    """Plan a motion of the first instance around the obstacles, to where the ball is.
+
+    Without values the session takes the marked start and the ball. A log has the values, because
+    the plan takes effect later than it was asked for.
+    """
+
+    start: Annotated[tuple[Number, ...], Field(strict=False, max_length=1000)] = ()
+    """Joint angles (nq,), rad or m."""
+    position: Point | None = None
+    wxyz: Wxyz | None = None
+
+
+class PlayPlan(Command):
+    """Play the planned motion from its present time, or stop there."""
+
+    playing: bool
+
+
+class ScrubPlan(Command):
+    """Show the planned motion at a time in seconds."""
+
+    time: Seconds
+
+
+class RemovePlan(Command):
+    """Remove the planned motion."""
 
 
 COMMANDS: dict[str, type[Command]] = {

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 from robot_ik.theses.courses import THESIS_RESULTS, Course
 
 _ROUNDING = 1e-9
@@ -55,6 +58,10 @@ class CourseRun:
         self._judged = -1
         self._met: dict[int, int] = {}
         self._lost: dict[int, int] = {}
+
+    def path(self) -> Array:
+        """Return positions (n, 3) of the goal along the course."""
+        return np.array([target.position for target in self._course.targets])
 
     def step(self, speed: float) -> Pose:
         """Return the goal of the next frame. A speed above 1 counts as 1: no frame is skipped."""

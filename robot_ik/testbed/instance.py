@@ -325,8 +325,13 @@ class Instance:
     def _wanted(self, goals: RobotGoals, ball: Pose, solver: Solver) -> list[Goal]:
         """Return the goals that the method serves."""
         if self._limb is None:
-            return goals.all(ball, solver)
-        return [dataclasses.replace(goals.main(ball), priority=0)]
+            wanted = goals.all(ball, solver)
+        else:
+            wanted = [dataclasses.replace(goals.main(ball), priority=0)]
+        # The success distance ends the ball's solve, and does not loosen the other goals.
+        tolerance = dataclasses.replace(_TOLERANCE, position=self.distance)
+        wanted[0] = dataclasses.replace(wanted[0], tolerance=tolerance)
+        return wanted
 
     def _change_from(self, before: Array) -> Array:
         """Return the change (nv,) of the joints since ``before`` (nq,), rad or m."""
@@ -384,7 +389,7 @@ class Instance:
         try:
             retarget(problem, wanted)
             begin = time.thread_time()
-            start = self.q if self._limb is None else self._limb.own(self.q)
+            start = self.q if self._limb is None else self._limb.limb_q(self.q)
             solution = problem.solve(start)
             self._seconds = time.thread_time() - begin
         except RobotIkError as error:
@@ -393,7 +398,7 @@ class Instance:
         self._status = solution.status.name.lower().replace("_", " ")
         self._iterations = solution.iterations
         if np.isfinite(solution.q).all():
-            self.move_to(solution.q if self._limb is None else self._limb.whole(solution.q))
+            self.move_to(solution.q if self._limb is None else self._limb.figure_q(solution.q))
         return solution
 
     def _measure(self, goals: RobotGoals, ball: Pose) -> None:

@@ -46,17 +46,17 @@ class Limb:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot.with_base(limb_base(robot))
-        self._whole = _addresses(robot)
-        self._own = _addresses(self.robot)
+        self._figure_addresses = _addresses(robot)
+        self._limb_addresses = _addresses(self.robot)
         self._figure = robot
 
-    def own(self, q: Array) -> Array:
+    def limb_q(self, q: Array) -> Array:
         """Return the joint vector of the limb for one of the figure (nq,)."""
-        return np.asarray(self._figure.qpos(q)[self._own])
+        return np.asarray(self._figure.qpos(q)[self._limb_addresses])
 
-    def whole(self, q: Array) -> Array:
+    def figure_q(self, q: Array) -> Array:
         """Return the joint vector (nq,) of the figure for one of the limb."""
-        return np.asarray(self.robot.qpos(q)[self._whole])
+        return np.asarray(self.robot.qpos(q)[self._figure_addresses])
 
 
 def _addresses(robot: Robot) -> NDArray[np.int64]:

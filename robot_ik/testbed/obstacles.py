@@ -1,28 +1,37 @@
 """Obstacles beside the robot, and how near the robot is to them. ``collision.Scene`` judges.
 
-No method of the testbed avoids them: they show distances and contacts.
+No method of the testbed avoids them: they show distances and contacts. A planned motion does
+(``testbed.planning``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from robot_ik.collision.obstacles import Box, Cylinder, Obstacle, Sphere
+from robot_ik.collision.obstacles import Box, Cylinder, Mesh, Obstacle, Sphere
 from robot_ik.collision.pairs import Ints, part_name
 from robot_ik.collision.scene import Clearance, Scene
 from robot_ik.errors import CollisionError
 from robot_ik.geometry import Pose
+from robot_ik.kernels.tree import FREE
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.commands import Shape
+from robot_ik.testbed.convex_hull import ConvexHull
+
+ObstacleShape = Literal[Shape, "mesh"]
 
 MAX_OBSTACLES = 8
 """Obstacles of a session. Each costs about 0.2 ms a measurement."""
 
-_SIZE = 0.09
-"""Half an edge, or the radius, in extents of the model."""
+MAX_CONTACTS = 8
+"""Contacts that are shown, the deepest ones."""
+
+_EDGE = 0.18
+"""Edge length or diameter of a new obstacle, in extents of the model."""
 
 _PLACE = np.array((0.45, 0.0, 0.30))
 """Position of a new obstacle, in extents of the model."""
@@ -32,37 +41,78 @@ _BESIDE = 0.28
 
 
 @dataclass(frozen=True, eq=False)
+class PlacedObstacle:
+    """An obstacle of a session.
+
+    Attributes:
+        name: Its name.
+        shape: Its shape.
+        size: Edge lengths of the box around it, m.
+        position: (3,) its centre, world, m.
+        hull: The solid of a mesh, of this size. None for the other shapes.
+    """
+
+    name: str
+    shape: ObstacleShape
+    size: tuple[float, float, float]
+    position: Array
+    hull: ConvexHull | None = None
+
+    def obstacle(self) -> Obstacle:
+        """Return it for ``Scene``."""
+        pose = Pose(self.position)
+        length_x, _, length_z = self.size
+        if self.hull is not None:
+            return Mesh(self.name, vertices=self.hull.vertices, pose=pose)
+        if self.shape == "box":
+            return Box(self.name, size=self.size, pose=pose)
+        if self.shape == "sphere":
+            return Sphere(self.name, radius=0.5 * length_x, pose=pose)
+        return Cylinder(self.name, radius=0.5 * length_x, length=length_z, pose=pose)
+
+    def resized(self, size: tuple[float, float, float]) -> PlacedObstacle:
+        """Return it with other edge lengths, of which a round shape does not use all."""
+        length_x, _, length_z = size
+        if self.shape == "sphere":
+            size = (length_x, length_x, length_x)
+        elif self.shape == "cylinder":
+            size = (length_x, length_x, length_z)
+        hull = None if self.hull is None else self.hull.resized(size)
+        return replace(self, size=size, hull=hull)
+
+
+@dataclass(frozen=True, eq=False)
 class ObstacleView:
     """An obstacle and the part of the robot that is nearest to it.
 
     Attributes:
-        shape: Its shape.
-        size: Half an edge, or the radius and half the height, m.
-        position: (3,) its centre, world, m.
+        placed: The obstacle.
         distance: m; negative: the depth of a contact. Infinite if nothing can touch it.
         part: The nearest part of the robot.
         points: (2, 3) nearest points on both, world, m. NaN if nothing can touch it.
     """
 
-    shape: Shape
-    size: float
-    position: Array
+    placed: PlacedObstacle
     distance: float
     part: str
     points: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ContactView:
-    """Two parts of the robot that touch each other.
+    """Two parts that touch each other: of the robot, or a part and an obstacle.
 
     Attributes:
         parts: Their names.
+        bodies: Those of the two parts that are bodies of the robot that move.
         depth: m.
+        point: (3,) the middle of the contact, world, m.
     """
 
     parts: tuple[str, str]
+    bodies: tuple[int, ...]
     depth: float
+    point: Array
 
 
 class Obstacles:
@@ -70,24 +120,24 @@ class Obstacles:
 
     Args:
         robot: The robot whose distances are measured.
+
+    Attributes:
+        placed: The obstacles.
     """
 
     def __init__(self, robot: Robot) -> None:
+        self.placed: tuple[PlacedObstacle, ...] = ()
         self._robot = robot
         self._extent = float(robot.model.stat.extent)
-        self._shapes: list[tuple[str, Shape]] = []
-        self._positions: list[Array] = []
         self._added = 0
+        # Built at the first measurement: the scene of a large robot takes some 50 ms.
         self._scene: Scene | None = None
+        self._is_built = False
         self._pairs: list[Ints] = []
-        self._own_pairs: Ints = np.zeros((0, 2), np.int64)
+        self._contact_pairs: Ints = np.zeros((0, 2), np.int64)
+        self._bodies: dict[str, int] = {}
         self._clearances: list[Clearance] = []
-        self._contact: ContactView | None = None
-
-    @property
-    def size(self) -> float:
-        """Half an edge, or the radius, m."""
-        return _SIZE * self._extent
+        self._contacts: tuple[Clearance, ...] = ()
 
     def add(self, shape: Shape) -> None:
         """Add an obstacle beside the robot.
@@ -96,96 +146,127 @@ class Obstacles:
             CollisionError: There are too many.
             RobotIkError: As ``Scene``.
         """
-        if len(self._shapes) >= MAX_OBSTACLES:
+        edge = _EDGE * self._extent
+        self._append(shape, shape, (edge, edge, edge), None)
+
+    def add_mesh(self, name: str, vertices: Array) -> None:
+        """Add the convex hull of vertices (n, 3), m, beside the robot. Errors as for ``add``."""
+        hull = ConvexHull.of_points(vertices).centred()
+        x, y, z = hull.size.tolist()
+        self._append(name, "mesh", (x, y, z), hull)
+
+    def _append(
+        self,
+        title: str,
+        shape: ObstacleShape,
+        size: tuple[float, float, float],
+        hull: ConvexHull | None,
+    ) -> None:
+        count = len(self.placed)
+        if count >= MAX_OBSTACLES:
             raise CollisionError(
                 f"there are {MAX_OBSTACLES} obstacles, the largest number; remove one first"
             )
         self._added += 1
-        side = _BESIDE * ((len(self._shapes) + 1) // 2) * (-1.0) ** len(self._shapes)
+        side = _BESIDE * ((count + 1) // 2) * (-1.0) ** count
         position = (_PLACE + np.array((0.0, side, 0.0))) * self._extent
-        name = f"{shape} {self._added}"
-        self._build([*self._shapes, (name, shape)], [*self._positions, position])
+        name = f"{title} {self._added}"
+        self._build((*self.placed, PlacedObstacle(name, shape, size, position, hull)))
 
     def move(self, index: int, position: Array) -> None:
         """Move an obstacle to a position (3,), m."""
-        if index < len(self._shapes) and self._scene is not None:
-            self._positions[index] = np.array(position, dtype=float)
-            self._scene.move(self._shapes[index][0], Pose(self._positions[index]))
+        if index < len(self.placed) and self._scene is not None:
+            moved = replace(self.placed[index], position=np.array(position, dtype=float))
+            self.placed = (*self.placed[:index], moved, *self.placed[index + 1 :])
+            self._scene.move(moved.name, Pose(moved.position))
+
+    def resize(self, index: int, size: tuple[float, float, float]) -> None:
+        """Give the box around an obstacle other edge lengths, m."""
+        if index < len(self.placed):
+            resized = self.placed[index].resized(size)
+            self._build((*self.placed[:index], resized, *self.placed[index + 1 :]))
 
     def remove(self, index: int) -> None:
         """Remove an obstacle."""
-        if index < len(self._shapes):
-            shapes = self._shapes[:index] + self._shapes[index + 1 :]
-            self._build(shapes, self._positions[:index] + self._positions[index + 1 :])
+        if index < len(self.placed):
+            self._build(self.placed[:index] + self.placed[index + 1 :])
 
-    def _build(self, shapes: list[tuple[str, Shape]], positions: list[Array]) -> None:
-        obstacles = [
-            self._obstacle(name, shape, position)
-            for (name, shape), position in zip(shapes, positions, strict=True)
-        ]
-        scene = Scene(self._robot, obstacles) if obstacles else None
+    def _build(self, placed: tuple[PlacedObstacle, ...]) -> None:
+        scene = Scene(self._robot, [item.obstacle() for item in placed])
         self._scene = scene
-        self._shapes = shapes
-        self._positions = positions
+        self._is_built = True
+        self.placed = placed
         self._clearances = []
-        self._contact = None
-        if scene is None:
-            return
-        geoms = [scene.model.geom(name).id for name, _ in shapes]
+        self._contacts = ()
+        model = scene.model
+        geoms = [model.geom(item.name).id for item in placed]
         self._pairs = [scene.pairs[(scene.pairs == geom).any(axis=1)] for geom in geoms]
-        always = {frozenset(touching.pair) for touching in scene.touching}
-        is_fixed = scene.model.body_weldid[scene.model.geom_bodyid] == 0
-        is_other = np.isin(scene.pairs, geoms) | is_fixed[scene.pairs]
-        own = scene.pairs[~is_other.any(axis=1)]
-        kept = [
-            frozenset((part_name(scene.model, a), part_name(scene.model, b))) not in always
-            for a, b in own.tolist()
-        ]
-        self._own_pairs = own[np.array(kept, bool)]
+        is_fixed = model.body_weldid[model.geom_bodyid] == 0
+        is_robot = model.geom_bodyid < self._robot.model.nbody  # the others are obstacles
+        self._bodies = {
+            part_name(model, geom): int(model.geom_bodyid[geom])
+            for geom in np.flatnonzero(is_robot & ~is_fixed).tolist()
+        }
+        self._contact_pairs = self._pairs_for_contacts(scene, geoms, is_fixed)
 
-    def _obstacle(self, name: str, shape: Shape, position: Array) -> Obstacle:
-        pose = Pose(position)
-        size = self.size
-        match shape:
-            case "box":
-                return Box(name, size=(2.0 * size,) * 3, pose=pose)
-            case "sphere":
-                return Sphere(name, radius=size, pose=pose)
-            case "cylinder":
-                return Cylinder(name, radius=size, length=2.0 * size, pose=pose)
+    def _pairs_for_contacts(self, scene: Scene, obstacles: list[int], is_fixed: Array) -> Ints:
+        """Return the pairs (p, 2) of geoms whose contacts are shown.
+
+        Parts that touch by construction are left out, and a free robot may stand on its floor.
+        """
+        model = scene.model
+        by_construction = {frozenset(touching.pair) for touching in scene.touching}
+        kept = [
+            frozenset(part_name(model, geom) for geom in pair) not in by_construction
+            for pair in scene.pairs.tolist()
+        ]
+        shown = np.array(kept, bool)
+        if (self._robot.tree.kind == FREE).any():
+            has_obstacle = np.isin(scene.pairs, obstacles).any(axis=1)
+            shown &= has_obstacle | ~is_fixed[scene.pairs].any(axis=1)
+        return np.asarray(scene.pairs[shown])
 
     def measure(self, q: Array) -> None:
-        """Measure all distances with the robot at ``q`` (nq,)."""
+        """Measure all distances with the robot at ``q`` (nq,).
+
+        Raises:
+            RobotIkError: At the first measurement, as ``Scene``.
+        """
+        if not self._is_built:
+            self._is_built = True
+            self._build(())
         scene = self._scene
         if scene is None:
             return
         self._clearances = [scene.clearance(q, pairs) for pairs in self._pairs]
-        own = scene.clearance(q, self._own_pairs) if len(self._own_pairs) else None
-        self._contact = None
-        if own is not None and own.pair is not None and own.distance < 0.0:
-            self._contact = ContactView(own.pair, -own.distance)
+        self._contacts = scene.contacts(q, self._contact_pairs)
 
     def view(self) -> tuple[ObstacleView, ...]:
         """Return what a front end shows of the obstacles."""
-        if len(self._clearances) != len(self._shapes):
+        if len(self._clearances) != len(self.placed):
             unknown = Clearance(np.inf, None, np.full((2, 3), np.nan), np.full(3, np.nan))
-            clearances = [unknown] * len(self._shapes)
+            clearances = [unknown] * len(self.placed)
         else:
             clearances = self._clearances
-        rows = zip(self._shapes, self._positions, clearances, strict=True)
         return tuple(
             ObstacleView(
-                shape=shape,
-                size=self.size,
-                position=position.copy(),
+                placed=placed,
                 distance=clearance.distance,
-                part=next((part for part in clearance.pair or () if part != name), ""),
+                part=next((part for part in clearance.pair or () if part != placed.name), ""),
                 points=clearance.points,
             )
-            for (name, shape), position, clearance in rows
+            for placed, clearance in zip(self.placed, clearances, strict=True)
         )
 
-    @property
-    def contact(self) -> ContactView | None:
-        """The deepest contact between two parts of the robot, which is measured with obstacles."""
-        return self._contact
+    def contact_views(self) -> tuple[ContactView, ...]:
+        """Return what a front end shows of the contacts, the deepest first."""
+        return tuple(
+            ContactView(
+                parts=contact.pair,
+                bodies=tuple(self._bodies[part] for part in contact.pair if part in self._bodies),
+                depth=-contact.distance,
+                point=contact.points.mean(axis=0),
+            )
+            for contact in self._contacts[:MAX_CONTACTS]
+            if contact.pair is not None
+        )

@@ -1,12 +1,7 @@
 """Prepares a setup beside the session's loop, and compiles its kernels in other processes.
 
-A compiler in the session's process would hold up its other threads for half a minute. The session
-loads what these processes have compiled from the cache. If a process fails, the session compiles.
-
-    python -m robot_ik.testbed.preparing < JSON        all of a setup
-    python -m robot_ik.testbed.preparing puma560       the kernels of dragging a part
-
-Each process writes a line for every function that it has compiled.
+The session loads what these processes (``kernels.precompile``) have compiled from the cache. If a
+process fails, the session compiles.
 """
 
 from __future__ import annotations
@@ -14,22 +9,19 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
-import os
 import queue
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import IO, Any
+from typing import Any
 
-from numba.core import event
 from pydantic import TypeAdapter
 
 from robot_ik.compiled_goals import has_levels
 from robot_ik.errors import RobotIkError
 from robot_ik.goals import Goal
 from robot_ik.kernels import jit, priorities
+from robot_ik.kernels.precompile import Precompilation
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver
@@ -39,8 +31,8 @@ from robot_ik.testbed.setup import MethodChoice, Ready, Setup, prepare, warm_dra
 
 _log = logging.getLogger(__name__)
 
-_NICE = 10
-"""Of the processes: the page, and the browser that loads it, come first."""
+_NICENESS = 10
+"""Niceness of the processes. The page, and the browser that loads it, come first."""
 
 _SETUP = TypeAdapter(Setup)
 """Converts the setup for the processes."""
@@ -57,7 +49,7 @@ class Compilers:
     """Runs the processes, one job at a time."""
 
     def __init__(self) -> None:
-        self._running: list[subprocess.Popen[bytes]] = []
+        self._running: list[Precompilation] = []
         self._lock = threading.Lock()
         self._over = False
 
@@ -70,12 +62,12 @@ class Compilers:
             choices = tuple(half)
             count: Any = len(half)
             part = replace(setup, count=count, choices=choices, figure="off")
-            self._start(given=_SETUP.dump_json(part))
+            self._start("prepare_setup", _SETUP.dump_json(part).decode())
         self._follow(" and ".join(choice.method for choice in missing), say)
 
     def drag(self, robot: str, say: Callable[[str], None]) -> None:
         """Compile the kernels of dragging. Return when it is done or has failed."""
-        self._start(robot)
+        self._start("prepare_drag", robot)
         self._follow("the kernels of dragging parts", say)
 
     def close(self) -> None:
@@ -85,35 +77,24 @@ class Compilers:
             self._end()
 
     def _end(self) -> None:
-        for process in self._running:
-            process.kill()
-            process.wait()
-            if process.stdout is None:
-                raise RuntimeError("the child process has no output")
-            process.stdout.close()
+        for compilation in self._running:
+            compilation.close()
         self._running = []
 
-    def _start(self, *arguments: str, given: bytes = b"") -> None:
-        with self._lock, contextlib.suppress(OSError):  # without a process the session compiles
-            if not self._over and sys.executable:
-                process = subprocess.Popen(
-                    [sys.executable, "-m", __name__, *arguments],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.DEVNULL,
-                )
-                self._running.append(process)
-                if process.stdin is None:
-                    raise RuntimeError("the child process has no input")
-                process.stdin.write(given)
-                process.stdin.close()
+    def _start(self, function: str, argument: str) -> None:
+        with self._lock:
+            if not self._over:
+                compilation = Precompilation(f"{__name__}:{function}", argument, niceness=_NICENESS)
+                self._running.append(compilation)
 
     def _follow(self, what: str, say: Callable[[str], None]) -> None:
         """Wait for the processes and show their progress."""
-        with contextlib.suppress(ValueError):  # ``close`` has closed the pipes
-            lines = itertools.chain.from_iterable(process.stdout or () for process in self._running)
-            for count, _ in enumerate(lines, start=1):
-                say(f"compiling {what}, once on this machine: {count} functions so far …")
+        running = list(self._running)
+        names = itertools.chain.from_iterable(
+            compilation.compiled_functions() for compilation in running
+        )
+        for count, _ in enumerate(names, start=1):
+            say(f"compiling {what}, once on this machine: {count} functions so far …")
         with self._lock:
             self._end()
 
@@ -241,32 +222,12 @@ class Preparer:
         self._text = text
 
 
-class _Reporter(event.Listener):
-    """Writes a line for every function that is compiled."""
-
-    def __init__(self, out: IO[str]) -> None:
-        self._out = out
-
-    def on_start(self, event: Any) -> None: ...
-
-    def on_end(self, event: Any) -> None:
-        with contextlib.suppress(OSError):  # the parent process has closed the pipe
-            self._out.write(event.data["dispatcher"].py_func.__name__ + "\n")
-            self._out.flush()
+def prepare_setup(text: str) -> None:
+    """Prepare a setup (JSON), so that its kernels are compiled."""
+    setup = _SETUP.validate_json(text)
+    prepare(setup, load_robot(setup.robot), None, logging.getLogger(__name__).debug)
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run one of the processes, see the module."""
-    if hasattr(os, "nice"):
-        os.nice(_NICE)
-    # Standard output is a pipe to the parent, which counts its lines.
-    event.register("numba:compile", _Reporter(sys.stdout))
-    if arguments:
-        warm_drag(load_robot(arguments[0]))
-    else:
-        setup = _SETUP.validate_json(sys.stdin.buffer.read())
-        prepare(setup, load_robot(setup.robot), None, logging.getLogger(__name__).debug)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+def prepare_drag(robot: str) -> None:
+    """Prepare dragging, so that its kernels are compiled."""
+    warm_drag(load_robot(robot))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import queue
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -28,6 +29,7 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.course_run import CourseRun
 from robot_ik.testbed.instance import Instance
 from robot_ik.testbed.obstacles import Obstacles
+from robot_ik.testbed.planning import PlanDone, PlannedMotion, Planner, PlanTask
 from robot_ik.testbed.preparing import Preparer, SetupDone
 from robot_ik.testbed.robot_goals import first_ball
 from robot_ik.testbed.setup import (
@@ -90,7 +92,8 @@ class Session(Closing):
         setup = Setup.of(self.start)
         for choice in setup.choices:
             choice.solver()
-        self._queue: queue.SimpleQueue[commands.Command | SetupDone] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[commands.Command | SetupDone | PlanDone]
+        self._queue = queue.SimpleQueue()
         self._log: list[tuple[int, commands.Command]] = []
         self._tick = 0
         self._phase = 0.0
@@ -114,6 +117,7 @@ class Session(Closing):
         self._stand(selected(loaded, setup), setup.count)
         self._setup = completed(setup, self.robot)
         done = self._queue.put if beside else self._adopt
+        self._planner = Planner(self._queue.put if beside else self._adopt_plan, beside=beside)
         self._preparer = Preparer(setup, loaded, done, beside=beside)
         if not beside:
             self._preparer.ask(None)
@@ -142,6 +146,7 @@ class Session(Closing):
     def close(self) -> None:
         """End the session and leave the arm, if there is one."""
         self._preparer.close()
+        self._planner.close()
         if self.arm is not None:
             self.arm.close()
 
@@ -165,13 +170,21 @@ class Session(Closing):
         self._tick += 1
         if self._motion == "timeline":
             self._show_timeline(self._ready)
+        elif self._motion == "plan":
+            self._show_plan(self._ready)
         elif self._running:
             self._step(self._ready)
         if self._tick % _SLOW_TICKS == 0:
-            self._obstacles.measure(self.instances[0].q)
+            self._measure_distances()
         if self.arm is not None:
             first = self.instances[0]
             self.arm.follow(first.robot, first.q, self._running)
+
+    def _measure_distances(self) -> None:
+        try:
+            self._obstacles.measure(self.instances[0].q)
+        except RobotIkError as error:
+            self.report(f"no contacts are shown: {str(error).splitlines()[0]}")
 
     def _step(self, ready: Ready) -> None:
         self._phase += self._speed / commands.RATE
@@ -222,6 +235,16 @@ class Session(Closing):
         self._ball = self.instances[0].tool_pose()
         for one in self.instances:
             one.stand(q, "timeline", ready.goals, self._ball)
+
+    def _show_plan(self, ready: Ready) -> None:
+        """Put the first instance to the plan's posture. The others follow the ball."""
+        q = self._planned.step(1.0 / commands.RATE)
+        if q is None:
+            self._motion = "hand"
+            return
+        self.instances[0].stand(q, "plan", ready.goals, self._ball)
+        for one in self.instances[1:]:
+            one.solve(ready.goals, self._ball, restarts=False)
 
     def _pull(self) -> Array | None:
         """Return the grabbed point and where the mouse pulls it (2, 3), or None without a drag."""
@@ -278,7 +301,8 @@ class Session(Closing):
             missing_meshes=self.robot.missing_meshes,
             timeline=self._timeline.view(),
             obstacles=self._obstacles.view(),
-            contact=self._obstacles.contact,
+            plan=self._planned.view(),
+            contacts=self._obstacles.contact_views(),
         )
 
     @property
@@ -314,15 +338,21 @@ class Session(Closing):
         """Return positions (n, 3) of the ball on its curve, for a camera that shows all of it."""
         if self._ready is None:
             return np.array([self._ball.position])
+        if self._course_run is not None:
+            return self._course_run.path()
         times = np.linspace(0.0, CURVE_PERIOD, 9)
         return np.array([self._ready.curve.poll(float(t)).target.position for t in times])
 
     # Commands
 
-    def _take(self, command: commands.Command | SetupDone) -> None:
+    def _take(self, command: commands.Command | SetupDone | PlanDone) -> None:
         """Execute a command. The view shows an error; nothing is raised."""
         if isinstance(command, SetupDone):
             self._adopt(command)
+        elif isinstance(command, PlanDone):
+            self._adopt_plan(command)
+        elif isinstance(command, commands.PlanMotion):
+            self._ask_plan(command)
         elif isinstance(command, commands.SetupCommand):
             self._preparer.ask(command)
         elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
@@ -375,7 +405,7 @@ class Session(Closing):
                 self._apply_to_timeline(command)
 
     def _apply_to_timeline(self, command: commands.Command) -> None:
-        """Execute a command about the timeline or about obstacles."""
+        """Execute a command about the timeline, about obstacles or about plans."""
         match command:
             case commands.RecordPose():
                 self._timeline.record(self.instances[0].q)
@@ -388,30 +418,59 @@ class Session(Closing):
                     self._timeline.seek(time)
             case commands.PlayTimeline(playing):
                 if not playing:
-                    self._timeline.play(False)
+                    self._stop_playing()
                 elif self._may_show_timeline():
                     self._running = True
                     self._timeline.play(True)
             case commands.LoadPoses(text):
                 self._timeline.load(KeyPoses.parse(text, self.robot, "poses.toml"))
+            case commands.MarkPlanStart():
+                self._planned.mark_start(self.instances[0].q)
+            case commands.PlayPlan(playing):
+                if not playing:
+                    self._planned.play(False)
+                elif self._may_show_plan():
+                    self._running = True
+                    self._planned.play(True)
+            case commands.ScrubPlan(time):
+                if self._may_show_plan():
+                    self._planned.seek(time)
+            case commands.RemovePlan():
+                self._planned.remove()
+            case _:
+                self._apply_to_obstacles(command)
+
+    def _apply_to_obstacles(self, command: commands.Command) -> None:
+        """Execute a command about obstacles. A plan is for the obstacles before it."""
+        self._planned.invalidate()
+        match command:
             case commands.AddObstacle(shape):
                 self._obstacles.add(shape)
+            case commands.AddMesh(name, vertices):
+                self._obstacles.add_mesh(name, np.array(vertices))
+            case commands.ResizeObstacle(index, size):
+                self._obstacles.resize(index, size)
             case commands.MoveObstacle(index, position):
                 self._obstacles.move(index, np.array(position))
             case commands.RemoveObstacle(index):
                 self._obstacles.remove(index)
+
+    def _stop_playing(self) -> None:
+        """Stop the cursors of timeline and plan."""
+        self._timeline.play(False)
+        self._planned.play(False)
 
     def _set_motion(self, motion: commands.BallMotion) -> None:
         if self._is_locked:
             self.report(_LOCKED)
             return
         self._motion = motion
-        self._timeline.play(False)
+        self._stop_playing()
 
     def _set_running(self, running: bool) -> None:
         self._running = running
         if not running:
-            self._timeline.play(False)
+            self._stop_playing()
             if self.arm is not None:
                 self.arm.stop("stopped: press Start")
 
@@ -423,7 +482,7 @@ class Session(Closing):
             self._motion = "course"
         self._running = True
         self._drag = None
-        self._timeline.play(False)
+        self._stop_playing()
         self._begin_random()
         for one in self.instances:
             one.reset()
@@ -464,7 +523,7 @@ class Session(Closing):
         self._drag = None
         self._ball = first.tool_pose()
         self._motion = "joints"
-        self._timeline.play(False)
+        self._stop_playing()
 
     def _may_show_timeline(self) -> bool:
         """Let the robots follow the timeline, if it has poses and no figure decides."""
@@ -477,6 +536,43 @@ class Session(Closing):
         self._drag = None
         self._motion = "timeline"
         return True
+
+    def _may_show_plan(self) -> bool:
+        """Let the first instance follow the plan, if there is one."""
+        if not self._planned.has_motion:
+            self.report("there is no planned motion: press Plan to the ball first")
+            return False
+        self._stop_playing()
+        self._drag = None
+        self._motion = "plan"
+        return True
+
+    def _ask_plan(self, command: commands.PlanMotion) -> None:
+        """Plan beside the loop. The values of the command are those of now."""
+        if self._ready is None or self._figure is not None:
+            self.report("a figure that decides by itself plans its own motions")
+            return
+        if command.position is None:
+            # Commands, so that the log has them: the ball stays at the goal.
+            self._take(commands.RemovePlan())
+            if self._motion in ("curve", "random"):
+                self._take(commands.SetMotion("hand"))
+            x, y, z = self._ball.position.tolist()
+            wxyz = tuple(self._ball.wxyz.tolist())
+            start = tuple(self._planned.start.tolist())
+            command = replace(command, start=start, position=(x, y, z), wxyz=wxyz)
+            self._ask_plan(command)
+            return
+        goal = self._ready.goals.main(Pose(command.position, command.wxyz or self._ball.wxyz))
+        obstacles = tuple(placed.obstacle() for placed in self._obstacles.placed)
+        task = PlanTask(command, self.robot, goal, obstacles)
+        self._planned.begin(task)
+        self._planner.ask(task)
+
+    def _adopt_plan(self, done: PlanDone) -> None:
+        """Show a plan, unless obstacles, robot or goal have changed since it was asked for."""
+        if self._planned.take(done):
+            self._log.append((self._tick, done.task.command))
 
     def _release(self) -> None:
         """End a drag. The ball goes to the tool of the dragged robot."""
@@ -496,7 +592,7 @@ class Session(Closing):
             self.report(_LOCKED)
             return
         self._motion = "hand"
-        self._timeline.play(False)
+        self._stop_playing()
         radius = _REACH * float(self.robot.model.stat.extent)
         middle = self.robot.model.stat.center
         offset = position - middle
@@ -518,7 +614,7 @@ class Session(Closing):
             self._drag = command
             if self._motion in ("joints", "timeline"):
                 self._motion = "hand"
-                self._timeline.play(False)
+                self._stop_playing()
 
     def _adopt(self, result: SetupDone) -> None:
         """Let what was prepared take effect now."""
@@ -541,6 +637,9 @@ class Session(Closing):
             missing = ready.setup.count - len(self.instances)
             fresh = [Instance(ready.robot) for _ in range(missing)]
             self.instances = [*self.instances, *fresh][: ready.setup.count]
+        is_other_goal = before is not None and before.setup.kind != ready.setup.kind
+        if is_other_goal or self.robot is not ready.robot:
+            self._planned.use(ready.robot)
         is_other_tool = self.robot.tool != ready.robot.tool
         self.robot = ready.robot
         self._branches = ()
@@ -601,7 +700,7 @@ class Session(Closing):
             self._figure = FigureSession(ready.abilities, mode=wanted)
             self._frame = self._figure.step()
             self._motion = "hand"
-            self._timeline.play(False)
+            self._stop_playing()
 
     def _stand(self, robot: Robot, count: int) -> None:
         """Put new robots to their home poses."""
@@ -611,6 +710,7 @@ class Session(Closing):
         self._branches = ()
         self._timeline = Timeline(robot)
         self._obstacles = Obstacles(robot)
+        self._planned = PlannedMotion(robot)
 
     def _begin_random(self) -> None:
         period = max(self._pace, 1.0 / commands.RATE)

@@ -17,6 +17,7 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.course_run import CourseView
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.obstacles import ContactView, ObstacleView
+from robot_ik.testbed.planning import PlanView
 from robot_ik.testbed.robot_goals import ExtraGoal, Pin
 from robot_ik.testbed.timeline import TimelineView
 
@@ -96,7 +97,8 @@ class View:
         missing_meshes: Mesh files of the robot that are not drawn, as its file names them.
         timeline: Key poses and cursor.
         obstacles: Obstacles and their distances.
-        contact: The deepest contact between two parts of the robot; measured with obstacles only.
+        plan: The planned motion of the first instance.
+        contacts: Parts of the first instance that touch each other or an obstacle, deepest first.
     """
 
     tick: int
@@ -128,7 +130,8 @@ class View:
     missing_meshes: tuple[str, ...]
     timeline: TimelineView
     obstacles: tuple[ObstacleView, ...]
-    contact: ContactView | None
+    plan: PlanView
+    contacts: tuple[ContactView, ...]
 
     @property
     def count(self) -> commands.Count:
@@ -159,9 +162,11 @@ class View:
         fields.append(None if self.course is None else dataclasses.astuple(self.course))
         fields.append(None if self.figure is None else dataclasses.astuple(self.figure))
         fields.append(dataclasses.astuple(self.timeline))
-        fields += [obstacle.shape for obstacle in self.obstacles]
+        fields += [self.plan.duration, self.plan.now, self.plan.playing]
+        fields += [[one.placed.name, one.placed.shape, one.placed.size] for one in self.obstacles]
         arrays = [self.ball.position, self.ball.wxyz]
-        arrays += [obstacle.position for obstacle in self.obstacles]
+        arrays.append(self.plan.path)
+        arrays += [obstacle.placed.position for obstacle in self.obstacles]
         for one in self.instances:
             statistics = one.statistics
             fields += [one.method, one.options, one.status, one.iterations, one.distance]

@@ -304,3 +304,16 @@ def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(
     finally:
         servos.send_signal(signal.SIGINT)
         servos.communicate()
+
+
+def test_joints_that_are_not_named_stay(robot_ik: Any, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    joints = ("--joints", "joint1", "joint2", "joint3")
+    run = robot_ik("reach", *SIM, *GOAL, *joints, "--out", out)
+    assert run.code == 0, run
+    rows = np.genfromtxt(out / "trajectory.csv", delimiter=",", names=True)
+    names = rows.dtype.names
+    moved = {name for name in names if name.startswith("joint") and np.ptp(rows[name]) > 1e-6}
+    assert moved and all(name.startswith(("joint1", "joint2", "joint3")) for name in moved)
+    run = robot_ik("reach", *SIM, *GOAL, "--base", "link2", "--line")
+    assert run.code == 2 and "--joints" in run.err

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -130,3 +133,22 @@ def test_without_a_bus_nothing_moves(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "move", "joint2=20", "--arm", desk.arm)
     run.assert_one_screen_error()
     assert "--bus: this argument is required; allowed: sim|pty|PORT" in run.err
+
+
+def test_lines_appear_above_the_progress_bar() -> None:
+    master, slave = pty.openpty()
+    command = [sys.executable, "-m", "robot_ik", "servo", "move", "joint1=3", "--bus", "sim"]
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80"}
+    with open(master, "rb", buffering=0) as screen:
+        child = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=slave, stderr=slave, env=environment
+        )
+        os.close(slave)
+        shown = b""
+        with contextlib.suppress(OSError):  # the child has closed the other end
+            while part := screen.read(4096):
+                shown += part
+        child.wait()
+    assert child.returncode == 0, shown
+    assert b"moving" in shown, "the phase is in the bar"
+    assert re.search(rb"\x1b\[2K(\x1b\[2m)?torque is off", shown), "the bar is erased first"

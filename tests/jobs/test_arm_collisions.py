@@ -28,6 +28,7 @@ from robot_ik.workcell.arm_guard import ArmGuard
 from robot_ik.workcell.guided_motion import playable
 from robot_ik.workcell.jog import KeyboardJog
 from robot_ik.workcell.leader_arm import LeaderArm
+from robot_ik.workcell.motion_condition import motion_condition
 from robot_ik.workcell.teleop import teleoperate
 from tests.commands.reach_runs import run_reach
 
@@ -167,6 +168,34 @@ def test_reach_arrives_by_a_free_way(tmp_path: Path, robot: rik.Robot, goal: Arr
     assert report.error is None
     assert report.trajectory is not None
     assert report.trajectory.certified
+
+
+def test_reach_goes_around_the_obstacles_of_the_arm_file(
+    tmp_path: Path, robot: rik.Robot, goal: Array
+) -> None:
+    file = with_ball(tmp_path, middle(robot, goal))
+    wanted = PoseGoal.at(None, robot.forward(goal))
+    report = run_reach(robot=NAME, arm=str(file), goal=wanted, avoid=True)
+    assert report.error is None
+    assert report.trajectory is not None and report.trajectory.certified
+    scene = rik.Scene(robot, rik.load_obstacles(tmp_path / "scene.xml"))
+    clearances = [scene.clearance(q).distance for q in report.trajectory.q]
+    assert min(clearances) >= 0.004 - 1e-6, "the margin of the arm file is not kept"
+
+
+def test_a_scene_of_the_request_comes_before_that_of_the_arm_file(
+    tmp_path: Path, robot: rik.Robot
+) -> None:
+    (tmp_path / "other.xml").write_text(BALL.format(radius=0.05, x=1, y=0, z=0), encoding="utf-8")
+    other = tmp_path / "other.xml"
+    of_arm = rik.CollisionAvoidance(rik.Scene(robot), margin=0.004)
+    assert motion_condition(robot, None, False, of_arm) is None
+    assert motion_condition(robot, None, True, of_arm) is of_arm
+    alone = motion_condition(robot, None, True, None)
+    assert alone is not None and alone.scene.obstacles == ()
+    for avoid in (False, True):
+        given = motion_condition(robot, other, avoid, of_arm)
+        assert given is not None and [one.name for one in given.scene.obstacles] == ["ball"]
 
 
 SCRIPT = """

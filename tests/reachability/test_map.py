@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import ModelError, OptionError, UnknownFrameError
+from robot_ik.errors import OptionError, UnknownFrameError
 from robot_ik.reachability.reachability_map import QUANTITIES
-from robot_ik.reachability.sweep import SWEPT_VALUES
+from robot_ik.reachability.sweep import METHODS, SWEPT_VALUES
 from tests.solvers.analytic.test_six_axes import UPRIGHT
 
 MARGIN = 0.002
@@ -191,14 +191,61 @@ def test_slices_are_drawn(reach_map):
         draw_slice(reach_map, at=50.0)
 
 
+@pytest.fixture(scope="module")
+def five_joints():
+    """An arm without a closed form for poses, which cannot choose its roll either."""
+    return small_map("so101", cell=0.12, directions=9, checked=True)
+
+
+def test_an_arm_without_a_closed_form_is_solved_by_lm(five_joints):
+    assert five_joints.method == "lm" and five_joints.grid.rolls == 1
+    robot = five_joints.robot
+    rng = np.random.default_rng(2)
+    scene = five_joints.collisions.scene
+    arm = [robot.tree.vadr[k] for k in robot.tree.ancestors(robot.attachment()[0])]
+    assert len(arm) == 5
+    for reach in (rik.ReachStatus.REACHED, rik.ReachStatus.TOUCHING, rik.ReachStatus.NOT_FOUND):
+        for cell, orientation in entries(five_joints, reach, 12):
+            pose = pose_of(five_joints, cell, orientation)
+            goal = rik.PoseGoal(None, pose.position, pose.wxyz, free_axis="z")
+            problem = rik.Problem(robot, goal, solver="lm", budget=rik.Budget(restarts=0))
+            solutions = [problem.solve(robot.sample(rng)) for _ in range(STARTS)]
+            solutions = [one for one in solutions if one.converged]
+            for solution in solutions:
+                measured = robot.measure(solution.q)
+                assert np.linalg.norm(np.array(measured.position) - pose.position) < 2e-4
+                assert measured.rotation[:, 2] @ pose.rotation[:, 2] > np.cos(2e-3)
+            clearances = [scene.clearance(one.q).distance for one in solutions]
+            is_free = max(clearances, default=-1.0) > MARGIN
+            assert is_free == (reach is rik.ReachStatus.REACHED), (reach, cell, orientation)
+            assert bool(solutions) == (reach is not rik.ReachStatus.NOT_FOUND)
+    cell, _ = entries(five_joints, rik.ReachStatus.REACHED, 1)[0]
+    assert five_joints.manipulability[cell] > 0.0
+    assert MARGIN <= five_joints.clearance[cell] <= 0.1
+    assert five_joints.branches.max() == 1
+    outside = tuple(np.array(five_joints.grid.corner) + 1e-3)
+    assert five_joints.reach_at(rik.Pose(outside)) is rik.ReachStatus.UNREACHABLE
+
+
+def test_the_threads_of_a_map_by_lm_change_no_bit(five_joints):
+    again = small_map("so101", cell=0.12, directions=9, threads=3)
+    for name in ("status", "branches", "manipulability", "clearance"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(five_joints, name))
+
+
+def test_every_map_says_how_it_was_solved(reach_map, panda):
+    assert reach_map.method == "closed form" and panda.method == "swept joint"
+    assert {reach_map.method, panda.method, "lm"} == set(METHODS)
+
+
 def test_joints_that_follow_others_have_no_closed_form():
     coupled = UPRIGHT.replace('axis="0 1 0" range="-1.5', 'name="a" axis="0 1 0" range="-1.5')
     coupled = coupled.replace('axis="0 1 0" range="-2.4', 'name="b" axis="0 1 0" range="-2.4')
     equality = '<equality><joint joint1="b" joint2="a"/></equality></mujoco>'
     tiny = {"cell": 0.5, "directions": 1, "rolls": 1}
-    rik.map_reachability(rik.load_robot(coupled), **tiny)
-    with pytest.raises(ModelError, match="no closed form"):
-        rik.map_reachability(rik.load_robot(coupled.replace("</mujoco>", equality)), **tiny)
+    assert rik.map_reachability(rik.load_robot(coupled), **tiny).method == "closed form"
+    followers = rik.load_robot(coupled.replace("</mujoco>", equality))
+    assert rik.map_reachability(followers, **tiny).method == "lm"
 
 
 def test_wrong_arguments_are_refused():
@@ -217,7 +264,5 @@ def test_wrong_arguments_are_refused():
             rik.map_reachability(robot, **options)
     with pytest.raises(UnknownFrameError):
         rik.map_reachability(robot, frame="griper")
-    with pytest.raises(ModelError, match="no closed form"):
-        rik.map_reachability(rik.load_robot("so101"))
     with pytest.raises(OptionError, match="quantity"):
         small_map("puma560", checked=False, cell=0.9, directions=1, rolls=1).quantity("size")

@@ -52,6 +52,12 @@ def test_poses_that_no_place_reaches_are_reported(reach_map):
     assert placement.votes < 2
 
 
+def test_an_arm_that_cannot_choose_its_roll_has_no_place():
+    five = rik.map_reachability(rik.load_robot("so101"), cell=0.3, directions=1)
+    with pytest.raises(ReachabilityMapError, match="too few joints"):
+        five.best_base([rik.Pose((0.2, 0.0, 0.1))])
+
+
 def test_wrong_arguments_are_refused(reach_map):
     pose = rik.Pose((0.3, 0.0, 0.5))
     for poses, options in (

@@ -24,6 +24,7 @@ from robot_ik.testbed.ar.late_registrar import LateRegistrar, RecentBoards
 from robot_ik.testbed.ar.live import ArPicture, LiveAr
 from robot_ik.testbed.ar.scene import ArScene
 from robot_ik.testbed.ar.setup import ArDelay, ArSetup
+from robot_ik.testbed.ar.warm import is_warm
 from robot_ik.testbed.commands import MoveGoal, SetFigure, SetRobot, Start
 from robot_ik.testbed.frontends.picture_message import HEADER
 from robot_ik.testbed.presets import PRESETS, preset
@@ -135,11 +136,11 @@ def test_a_marker_beside_the_board_gives_the_place_of_the_ball(film: Any, scene:
         truth: Any = frame.truth
         in_camera = truth["pose_camera_marker"][FOLLOWED[0]]
         assert done.pose_board_marker is not None and done.pose_camera_board is not None
-        found = scene.world_point(np.array(done.pose_board_marker.position))
+        position = scene.world_point(np.array(done.pose_board_marker.position))
         in_world = scene.drawn.camera(done.pose_camera_board.inverse()).apply(
             np.array(in_camera.position) / scene.drawn.scale
         )
-        assert np.linalg.norm(found - in_world) * scene.drawn.scale < 2e-3
+        assert np.linalg.norm(position - in_world) * scene.drawn.scale < 2e-3
 
 
 def test_the_ball_is_drawn_where_opencv_projects_it(film: Any, scene: ArScene) -> None:
@@ -179,11 +180,17 @@ def test_the_mouse_takes_the_ball_along_in_the_plane_of_the_picture(live: Any) -
     made.set_delay(ArDelay())
     u, v, radius = pictures[-1].ball
     assert 0.0 < u < 640.0 and 0.0 < v < 480.0 and radius > 2.0
-    here = made.ball_at(u, v)
+    position = made.ball_at(u, v)
     right = made.ball_at(u + 40.0, v)
-    assert here is not None and right is not None
-    assert np.linalg.norm(here - (0.2, 0.05, 0.12)) < 0.02, "the board moves between two pictures"
-    assert np.linalg.norm(right - here) > 0.01
+    assert position is not None and right is not None
+    assert np.linalg.norm(position - (0.2, 0.05, 0.12)) < 0.02, (
+        "the board moves between two pictures"
+    )
+    assert np.linalg.norm(right - position) > 0.01
+
+
+def test_what_was_compiled_for_the_pictures_is_known(live: Any) -> None:
+    assert live and is_warm(), "each session would compile in another process again"
 
 
 def test_text_is_written_into_the_picture_unless_the_overlay_is_off(live: Any) -> None:

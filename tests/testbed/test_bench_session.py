@@ -266,3 +266,14 @@ def test_the_bench_replays_to_the_same_bits() -> None:
     again = CommandLog.parse(log.text().splitlines(), "log")
     *_, last = replayed(again)
     assert last.view().digest() == log.digest
+
+
+def test_the_success_distance_ends_a_solve() -> None:
+    session = opened("seven_segment", methods=("dls",))
+    view_after(session, SetGoalKind("position"), SetMotion("hand"), ticks=5)
+    ball = session.instances[0].tool_pose().position + np.array((0.2, 0.2, -0.2))
+    view = view_after(session, SetBudget(0, 100, 0.05), MoveGoal(tuple(ball)), ticks=30)
+    one = view.instances[0]
+    assert one.met and 1e-3 < one.error <= 0.05, "it goes on after it is near enough"
+    view = view_after(session, SetBudget(0, 100, 1e-4), ticks=30)
+    assert view.instances[0].error <= 1e-4

@@ -17,8 +17,11 @@ import pytest
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.geometry import Pose
 from robot_ik.motion.key_poses import KeyPoses
+from robot_ik.reachability.reachability_map import map_reachability
+from robot_ik.robot import load_robot
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import (
+    AddMesh,
     Command,
     CommandLog,
     MoveGoal,
@@ -28,11 +31,15 @@ from robot_ik.testbed.commands import (
     SetRobot,
     Start,
 )
+from robot_ik.testbed.convex_hull import ConvexHull
 from robot_ik.testbed.frontends.actions import ACTIONS
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.contact_scene import thickened
 from robot_ik.testbed.frontends.page_server import PageServer
+from robot_ik.testbed.frontends.reach_scene import shell_faces, shell_glb
 from robot_ik.testbed.frontends.view_rows import joint_addresses, program_row, view_row
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.session import Session
 from tests.doc_pages import script
 from tests.testbed.channel_client import ChannelClient
@@ -93,7 +100,14 @@ FILES = {
     "share_motion": ({}, "motion.html"),
     "film_session": ({}, "testbed.mp4"),
 }
-OTHERS = {"press_key", "hand_over", "fit_camera", "report_graphics", "save_recording"}
+OTHERS = {
+    "press_key",
+    "hand_over",
+    "fit_camera",
+    "report_graphics",
+    "save_recording",
+    "load_mesh",
+}
 AR = {
     "begin_preset",
     "drag_ar_ball",
@@ -139,8 +153,13 @@ def test_a_switch_changes_the_page_and_is_shown_on_it(
 
 
 def show_surfaces(client: ChannelClient, action: str, setting: str, on: bool) -> None:
-    client.action(action, on=on)
-    client.until(lambda one: one.latest["settings"].get(setting) is on)
+    if action == "show_reach":
+        picture = "space" if on else "none"
+        client.action(action, picture=picture)
+        client.until(lambda one: one.latest["settings"].get(setting) == picture)
+    else:
+        client.action(action, on=on)
+        client.until(lambda one: one.latest["settings"].get(setting) is on)
 
 
 def wait_for_nodes(nodes: Mapping[str, Any], names: set[str], on: bool) -> None:
@@ -209,6 +228,101 @@ def test_without_a_recording_the_page_says_how_to_make_one(
     _, client, _ = opened
     client.action("save_recording")
     client.until(lambda one: any("press Teach" in notice for notice in one.notices))
+
+
+def test_the_reach_is_shown_as_a_map(
+    opened: tuple[Page, ChannelClient, Any],
+) -> None:
+    page, client, _ = opened
+    sizes = {}
+    for picture in ("cloud", "shell", "none"):
+        client.action("show_reach", picture=picture)
+        client.until(lambda one, picture=picture: one.latest["settings"]["reach"] == picture)
+        if picture in ("cloud", "shell"):
+            client.until(lambda one: one.latest["reach"]["largest_index"] > 0.0, "no map")
+            assert "without obstacles" in client.latest["reach"]["text"]
+        counter = page.server._websock_server._broadcast_buffer.message_counter
+        page.draw(page.session.view())
+        sizes[picture] = page.server._websock_server._broadcast_buffer.message_counter - counter
+    assert min(sizes.values()) > 0, "a picture did not change the 3D view"
+    client.until(lambda one: one.latest["reach"]["text"] == "")
+
+
+def test_an_arm_without_a_bounded_reach_has_no_map() -> None:
+    states: list[ReachState] = []
+    humanoid = load_robot("humanoid")
+    ReachMaps(states.append).ask(humanoid, ())
+    wait_for(lambda: states and states[-1].text.startswith("no map:"))
+    assert states[-1].reach_map is None
+
+
+def test_only_the_last_map_that_was_asked_for_is_shown() -> None:
+    states: list[ReachState] = []
+    maps = ReachMaps(states.append)
+    maps.ask(load_robot("puma560"), ())
+    maps.ask(load_robot("tabletop_puma"), ())
+    wait_for(lambda: [state for state in states if state.reach_map is not None])
+    last = states[-1].reach_map
+    assert last is not None and last.robot.name == "tabletop_puma"
+    assert sum(state.reach_map is not None for state in states) == 1
+
+
+def test_the_shell_is_the_closed_surface_of_the_reached_cells_behind_the_middle() -> None:
+    reach_map = map_reachability(load_robot("puma560"), cell=0.3, directions=6, rolls=1)
+    away = np.array((0.0, 1.0, 0.0))
+    positions, normals, values = shell_faces(reach_map, away)
+    cell = reach_map.grid.cell
+    assert np.array_equal(normals.sum(axis=0), (0, 0, 0)), "the surface has a hole"
+    for position, normal, value in zip(positions, normals, values, strict=True):
+        inside = position - 0.5 * cell * normal
+        outside = position + 0.5 * cell * normal
+        assert value == pytest.approx(reach_map.index_at(inside)) and value > 0.0
+        middle = reach_map.grid.corner[1] + 0.5 * cell * reach_map.grid.shape[1]
+        assert inside[1] >= middle - 1e-9
+        assert reach_map.index_at(outside) == 0.0 or outside[1] < middle
+    centres = [round(value, 6) for value in np.unique(positions.round(6), axis=0).ravel()]
+    assert len(centres) == 3 * len(positions), "a face is there twice"
+    assert shell_glb(reach_map, away, np.zeros(3)).startswith(b"glTF")
+
+
+TETRAHEDRON = "".join(
+    f"v {x} {y} {z}\n"
+    for x, y, z in ((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0, 0, 0.2), (0.01, 0.01, 0.01))
+)
+"""A mesh file of five points, one of them inside the others."""
+
+
+def test_a_mesh_file_becomes_the_command_of_its_hull(
+    opened: tuple[Page, ChannelClient, queue.SimpleQueue[Command]],
+) -> None:
+    _, client, sent = opened
+    file = (TETRAHEDRON + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\nf 5 2 3\n").encode()
+    client.action("load_mesh", file="cup.obj", base64=base64.b64encode(file).decode())
+    command = sent.get(timeout=LONG)
+    assert isinstance(command, AddMesh) and command.name == "cup"
+    corners = {(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.2)}
+    assert {tuple(np.round(point, 6) + 0.0) for point in command.vertices} == corners
+    for name, content, problem in (
+        ("cup.dae", "", "not a mesh file"),
+        ("cup.stl", "AAAA", "cannot be an obstacle"),
+        ("cup.stl", "?", "did not arrive whole"),
+    ):
+        client.action("load_mesh", file=name, base64=content)
+        client.until(lambda one, problem=problem: any(problem in text for text in one.notices))
+    assert sent.empty()
+
+
+def test_a_part_that_touches_gets_a_cover_around_it() -> None:
+    corners = np.array(np.meshgrid([0, 1], [0, 1], [0, 1]), np.float32).reshape(3, -1).T
+    hull = ConvexHull.of_points(corners)
+    # As a drawn mesh has it: each face has corners of its own.
+    vertices = hull.vertices[hull.faces].reshape(-1, 3).astype(np.float32)
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    cover = thickened(vertices, faces, 0.01)
+    outside = np.maximum(-cover, cover - 1.0).max(axis=1)
+    assert (outside > 0.001).all() and (outside < 0.0101).all()
+    places = {tuple(row) for row in cover.round(5).tolist()}
+    assert len(places) == 8, "the corners of neighbouring faces are at different places"
 
 
 def test_every_key_with_a_command_makes_one(

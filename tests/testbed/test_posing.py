@@ -13,6 +13,7 @@ from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import (
     Act,
+    AddMesh,
     AddObstacle,
     Command,
     CommandLog,
@@ -26,6 +27,7 @@ from robot_ik.testbed.commands import (
     RemoveObstacle,
     RemovePose,
     Reset,
+    ResizeObstacle,
     Scrub,
     SetBudget,
     SetCount,
@@ -158,14 +160,11 @@ def test_distances_to_obstacles_are_mujocos(session: Session) -> None:
     position = (0.9, 0.5, 0.6)
     view = view_after(session, MoveObstacle(0, position), ticks=12)
     obstacle = view.obstacles[0]
+    radius = 0.5 * obstacle.placed.size[0]
     model = session.robot.model
     data = session.robot.data_at(view.instances[0].q)
-    points = mujoco.MjSpec()
-    points.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[obstacle.size, 0, 0], pos=position
-    )
     nearest = min(
-        np.linalg.norm(data.geom_xpos[g] - position) - model.geom_rbound[g] - obstacle.size
+        np.linalg.norm(data.geom_xpos[g] - position) - model.geom_rbound[g] - radius
         for g in range(model.ngeom)
         if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
     )
@@ -173,12 +172,12 @@ def test_distances_to_obstacles_are_mujocos(session: Session) -> None:
     gap = np.linalg.norm(obstacle.points[0] - obstacle.points[1])
     assert gap == pytest.approx(obstacle.distance, abs=1e-9)
     on_sphere = np.linalg.norm(obstacle.points - position, axis=1).min()
-    assert on_sphere == pytest.approx(obstacle.size, abs=1e-6)
+    assert on_sphere == pytest.approx(radius, abs=1e-6)
     tool = tuple(session.instances[0].tool_pose().position.tolist())
     view = view_after(session, MoveObstacle(0, tool), ticks=12)
     assert view.obstacles[0].distance < 0.0
     view = view_after(session, RemoveObstacle(3), RemoveObstacle(0), ticks=12)
-    assert view.obstacles == () and view.contact is None
+    assert view.obstacles == () and view.contacts == ()
 
 
 def test_there_is_a_limit_of_obstacles(session: Session) -> None:
@@ -187,10 +186,59 @@ def test_there_is_a_limit_of_obstacles(session: Session) -> None:
     assert len(view.obstacles) == MAX_OBSTACLES and "remove one" in view.message
 
 
-def test_a_contact_between_parts_of_the_robot_is_named() -> None:
-    session = Session(Start("srs_arm"), beside=False)
-    view = view_after(session, AddObstacle("cylinder"), SetMotion("hand"), ticks=12)
-    assert view.contact is None, "parts that touch at home are no contact"
+WEDGE = ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.1), (0.01, 0.01, 0.01))
+"""m. The last point is inside."""
+
+
+def test_a_mesh_is_its_convex_hull_and_every_shape_takes_a_size(session: Session) -> None:
+    commands = [AddMesh("wedge", WEDGE), AddObstacle("cylinder"), AddObstacle("sphere")]
+    view = view_after(session, *commands, SetMotion("hand"), ticks=12)
+    hull = view.obstacles[0].placed.hull
+    assert hull is not None and len(hull.vertices) == 4 and len(hull.faces) == 4
+    assert view.obstacles[0].placed.size == pytest.approx((0.3, 0.2, 0.1), abs=1e-6)
+    size = (0.2, 0.4, 0.6)
+    resized = [ResizeObstacle(k, size) for k in range(3)]
+    moved = [MoveObstacle(k, (9.0, 3.0 * k, 9.0)) for k in range(3)]
+    view = view_after(session, *resized, *moved, ticks=12)
+    sizes = [one.placed.size for one in view.obstacles]
+    assert sizes == [size, (0.2, 0.2, 0.6), (0.2, 0.2, 0.2)]
+    # MuJoCo measures each shape from a part of the robot to its surface.
+    for one in view.obstacles:
+        from_centre = np.abs(one.points - one.placed.position)
+        on_obstacle = from_centre[np.linalg.norm(from_centre, axis=1).argmin()]
+        assert (on_obstacle < 0.5 * np.array(one.placed.size) + 1e-6).all()
+    view = view_after(session, AddMesh("flat", ((0.0, 0.0, 0.0),) * 5), ticks=1)
+    assert "cannot be an obstacle" in view.message and len(view.obstacles) == 3
+
+
+def test_all_contacts_are_named_with_their_depths(session: Session) -> None:
+    view = view_after(session, SetMotion("hand"), ticks=12)
+    assert view.contacts == (), "parts that touch by construction are no contact"
+    folded = {"joint1": 2.31, "joint2": -0.09, "joint3": 1.71, "joint4": 1.87, "joint5": -0.72}
+    view = view_after(session, *(SetJoint(*row) for row in folded.items()), ticks=12)
+    robot = session.robot
+    q = view.instances[0].q
+    data = robot.data_at(q)
+    mujoco.mj_comPos(robot.model, data)
+    mujoco.mj_collision(robot.model, data)
+    body_of = robot.model.geom_bodyid
+    judged = {
+        frozenset(robot.model.body(body_of[geom]).name for geom in contact.geom)
+        for contact in data.contact[: data.ncon]
+        if contact.dist < 0.0
+    }
+    assert judged and {frozenset(contact.parts) for contact in view.contacts} == judged
+    depths = [contact.depth for contact in view.contacts]
+    assert depths == sorted(depths, reverse=True) and depths[-1] > 0.0
+    names = {robot.model.body(body).name for one in view.contacts for body in one.bodies}
+    assert names <= set().union(*judged) and names
+    tool = tuple(session.instances[0].tool_pose().position.tolist())
+    view = view_after(session, AddObstacle("box"), MoveObstacle(0, tool), ticks=12)
+    touching = [contact for contact in view.contacts if "box 1" in contact.parts]
+    assert touching
+    for contact in touching:
+        part = contact.parts[1 - contact.parts.index("box 1")]
+        assert contact.bodies == (robot.model.body(part).id,)
 
 
 def test_restarts_solve_random_positions_that_following_does_not() -> None:
@@ -290,6 +338,8 @@ def test_posing_replays_to_the_same_bits(session: Session) -> None:
         (8, MovePose(1, 1.7)),
         (9, PlayTimeline(True)),
         (60, AddObstacle("box")),
+        (65, AddMesh("wedge", WEDGE)),
+        (66, ResizeObstacle(1, (0.3, 0.3, 0.3))),
         (70, MoveObstacle(0, (0.4, 0.4, 0.4))),
         (80, SetBudget(0, 50, 0.01)),
         (90, SetMotion("random")),

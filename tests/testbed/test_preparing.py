@@ -15,10 +15,10 @@ from robot_ik.testbed.setup import MethodChoice, Setup
 from tests.waiting import wait_for
 
 FAILING = """#!/bin/sh
-if [ $# = 2 ]; then
+case "$*" in *prepare_setup*)
     echo one; echo two
     until [ -e "$0.seen" ]; do sleep 0.05; done
-fi
+esac
 exit 1
 """
 

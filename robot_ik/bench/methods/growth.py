@@ -1,4 +1,4 @@
-"""Cost of the kinematics alone, and how the cost of a step grows with joints and with goals."""
+"""Cost of the kinematics alone, and growth of the cost of a step with joints and goals."""
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
@@ -24,29 +24,51 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 
-#: Joints of the chains, and goals on the figure, for which a step is timed.
 JOINTS = (6, 12, 25, 50, 100, 200)
-#: Frames of the figure that get a position goal, in this order.
-FIGURE = "humanoid"
-FIGURE_FRAMES = (
-    "left_hand", "right_hand", "left_foot", "right_foot", "head", "pelvis", "left_toe", "right_toe",
-)  # fmt: skip
+"""Numbers of joints of the chains on which a step is timed."""
 
-# Calls in a compiled loop, and number of loops of which the best counts.
+FIGURE = "humanoid"
+"""Robot on which a step with several goals is timed."""
+
+FIGURE_FRAMES = (
+    "left_hand",
+    "right_hand",
+    "left_foot",
+    "right_foot",
+    "head",
+    "pelvis",
+    "left_toe",
+    "right_toe",
+)
+"""Frames of the figure that get a position goal, in this order."""
+
 _LOOP = 2000
+"""Calls in a compiled loop."""
+
 _ROUNDS = 15
-# Problems and steps of a measurement of growth.
+"""Loops, of which the fastest counts."""
+
 _PROBLEMS = 20
+"""Problems of a measurement of growth."""
+
 _STEPS = 40
-# Length of the whole chain, m, and limit of a joint to each side, rad.
+"""Steps for each of these problems."""
+
 _CHAIN_LENGTH = 2.0
+"""Length of a chain, m."""
+
 _CHAIN_LIMIT = 2.6
+"""Limit of a joint of a chain to each side, rad."""
+
+_BATCH_WARM_UP = 1000
+"""Poses of a batch whose time does not count."""
+
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 @kernel
 def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
-    """Forward kinematics of one frame for each row of ``qs`` (n, nq)."""
+    """Calculate the pose of one frame for each row of ``qs`` (n, nq)."""
     tree = open_tree(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
@@ -57,7 +79,7 @@ def loop_forward(tree, nodes, node, local, qs, q, world, scratch, out):
 
 @kernel
 def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian):
-    """Forward kinematics and Jacobian of one frame for each row of ``qs`` (n, nq)."""
+    """Calculate pose and Jacobian of one frame for each row of ``qs`` (n, nq)."""
     tree = open_tree(tree)
     for row in range(qs.shape[0]):
         for i in range(q.shape[0]):
@@ -66,13 +88,12 @@ def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian
 
 
 def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
-    """µs per forward pass, and per forward pass with Jacobian, of the tool; the best of some loops."""
+    """Return the time of a forward pass of the tool, without and with Jacobian, µs."""
     jit.announce(loop_jacobian, "the loops of the benchmark")
     rng = np.random.default_rng(seed)
     qs = np.array([robot.sample(rng) for _ in range(_LOOP)])
     node, local = robot.attachment()
     nodes = np.array(robot.tree.ancestors(node), dtype=np.int64)
-    world, scratch, out = np.empty((robot.tree.size, 12)), np.empty((2, 12)), np.empty((1, 12))
     common = (
         robot.tree.block.address,
         nodes,
@@ -80,35 +101,41 @@ def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
         local[None, :],
         qs,
         np.empty(robot.nq),
-        world,
-        scratch,
-        out,
+        np.empty((robot.tree.size, 12)),
+        np.empty((2, 12)),
+        np.empty((1, 12)),
     )
     jacobian = np.empty((6, robot.nv))
     forward_us = round(_best(lambda: loop_forward(*common)) / _LOOP, 4)
     jacobian_us = round(_best(lambda: loop_jacobian(*common, jacobian)) / _LOOP, 4)
-    return LowerBound(robot=robot.name, joints=len(nodes), forward_us=forward_us, jacobian_us=jacobian_us)
+    return LowerBound(
+        robot=robot.name, joints=len(nodes), forward_us=forward_us, jacobian_us=jacobian_us
+    )
 
 
 def _best(call: Callable[[], None]) -> float:
-    """Microseconds of the fastest of some calls; the first, which compiles, does not count."""
+    """Return the time of the fastest of some calls, µs, without the first, which compiles."""
     call()
     return 1e6 * min(timeit.repeat(call, number=1, repeat=_ROUNDS))
 
 
 def hinge_chain(n: int) -> Robot:
-    """A chain of ``n`` hinges about x, y and z in turn, two metres in all, each ±149°."""
+    """Return a chain of ``n`` hinges about x, y and z in turn, two metres long, each ±149°."""
     spec = mujoco.MjSpec()
     spec.modelname = f"hinges{n}"
     spec.compiler.degree = False
-    body, length = spec.worldbody, _CHAIN_LENGTH / n
+    body = spec.worldbody
+    length = _CHAIN_LENGTH / n
     for i in range(n):
         body = body.add_body(name=f"link{i + 1}", pos=[0.0, 0.0, length if i else 0.0])
         axis = [float(i % 3 == k) for k in range(3)]
         body.add_joint(
-            name=f"joint{i + 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis,
-            range=[-_CHAIN_LIMIT, _CHAIN_LIMIT], limited=True,
-        )  # fmt: skip
+            name=f"joint{i + 1}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=axis,
+            range=[-_CHAIN_LIMIT, _CHAIN_LIMIT],
+            limited=True,
+        )
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0])
     body.add_site(name="tip", pos=[0.0, 0.0, length])
     return load_robot(spec.compile(), tool="tip")
@@ -127,7 +154,7 @@ def pose_problem(solver: Solver, robot: Robot, frame: str, **options: Any) -> Pr
 
 
 def growth(solver: Solver, figure: Robot, seed: int = 0) -> Iterator[Growth]:
-    """A step towards a pose at the end of longer and longer chains; towards more and more frames at once."""
+    """Yield the time of a step on chains of more and more joints, and for more and more goals."""
     for n in JOINTS:
         robot = hinge_chain(n)
         try:
@@ -141,15 +168,25 @@ def growth(solver: Solver, figure: Robot, seed: int = 0) -> Iterator[Growth]:
 
 
 def _growth(
-    solver: Solver, robot: Robot, goals: list[Goal], across: Literal["joints", "goals"], size: int, seed: int
+    solver: Solver,
+    robot: Robot,
+    goals: list[Goal],
+    across: Literal["joints", "goals"],
+    size: int,
+    seed: int,
 ) -> Iterator[Growth]:
-    """Nothing where the method does not serve these goals on this robot."""
+    """Yield the time of a step, or nothing if the method does not serve the goals."""
     rng = np.random.default_rng([seed, size])
-    # Nothing is ever this near, so every solve takes all its steps.
-    never = Tolerance(1e-300, 1e-300)
+    # No solution is within this tolerance, so every solve takes all its steps.
+    unattainable = Tolerance(1e-300, 1e-300)
     try:
         problem = Problem(
-            robot, goals, solver=solver, tolerance=never, budget=Budget(iterations=_STEPS), seed=seed
+            robot,
+            goals,
+            solver=solver,
+            tolerance=unattainable,
+            budget=Budget(iterations=_STEPS),
+            seed=seed,
         )
         problem.solve()
     except (GoalError, UnsupportedJointError):
@@ -157,27 +194,31 @@ def _growth(
     steps = []
     for _ in range(_PROBLEMS):
         q = robot.sample(rng)
-        # Half way from home, so that a figure's limbs meet their goals with the base where it stands.
-        q = robot.clip(robot.home + 0.5 * (q - robot.home)) if across == "goals" else q
+        if across == "goals":
+            # Half way from home, so that the limbs reach their goals without the base.
+            q = robot.clip(robot.home + 0.5 * (q - robot.home))
         for index, goal in enumerate(goals):
             problem.retarget(robot.forward(q, goal.frame), index)
         solution = problem.solve()
         if not solution.iterations:
             return  # a closed form takes no steps
         steps.append(solution.seconds / solution.iterations)
-    yield Growth(
-        solver=solver.name, across=across, size=size, step_us=round(1e6 * float(np.median(steps)), 3)
-    )
+    step_us = round(1e6 * float(np.median(steps)), 3)
+    yield Growth(solver=solver.name, across=across, size=size, step_us=step_us)
 
 
 def batches(robot: Robot, solver: Solver, poses: int, seed: int = 0) -> Iterator[Batch]:
-    """Cold poses by one call of ``solve_batch``: on one core, then on all; the fastest of three calls."""
+    """Yield the fastest of three calls of ``solve_batch``, on one core and on all."""
     targets = make_set("cold", robot, poses, seed).targets
-    solve_batch(robot, targets[:1000], solver=solver)
+    solve_batch(robot, targets[:_BATCH_WARM_UP], solver=solver)
     for threads in sorted({1, usable_cores()}):
         calls = [solve_batch(robot, targets, solver=solver, threads=threads) for _ in range(3)]
-        found = min(calls, key=lambda call: call.seconds)
+        fastest = min(calls, key=lambda call: call.seconds)
         yield Batch(
-            solver=solver.name, robot=robot.name, poses=poses, threads=threads,
-            per_second=round(poses / found.seconds), success=float(found.converged.mean()),
-        )  # fmt: skip
+            solver=solver.name,
+            robot=robot.name,
+            poses=poses,
+            threads=threads,
+            per_second=round(poses / fastest.seconds),
+            success=float(fastest.converged.mean()),
+        )

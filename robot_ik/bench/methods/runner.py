@@ -1,4 +1,4 @@
-"""Runs solvers on problem sets: times the call and nothing else, and lets MuJoCo judge the solution."""
+"""Run solvers on problem sets. Only the call is timed, and MuJoCo judges the solution."""
 
 from __future__ import annotations
 
@@ -23,15 +23,40 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver
 
-#: Untimed solves before the first timed one: loads the kernel, fills the caches.
 WARM_UP = 5
-#: Problems and steps of a convergence curve.
-CURVE_PROBLEMS, CURVE_STEPS = 25, 200
+"""Solves whose time does not count. They load the kernel and fill the caches."""
+
+CURVE_PROBLEMS = 25
+"""Problems of a convergence curve."""
+
+CURVE_STEPS = 200
+"""Steps of a convergence curve."""
+
+LEAST_PROBLEMS = 10
+"""Least number of problems of a set, also beyond its time."""
+
+BATCH = 500
+"""Poses of a batch for each problem of the other sets."""
+
+EXTRA = ("kernels", "batch")
+"""Measurements beside the problem sets: cost and growth of kinematics, and ``solve_batch``."""
+
+
+def no_progress(_share: float) -> None:
+    """Show no progress."""
 
 
 @dataclass(eq=False)
 class Bench:
-    """One solver on one problem set, ready to run; an interrupted run keeps what is in its cell."""
+    """One solver on one problem set, ready to run. An interrupted run keeps its results so far.
+
+    Attributes:
+        solver: The method.
+        robot: The robot.
+        problems: The problems.
+        cell: Receives the results.
+        problem: The prepared problem. None if the method cannot serve the set.
+    """
 
     solver: Solver
     robot: Robot
@@ -39,56 +64,66 @@ class Bench:
     cell: Cell
     problem: Problem | None = None
 
-    def run(self, settings: Settings, progress: Callable[[float], None] = lambda share: None) -> None:
-        """Solves all problems, or as many as there is time for (at least ten); ``progress`` gets shares."""
+    def run(self, settings: Settings, progress: Callable[[float], None] = no_progress) -> None:
+        """Solve all problems, or those for which there is time, but at least ten.
+
+        Args:
+            settings: Settings of the benchmark.
+            progress: Called with the share that is done.
+        """
         problem = self.problem
         if problem is None:
             return
-        previous, deadline = self.problems.first, time.perf_counter() + settings.seconds
-        for index, target in enumerate(self.problems.targets):
-            start = previous if self.problems.tracking else self.problems.first
-            target, start = target.copy(), start.copy()
+        previous = self.problems.first
+        deadline = time.perf_counter() + settings.seconds
+        for index, row in enumerate(self.problems.targets):
+            target = row.copy()
+            start = (previous if self.problems.tracking else self.problems.first).copy()
             began = time.perf_counter_ns()
             solution = problem.solve(start, target=target)
             q = solution.q
-            took = (time.perf_counter_ns() - began) / 1e3
-            good = self._keep(settings, took, solution, target)
+            microseconds = (time.perf_counter_ns() - began) / 1e3
+            success = self._keep(settings, microseconds, solution, target)
             if self.problems.tracking:
                 step = float(np.abs(q - previous).max())
-                if good:
+                if success:
                     self.cell.largest_step = max(self.cell.largest_step, step)
                     self.cell.jumps += step > JUMP
-                # Lost: put back on the path, so that one error is one error.
-                previous = q if good else self.problems.witnesses[index]
+                # After a failure the next solve starts on the path, so that one error counts once.
+                previous = q if success else self.problems.witnesses[index]
             progress((index + 1) / len(self.problems))
-            if time.perf_counter() > deadline and index >= 9:
+            if time.perf_counter() > deadline and index + 1 >= LEAST_PROBLEMS:
                 break
 
-    def _keep(self, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
-        metres, radians = self.robot.measure(solution.q).distance(Pose.from_matrix(target))
+    def _keep(
+        self, settings: Settings, microseconds: float, solution: Solution, target: Array
+    ) -> bool:
+        """Append a solution to the cell. Return whether it is a success, by MuJoCo."""
+        distance, angle = self.robot.measure(solution.q).distance(Pose.from_matrix(target))
         if self.cell.goal == "position":
-            radians = 0.0
+            angle = 0.0
         slack = 1.0 + SLACK
-        good = (
-            metres <= settings.position_tolerance * slack
-            and radians <= settings.angle_tolerance * slack
+        success = (
+            distance <= settings.position_tolerance * slack
+            and angle <= settings.angle_tolerance * slack
             and not self.robot.outside(solution.q, SLACK)
         )
         cell = self.cell
-        cell.position_error.append(metres)
-        cell.angle_error.append(radians)
+        cell.position_error.append(distance)
+        cell.angle_error.append(angle)
         cell.iterations.append(solution.iterations)
         cell.restarts.append(solution.restarts)
         cell.status.append(Status(solution.status).name)
-        cell.success.append(good)
-        cell.microseconds.append(round(took, 2))
-        return good
+        cell.success.append(success)
+        cell.microseconds.append(round(microseconds, 2))
+        return success
 
 
 def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settings) -> Bench:
-    """Loads the kernels and warms up: what is slow happens here, where no clock runs.
+    """Load the kernels and fill the caches before the measurement.
 
-    A method that serves no poses gets positions; one that cannot serve this robot is skipped, and says why.
+    A method that serves no poses gets positions. If it cannot serve the robot, the cell has the
+    reason.
     """
     cell = Cell(solver=solver.name, robot=robot.name, set=problems.name, asked=len(problems))
     bench = Bench(solver, robot, problems, cell)
@@ -97,7 +132,9 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
         return bench
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
     try:
-        problem = growth.pose_problem(solver, robot, robot.tool, tolerance=tolerance, seed=settings.seed)
+        problem = growth.pose_problem(
+            solver, robot, robot.tool, tolerance=tolerance, seed=settings.seed
+        )
         cell.goal = problem.given[0].name.removesuffix(" goal")
         for target in problems.targets[:WARM_UP]:
             problem.solve(problems.first, target=target)
@@ -109,43 +146,49 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
 
 
 def curve(bench: Bench, settings: Settings) -> Curve | None:
-    """How the method closes in on the first problems of its set; None for a method without steps."""
+    """Return how the error falls on the first problems. None for a method without steps."""
     if bench.problem is None:
         return None
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
     problem = Problem(
-        bench.robot, bench.problem.goals, solver=bench.solver, tolerance=tolerance,
-        budget=Budget(iterations=CURVE_STEPS), seed=settings.seed, trace=True,
-    )  # fmt: skip
-    rows, longest = np.full((CURVE_PROBLEMS, CURVE_STEPS), np.nan), 0
+        bench.robot,
+        bench.problem.goals,
+        solver=bench.solver,
+        tolerance=tolerance,
+        budget=Budget(iterations=CURVE_STEPS),
+        seed=settings.seed,
+        trace=True,
+    )
+    rows = np.full((CURVE_PROBLEMS, CURVE_STEPS), np.nan)
+    longest = 0
     for k, target in enumerate(bench.problems.targets[:CURVE_PROBLEMS]):
         steps = problem.solve(bench.problems.first, target=target).trace
-        best, error, longest = np.inf, np.nan, max(longest, len(steps))
+        longest = max(longest, len(steps))
+        best = np.inf
+        error = np.nan
         for step in steps:
             if step.cost < best:
-                best, error = step.cost, step.position
+                best = step.cost
+                error = step.position
             rows[k, min(step.iteration, CURVE_STEPS) - 1] = error
         rows[k, len(steps) :] = error
-    if longest <= 1:  # a formula
+    if longest <= 1:  # a closed form
         return None
-    cell, middle = bench.cell, np.nanmedian(rows, axis=0).tolist()
-    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, error=middle)
-
-
-# ------------------------------------------------------------------------------------------
-# Methods × robots × sets of problems: everything that ``robot-ik bench`` measures, in its order.
-
-
-BATCH = 500
-"""Times as many poses in a batch as problems in the other sets."""
-
-EXTRA = ("kernels", "batch")
-"""What is measured beside the sets of problems: cost of kinematics and growth; ``solve_batch``."""
+    cell = bench.cell
+    median = np.nanmedian(rows, axis=0).tolist()
+    return Curve(solver=cell.solver, robot=cell.robot, goal=cell.goal, error=median)
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is measured: each method on each robot, with the keys of ``SETS`` and ``EXTRA``."""
+    """A whole benchmark: each method on each robot.
+
+    Attributes:
+        solvers: Methods.
+        robots: Robots.
+        sets: Keys of ``SETS`` and ``EXTRA``.
+        settings: Settings of the benchmark.
+    """
 
     solvers: Sequence[Solver]
     robots: Sequence[Robot]
@@ -153,22 +196,25 @@ class Campaign:
     settings: Settings
 
     def prepare(self, progress: Progress) -> list[Bench]:
-        """All that takes long and is not measured: problem sets, and kernels, which announce themselves."""
+        """Make the problem sets and load the kernels. Nothing is measured."""
         pairs = [(name, robot) for name in self.sets if name not in EXTRA for robot in self.robots]
         benches: list[Bench] = []
         for k, (name, robot) in enumerate(pairs):
             progress(f"{name}, {robot.name}", k / len(pairs))
             problems = make_set(name, robot, self.settings.count, self.settings.seed)
-            benches += [prepare(solver, robot, problems, self.settings) for solver in self.solvers]
+            for solver in self.solvers:
+                benches.append(prepare(solver, robot, problems, self.settings))
         return benches
 
-    def measure(self, benches: Sequence[Bench], results: Results, progress: Progress) -> Iterator[str]:
-        """Fills ``results``, figure by figure: after an interrupt it holds what is done.
+    def measure(
+        self, benches: Sequence[Bench], results: Results, progress: Progress
+    ) -> Iterator[str]:
+        """Write the measurements into ``results``, one by one. An interrupt keeps those so far.
 
         Yields:
-            Why something could not be measured.
+            The reason of each measurement that could not be made.
         """
-        # Nothing is collected while a clock runs.
+        # Garbage is not collected during a measurement.
         gc.collect()
         gc.disable()
         try:
@@ -183,16 +229,19 @@ class Campaign:
     def _sets(self, benches: Sequence[Bench], results: Results, progress: Progress) -> None:
         for done, bench in enumerate(benches):
             cell = bench.cell
-            share = share_of(progress, f"{cell.set}, {cell.robot}, {cell.solver}", done, len(benches))
+            phase = f"{cell.set}, {cell.robot}, {cell.solver}"
+            share = share_of(progress, phase, done, len(benches))
             results.cells.append(cell)
             share(0.0)
             bench.run(self.settings, share)
-            if cell.set == "cold" and (found := curve(bench, self.settings)):
-                results.curves.append(found)
+            convergence = curve(bench, self.settings) if cell.set == "cold" else None
+            if convergence is not None:
+                results.curves.append(convergence)
 
     def _kernels(self, results: Results, progress: Progress) -> None:
         progress("kernels: forward and Jacobian", 0.0)
-        seed, figure = self.settings.seed, load_robot(growth.FIGURE)
+        seed = self.settings.seed
+        figure = load_robot(growth.FIGURE)
         results.lower_bounds += [growth.lower_bound(robot, seed) for robot in self.robots]
         for k, solver in enumerate(self.solvers):
             progress(f"growth, {solver.name}", k / len(self.solvers))
@@ -203,8 +252,7 @@ class Campaign:
         for k, (robot, solver) in enumerate(pairs):
             progress(f"batches: {robot.name}, {solver.name}", k / len(pairs))
             try:
-                results.batches.extend(
-                    growth.batches(robot, solver, BATCH * self.settings.count, self.settings.seed)
-                )
+                poses = BATCH * self.settings.count
+                results.batches.extend(growth.batches(robot, solver, poses, self.settings.seed))
             except (GoalError, UnsupportedJointError) as error:
                 yield f"no batch: {error.args[0]}"

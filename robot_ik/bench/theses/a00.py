@@ -1,4 +1,4 @@
-"""A00's tests 1-13 run by the methods of today: which frames each meets, and where it loses the goal."""
+"""A00's tests 1 to 13 by the methods of this library: the frames that each method meets."""
 
 from __future__ import annotations
 
@@ -16,18 +16,21 @@ from robot_ik.theses.courses import NUMBERS, THESIS_RESULTS, Course, make_course
 
 TOLERANCE = Tolerance(position=1e-4, angle=1e-3)
 MUST_PASS = ("lm", "dls", "bfgs", "auto")
-"""Methods that have to meet every frame; the others are reported."""
+"""Methods that must meet every frame. The others are reported."""
 
 
 @dataclass(eq=False)
 class A00Report:
-    """What there is so far; filled while the job runs, so that an interruption loses nothing.
+    """Results so far. They are filled in while the job runs, so an interruption loses nothing.
 
     Attributes:
-        frames: None for whole courses.
-        courses: The courses begun, by number.
-        tracks: How a method fared on a course, by (solver, number).
-        complete: All that was asked has been run.
+        numbers: Numbers of the tests.
+        solvers: Methods.
+        frames: Frames of a course. None for whole courses.
+        seed: Seed of courses and restarts.
+        courses: Courses that were begun, by number.
+        tracks: Results by (solver, number).
+        complete: Whether everything was run.
     """
 
     numbers: tuple[int, ...]
@@ -40,16 +43,18 @@ class A00Report:
 
     @property
     def failures(self) -> list[tuple[str, int]]:
-        """(solver, test) that had to pass and did not; a refusal is no pass either."""
-        return [key for key, track in self.tracks.items() if key[0] in MUST_PASS and not track.passed]
+        """(solver, test) that must pass and did not. A refusal is a failure."""
+        return [
+            key for key, track in self.tracks.items() if key[0] in MUST_PASS and not track.passed
+        ]
 
     @property
     def passed(self) -> bool:
-        """All that had to pass did."""
+        """Whether all methods that must pass did."""
         return self.complete and not self.failures
 
     def lost_at(self, solver: str, number: int) -> str:
-        """Where a method first lost the goal, such as ``"20.1°"``; empty where it never did."""
+        """Return where a method first lost the goal, such as ``"20.1°"``. Empty if it never did."""
         lost = self.tracks[solver, number].lost
         if lost is None:
             return ""
@@ -58,9 +63,18 @@ class A00Report:
 
 
 def ask_a00(
-    numbers: Sequence[int] = (), solvers: Sequence[str] = (), frames: int | None = None, seed: int = 0
+    numbers: Sequence[int] = (),
+    solvers: Sequence[str] = (),
+    frames: int | None = None,
+    seed: int = 0,
 ) -> A00Report:
-    """An empty report for what is wanted; nothing named means all.
+    """Return an empty report for the chosen tests and methods.
+
+    Args:
+        numbers: Numbers of the tests. Empty for all.
+        solvers: Methods. Empty for all.
+        frames: Frames of a course. None for whole courses.
+        seed: Seed of courses and restarts.
 
     Raises:
         ConfigError: No such test.
@@ -70,15 +84,23 @@ def ask_a00(
         if number not in NUMBERS:
             raise ConfigError(f"{number}", file="command line", key="--tests", allowed="1 … 13")
     for name in solvers:
-        SOLVERS[name]  # says which are close where there is none
+        SOLVERS[name]  # an unknown name raises an error with close names
     return A00Report(
-        tuple(sorted(set(numbers))) or NUMBERS, tuple(dict.fromkeys(solvers)) or tuple(SOLVERS), frames, seed
+        numbers=tuple(sorted(set(numbers))) or NUMBERS,
+        solvers=tuple(dict.fromkeys(solvers)) or tuple(SOLVERS),
+        frames=frames,
+        seed=seed,
     )
 
 
-def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -> A00Report:
-    """Runs what the report asks for and has not yet, and fills it in."""
-    jobs, done = len(report.numbers) * len(report.solvers), 0
+def no_progress(_phase: str, _share: float) -> None:
+    """Show no progress."""
+
+
+def run_a00(report: A00Report, progress: Progress = no_progress) -> A00Report:
+    """Run the tests of a report and write the results into it."""
+    jobs = len(report.numbers) * len(report.solvers)
+    done = 0
     for number in report.numbers:
         course = report.courses[number] = make_course(number, report.seed, report.frames)
         for name in report.solvers:
@@ -91,14 +113,16 @@ def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -
                 show(1.0)
                 report.tracks[name, number] = Track(len(course.targets), refused=True)
             else:
-                report.tracks[name, number] = track(problem, course.targets, course.robot.home, show)
+                report.tracks[name, number] = track(
+                    problem, course.targets, course.robot.home, show
+                )
             done += 1
     report.complete = True
     return report
 
 
 def a00_summary(report: A00Report) -> dict[str, Any]:
-    """The content of ``a00.json``: metres, radians, shares of 1, milliseconds."""
+    """Return the content of ``a00.json``: metres, radians, shares of 1, milliseconds."""
     return {
         "schema": SCHEMA,
         "experiment": "a00",

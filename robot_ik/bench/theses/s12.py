@@ -1,4 +1,4 @@
-"""S12's table 4.1 on an arm of seven segments: his numbers, ours with his parameters, ours with our own.
+"""S12's table 4.1 on an arm of seven segments: its numbers beside those of this library.
 
 K. Šimunić, *Interactive inverse kinematic model*, FER Zagreb 2012.
 """
@@ -36,31 +36,61 @@ from robot_ik.theses.table_4_1 import (
 )
 
 TOLERANCE = Tolerance(position=DISTANCE, angle=1e-3)
+"""Tolerance of a success."""
+
 FRAMES = 1000
-LAP = 1000  # frames for once round the curve
-BEND, WAVE, WAVES = 20.0, 10.0, 3  # of joints 2 … 7 along the curve, degrees
+"""Frames of a case."""
+
+LAP = 1000
+"""Frames of a lap of the curve."""
+
+BEND_DEG = 20.0
+"""Mean bend of joints 2 to 7 along the curve, degrees."""
+
+WAVE_DEG = 10.0
+"""Amplitude of their bend, degrees."""
+
+WAVES = 3
+"""Waves of their bend in a lap."""
 
 IN_DEGREES = ALPHA * 180.0 / math.pi
-"""α as a share of a step if his steps come out in radians and are converted to degrees nowhere else."""
+"""α if the steps of the thesis are in radians and are nowhere else converted to degrees."""
 
 MUST_PASS = ("lm", "auto")
+"""Methods that must reach every target with our parameters."""
+
 BEST_METHODS = (*METHODS, *MUST_PASS)
 
 VARIANTS = {"same": METHODS, "degrees": METHODS[1:], "best": BEST_METHODS}
-"""Ways of choosing the parameters, and the methods that are run with them."""
+"""Choices of the parameters, and the methods that are run with them."""
+
 COLUMNS = {
-    "S12": "S12, 2012", "same": "his parameters", "degrees": "α in degrees", "best": "our parameters",
-}  # fmt: skip
-"""Whose numbers stand in a column of the table, and its title."""
+    "S12": "S12, 2012",
+    "same": "his parameters",
+    "degrees": "α in degrees",
+    "best": "our parameters",
+}
+"""Titles of the columns of the table."""
+
+_COLOURS = {"S12": "#9a9a9a", "same": "#9ecae1", "best": "#08519c"}
+"""Colours of the columns in the picture: grey for quoted numbers, blue for measured ones."""
+
+_DPI = 110
+"""Resolution of the picture."""
+
+_LEAST_BAR = 0.7
+"""Per cent. A bar of zero height would look like a missing one."""
 
 
 @dataclass(eq=False)
 class S12Report:
-    """What there is so far; filled while the job runs.
+    """Results so far. They are filled in while the job runs.
 
     Attributes:
-        tracks: How a method fared, by (variant, method, case number).
-        complete: All has been run.
+        frames: Frames of a case.
+        seed: Seed of targets and restarts.
+        tracks: Results by (variant, method, case number).
+        complete: Whether everything was run.
     """
 
     frames: int = FRAMES
@@ -70,7 +100,7 @@ class S12Report:
 
     @property
     def failures(self) -> list[tuple[str, int]]:
-        """(solver, case) that had to reach every target and did not."""
+        """(solver, case) that must reach every target and did not."""
         return [
             (name, case)
             for (variant, name, case), track in self.tracks.items()
@@ -79,12 +109,12 @@ class S12Report:
 
     @property
     def passed(self) -> bool:
-        """``lm`` and ``auto`` reached every target of every case with our parameters."""
+        """Whether ``lm`` and ``auto`` reached every target with our parameters."""
         return self.complete and not self.failures
 
 
 def make_witnesses(arm: Robot, case: ArmCase, frames: int, seed: int) -> Array:
-    """(frames, nq) joint angles inside the limits of ±45°; where they put the tip are the targets."""
+    """Return joint angles (frames, nq) inside the limits of ±45°. Their tips are the targets."""
     if case.curve:
         return np.array([_curve(arm, k / LAP) for k in range(frames)])
     rng = np.random.default_rng([seed, case.number])
@@ -92,24 +122,31 @@ def make_witnesses(arm: Robot, case: ArmCase, frames: int, seed: int) -> Array:
 
 
 def _curve(arm: Robot, lap: float) -> Array:
-    """Segment 1 upright and twisted once round in a lap; the six others bent alike, in waves."""
+    """Return joint angles (nq,): segment 1 twists once in a lap, the other six bend in waves."""
     q = dict.fromkeys(arm.joints, 0.0)
     q["joint1_twist"] = math.remainder(2.0 * math.pi * lap, 2.0 * math.pi)
     for k in range(2, SEGMENTS + 1):
-        q[f"joint{k}_x"] = math.radians(BEND + WAVE * math.sin(2.0 * math.pi * WAVES * lap))
+        wave = WAVE_DEG * math.sin(2.0 * math.pi * WAVES * lap)
+        q[f"joint{k}_x"] = math.radians(BEND_DEG + wave)
     return np.array([q[name] for name in arm.joints])
 
 
 def make_method(variant: str, name: str) -> Solver:
-    """A method with the parameters of a variant (``VARIANTS``)."""
+    """Return a method with the parameters of a variant (``VARIANTS``)."""
     if variant == "best":
         return make_solver(name)
-    return make_solver(name, **method_options(name, ALPHA if variant == "same" else IN_DEGREES))
+    alpha = ALPHA if variant == "same" else IN_DEGREES
+    return make_solver(name, **method_options(name, alpha))
 
 
-def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
-    """Runs all cases and fills the report in."""
-    jobs, done = len(CASES) * sum(map(len, VARIANTS.values())), 0
+def no_progress(_phase: str, _share: float) -> None:
+    """Show no progress."""
+
+
+def run_s12(report: S12Report, progress: Progress = no_progress) -> S12Report:
+    """Run all cases and write the results into a report."""
+    jobs = len(CASES) * sum(map(len, VARIANTS.values()))
+    done = 0
     for case in CASES:
         arm = make_arm(case.limited)
         witnesses = make_witnesses(arm, case, report.frames, report.seed)
@@ -117,7 +154,8 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
         for variant, methods in VARIANTS.items():
             budget = None if variant == "best" else Budget(iterations=ITERATIONS, restarts=0)
             for name in methods:
-                show = share_of(progress, f"case {case.number}: {name}, {COLUMNS[variant]}", done, jobs)
+                phase = f"case {case.number}: {name}, {COLUMNS[variant]}"
+                show = share_of(progress, phase, done, jobs)
                 goal = PositionGoal("tip", targets[0].position)
                 problem = Problem(
                     arm,
@@ -127,14 +165,15 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
                     budget=budget,
                     seed=report.seed,
                 )
-                report.tracks[variant, name, case.number] = track(problem, targets, witnesses[0], show)
+                result = track(problem, targets, witnesses[0], show)
+                report.tracks[variant, name, case.number] = result
                 done += 1
     report.complete = True
     return report
 
 
 def s12_summary(report: S12Report) -> dict[str, Any]:
-    """The content of ``s12.json``: metres, shares of 1, milliseconds."""
+    """Return the content of ``s12.json``: metres, shares of 1, milliseconds."""
     return {
         "schema": SCHEMA,
         "experiment": "s12",
@@ -153,33 +192,24 @@ def s12_summary(report: S12Report) -> dict[str, Any]:
 
 
 def s12_cells(report: S12Report) -> dict[tuple[str, str, int], dict[str, float]]:
-    """His numbers, then ours, by (column, method, case): t (ms), N, η (share)."""
-    his = {
+    """Return the numbers of the thesis and ours, by (column, method, case): t (ms), N, η."""
+    quoted = {
         ("S12", name, number): {"milliseconds": t, "n": n, "solved": eta / 100.0}
         for name, cells in THESIS_CELLS.items()
         for number, (t, n, eta) in enumerate(cells, 1)
     }
-    return his | {
+    return quoted | {
         key: {
-            "milliseconds": found.milliseconds,
-            "n": iterations_of(key[1], found.iterations),
-            "solved": found.share,
+            "milliseconds": result.milliseconds,
+            "n": iterations_of(key[1], result.iterations),
+            "solved": result.share,
         }
-        for key, found in report.tracks.items()
+        for key, result in report.tracks.items()
     }
 
 
-# ------------------------------------------------------------------------------------------
-# S12's table as a picture (needs the extra ``plots``).
-
-
-# Grey for what is quoted, two blues for what is measured.
-_COLOURS = {"S12": "#9a9a9a", "same": "#9ecae1", "best": "#08519c"}
-_DPI = 110
-
-
 def s12_picture(report: S12Report) -> bytes:
-    """PNG: share solved and time per solve, for each case and method, his and ours.
+    """Return a PNG with the share solved and the time per solve, by case and method.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -193,33 +223,37 @@ def s12_picture(report: S12Report) -> bytes:
         _draw(axes[:, column], report, case)
     axes[0, 0].set_ylabel("solved, %")
     axes[1, 0].set_ylabel("time per solve, ms")
-    figure.suptitle(f"S12, table 4.1: {report.frames} frames, within {100 * TOLERANCE.position:g} cm")
+    centimetres = 100 * TOLERANCE.position
+    figure.suptitle(f"S12, table 4.1: {report.frames} frames, within {centimetres:g} cm")
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
     return png_of(figure)
 
 
 def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
-    """One case: the upper axes get η, the lower t."""
-    methods, cells = BEST_METHODS, s12_cells(report)
+    """Draw one case into two axes: η above, t below."""
+    methods = BEST_METHODS
+    cells = s12_cells(report)
     for index, kind in enumerate(_COLOURS):
-        at, solved, times = [], [], []
+        positions = []
+        solved = []
+        times = []
         for k, name in enumerate(methods):
             cell = cells.get((kind, name, case.number))
-            if cell is not None:
-                at.append(
-                    k + 0.27 * (index - 1) if name in THESIS_CELLS else k
-                )  # one bar alone: in the middle
-                solved.append(100.0 * cell["solved"])
-                times.append(cell["milliseconds"])
+            if cell is None:
+                continue
+            # A single bar stands in the middle.
+            positions.append(k + 0.27 * (index - 1) if name in THESIS_CELLS else k)
+            solved.append(100.0 * cell["solved"])
+            times.append(cell["milliseconds"])
         style = {"width": 0.25, "color": _COLOURS[kind], "label": COLUMNS[kind]}
-        # A bar of zero height cannot be told from a missing one: 0 % gets a sliver.
-        axes[0].bar(at, np.maximum(solved, 0.7), **style)
-        axes[1].bar(at, times, **style)
+        axes[0].bar(positions, np.maximum(solved, _LEAST_BAR), **style)
+        axes[1].bar(positions, times, **style)
     axes[0].set_title(f"{case.number}: {case.title}")
     axes[0].set_ylim(0.0, 105.0)
     axes[1].set_yscale("log")
-    axes[1].set_xticks(range(len(methods)), methods, rotation=35, ha="right", rotation_mode="anchor")
+    ticks = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"}
+    axes[1].set_xticks(range(len(methods)), methods, **ticks)
     for axis in axes:
         axis.grid(axis="y", alpha=0.3)
         axis.set_axisbelow(True)

@@ -33,8 +33,9 @@ from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
 from robot_ik.jobs.films import PictureSink, open_sink
-from robot_ik.jobs.precompile import Precompilation
+from robot_ik.jobs.precompile import precompile_overlay
 from robot_ik.jobs.vision import open_calibrated
+from robot_ik.kernels.precompile import Precompilation
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
@@ -166,7 +167,7 @@ def run_ar(
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
-        compiling = stack.enter_context(Precompilation.overlay())
+        compiling = stack.enter_context(precompile_overlay())
         figure = _figure(request, robot)
         make = mover or partial(make_motion, request.motion, stack=stack)
         motion = make(robot, figure)

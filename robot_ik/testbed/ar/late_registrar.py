@@ -134,10 +134,10 @@ class LateRegistrar:
 
     def _error(self, shown: Frame, pose: Pose | None, motion: Array | None) -> float:
         """Return the RMS distance of the board's points from where they are drawn for, px."""
-        found = self._tracker.observe(shown)
-        if found is None or pose is None:
+        observation = self._tracker.observe(shown)
+        if observation is None or pose is None:
             return float("nan")
-        pixels = self._intrinsics.project(pose.apply(found.board.points))
+        pixels = self._intrinsics.project(pose.apply(observation.board.points))
         if motion is not None:
             pixels = pixels @ motion[:, :2].T + motion[:, 2]
-        return float(np.sqrt(np.mean(np.sum((pixels - found.board.pixels) ** 2, axis=1))))
+        return float(np.sqrt(np.mean(np.sum((pixels - observation.board.pixels) ** 2, axis=1))))

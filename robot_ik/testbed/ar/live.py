@@ -22,6 +22,7 @@ from robot_ik.testbed.ar.caption import Caption
 from robot_ik.testbed.ar.late_registrar import LateRegistrar, RecentBoards, Registered
 from robot_ik.testbed.ar.scene import ArScene
 from robot_ik.testbed.ar.setup import ArDelay, ArSetup
+from robot_ik.testbed.ar.warm import warm_up
 from robot_ik.testbed.captions import caption_lines
 from robot_ik.testbed.commands import MoveGoal
 from robot_ik.testbed.session import Session
@@ -235,6 +236,7 @@ class LiveAr(Closing):
         if before is None or before.setup != setup:
             stack.close()
             self._set_status(ArStatus(on=True, note="opening the camera …"))
+            warm_up()
             camera = stack.enter_context(ArCamera(setup))
             board = parse_target(setup.board, setup.dictionary)
             marker = ball_marker(setup, board)

@@ -17,6 +17,12 @@ from robot_ik.testbed.commands import Checked
 ArPlace = Literal["whole", "corner"]
 """Where the pictures of augmented reality are: over the whole 3D view, or in its corner."""
 
+ReachPicture = Literal["none", "space", "cloud", "shell"]
+"""What is shown of the space that the tool reaches, see ``ShowReach``."""
+
+LONGEST_MESH = 950_000
+"""Base64 characters of a mesh file: some 700 kB."""
+
 _Path = Annotated[str, Field(max_length=4096)]
 _Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 
@@ -78,9 +84,13 @@ class ShowToolFrames(Action):
 
 
 class ShowReach(Action):
-    """Show the space that the tool reaches as a shell, or none."""
+    """Show where the tool can be.
 
-    on: bool
+    ``space`` is the surface of the space that the tool reaches. ``cloud`` and ``shell`` are a
+    reachability map, which is computed among the present obstacles.
+    """
+
+    picture: ReachPicture
 
 
 class ShowRegions(Action):
@@ -196,6 +206,13 @@ class ReportGraphics(Action):
 
     for_all = True
     software: bool
+
+
+class LoadMesh(Action):
+    """Add the convex hull of a mesh file as an obstacle. Its lengths are metres."""
+
+    file: Annotated[str, Field(max_length=200)]
+    base64: Annotated[str, Field(max_length=LONGEST_MESH)]
 
 
 class SaveLog(Action):

@@ -34,6 +34,7 @@ from robot_ik.testbed.commands import (
     DragLink,
     MoveGoal,
     MoveObstacle,
+    PlayPlan,
     PlayTimeline,
     Release,
     SetArm,
@@ -48,9 +49,13 @@ from robot_ik.testbed.frontends import actions
 from robot_ik.testbed.frontends.ar_pictures import ArPictures
 from robot_ik.testbed.frontends.camera_pictures import CameraPictures
 from robot_ik.testbed.frontends.channel import ChannelPage
+from robot_ik.testbed.frontends.contact_scene import ContactScene
 from robot_ik.testbed.frontends.cube_scene import CubeScene
+from robot_ik.testbed.frontends.mesh_upload import uploaded_mesh
 from robot_ik.testbed.frontends.obstacle_scene import ObstacleScene
 from robot_ik.testbed.frontends.page_server import PageServer
+from robot_ik.testbed.frontends.plan_scene import PlanScene
+from robot_ik.testbed.frontends.reach_scene import ReachScene
 from robot_ik.testbed.frontends.region_scene import RegionScene
 from robot_ik.testbed.frontends.scene import BrowserScene
 from robot_ik.testbed.frontends.share import shared_page
@@ -58,11 +63,13 @@ from robot_ik.testbed.frontends.view_rows import (
     frame_of_body,
     joint_addresses,
     program_row,
+    reach_row,
     robot_row,
     view_row,
 )
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.presets import Preset, preset
+from robot_ik.testbed.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.regions import figure_regions, reach_shell
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
@@ -122,8 +129,11 @@ class Page(Closing):
         self._shows_handles = True
         self._shows_turn_handles = False
         self._shows_tool_frames = False
-        self._shows_reach = False
         self._shows_wire = False
+        self._reach_picture: actions.ReachPicture = "none"
+        self._reach = ReachState()
+        self._reach_changed = False
+        self._reach_maps = ReachMaps(self._show_reach)
         self._shows_regions = False
         self._shows_cube = False
         self._picks: Literal["tool", "base", "pin", "off"] = "off"
@@ -139,7 +149,10 @@ class Page(Closing):
         with self.server.atomic():
             self._add_gizmo()
             self._obstacles = ObstacleScene(self.server, self._move_obstacle)
-            self._reach = RegionScene(self.server, "reach", reach_shell, self._notice)
+            self._contacts = ContactScene(self.server)
+            self._plan = PlanScene(self.server)
+            self._reach_scene = ReachScene(self.server)
+            self._space = RegionScene(self.server, "reach", reach_shell, self._notice)
             self._regions = RegionScene(self.server, "figure", figure_regions, self._notice)
             self._cube = CubeScene(self.server)
             self._scene = self._new_scene(self._view)
@@ -159,7 +172,8 @@ class Page(Closing):
         self.gate.driver.on_leave = self._driver_left
 
     def close(self) -> None:
-        """Stop cameras and server."""
+        """Stop cameras, maps and server."""
+        self._reach_maps.cancel()
         if self.camera is not None:
             self.camera.close()
         self.ar.close()
@@ -216,8 +230,8 @@ class Page(Closing):
             case actions.ShowToolFrames(on):
                 self._shows_tool_frames = on
                 self._scene.show_axes(on)
-            case actions.ShowReach(on):
-                self._shows_reach = on
+            case actions.ShowReach(picture):
+                self._choose_reach(picture)
             case actions.ShowWire(on):
                 self._shows_wire = on
                 self._scene.show_wire(on)
@@ -237,6 +251,8 @@ class Page(Closing):
                 self.switch_ar(on)
             case actions.BeginPreset(name):
                 self._begin(preset(name))
+            case actions.LoadMesh(file, base64):
+                self.session.send(uploaded_mesh(file, base64))
             case actions.HandOver():
                 self.gate.driver.hand_over()
             case actions.ReportGraphics(software):
@@ -281,6 +297,26 @@ class Page(Closing):
         """Show a sentence on all pages."""
         self.channel.say({"notice": text})
 
+    def _choose_reach(self, picture: actions.ReachPicture) -> None:
+        """Show another picture of where the tool can be."""
+        is_map = picture in ("cloud", "shell")
+        has_map = is_map and self._reach_picture in ("cloud", "shell")
+        self._reach_picture = picture
+        self._reach_changed = True
+        if not is_map:
+            self._reach_maps.cancel()
+            self._reach = ReachState()
+            self.channel.greet("reach", reach_row(self._reach))
+        elif not has_map:
+            obstacles = tuple(one.placed.obstacle() for one in self._view.obstacles)
+            self._reach_maps.ask(self.session.robot, obstacles)
+
+    def _show_reach(self, state: ReachState) -> None:
+        """Take a state of the map. The loop draws it."""
+        self._reach = state
+        self._reach_changed = True
+        self.channel.greet("reach", reach_row(state))
+
     def _tell_settings(self) -> None:
         """Tell all pages what is shown."""
         settings = {
@@ -289,7 +325,7 @@ class Page(Closing):
             "handles": self._shows_handles,
             "turn_handles": self._shows_turn_handles,
             "tool_frames": self._shows_tool_frames,
-            "reach": self._shows_reach,
+            "reach": self._reach_picture,
             "wire": self._shows_wire,
             "ar": self.ar.settings(),
             "regions": self._shows_regions,
@@ -509,6 +545,8 @@ class Page(Closing):
             self._end_drag()
         if self._view.timeline.playing:
             self.session.send(PlayTimeline(False))
+        if self._view.plan.playing:
+            self.session.send(PlayPlan(False))
         if self._view.arm is not None and self._view.arm.mode in ("follow", "replay"):
             self.session.send(SetArm("hold"))
 
@@ -548,22 +586,36 @@ class Page(Closing):
     def _draw_scene(self, view: View) -> None:
         scene = self._scene
         robot = self.session.robot
+        # Also another tool, base or stiffness of the same model: its map is another.
+        has_other_map = scene.robot is not robot
         if scene.robot.model is not robot.model or scene.count != view.count:
             scene.remove()
             scene = self._new_scene(view)
             self._scene = scene
+            self._reach_changed = True
         elif scene.robot is not robot:
             scene.take(robot)
+        if has_other_map and self._reach_picture in ("cloud", "shell"):
+            self._choose_reach("none")
+            self._tell_settings()
         self._tell_robot(view)
         scene.draw(view)
         offset = scene.arrangement.offsets[0]
         self._obstacles.draw(view, offset)
-        self._reach.draw(robot, offset, on=self._shows_reach)
+        self._contacts.draw(view, scene)
+        self._plan.draw(view, scene)
+        self._draw_reach(scene)
+        self._space.draw(robot, offset, on=self._reach_picture == "space")
         self._regions.draw(robot, offset, on=self._shows_regions and view.can_act)
         self._cube.draw(view, robot, on=self._shows_cube)
         self._gizmo.position = view.ball.position + offset
         if view.motion != "hand":
             self._gizmo.wxyz = view.ball.wxyz
+
+    def _draw_reach(self, scene: BrowserScene) -> None:
+        if self._reach_changed:
+            self._reach_changed = False
+            self._reach_scene.draw(self._reach_picture, scene, self._reach.reach_map)
 
     def _send_view(self, view: View) -> None:
         now = time.monotonic()

@@ -24,8 +24,8 @@ from robot_ik.testbed.frontends.gate import Gate, Malformed, MessageBudget
 
 LOG = logging.getLogger(__name__)
 
-LONGEST_MESSAGE = 1 << 18
-"""Characters of one message of a page. A file of poses is the longest."""
+LONGEST_MESSAGE = 1_000_000
+"""Characters of one message of a page. A mesh file is the longest."""
 
 _KEY_BYTES = 16
 """Random bytes of the key of a page that has no connection to viser yet."""

@@ -152,7 +152,7 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> B
     unique = rows[first]
     vertices = unique[:, :3].astype(np.float32)
     normals = unique[:, 3:6].astype(np.float32)
-    glb = _glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
+    glb = coloured_glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces)
     return BodyMesh(vertices, faces, glb)
 
 
@@ -168,7 +168,7 @@ _BYTE = 5121
 _INDEX = 5125
 
 
-def _glb(
+def coloured_glb(
     vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]
 ) -> bytes:
     """Return a mesh with colours as a binary glTF 2.0 file (its specification, 3.6 and 4).
@@ -446,7 +446,9 @@ class BrowserScene:
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)
-            if self._trails_shown and any(moved):
+            # A ball that jumps makes no path.
+            self._trails.visible = self._trails_shown and view.motion != "random"
+            if self._trails.visible and any(moved):
                 self._draw_trails(view)
             self._draw_ghosts(view)
             self._draw_pull(view)

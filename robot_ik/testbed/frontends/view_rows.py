@@ -17,6 +17,8 @@ from robot_ik.testbed.arrangement import INSTANCE_COLOURS, hexadecimal
 from robot_ik.testbed.frontends.site import has_thumbnail
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.keys import KEYMAP
+from robot_ik.testbed.obstacles import ObstacleView
+from robot_ik.testbed.reach_maps import ReachState
 from robot_ik.testbed.view import FigureView, View
 from robot_ik.theses.courses import NUMBERS, THESIS_RESULTS
 
@@ -173,16 +175,38 @@ def view_row(view: View, robot: Robot, addresses: list[int]) -> dict[str, Any]:
         "figure": None if view.figure is None else _figure_row(view.figure),
         "can_act": view.can_act,
         "timeline": dataclasses.asdict(view.timeline),
-        "obstacles": [
-            {
-                "shape": one.shape,
-                "distance": one.distance if math.isfinite(one.distance) else None,
-                "part": one.part,
-            }
-            for one in view.obstacles
+        "obstacles": [_obstacle_row(one) for one in view.obstacles],
+        "plan": {
+            "state": view.plan.state,
+            "text": view.plan.text,
+            "duration": round(view.plan.duration, 3),
+            "now": round(view.plan.now, 3),
+            "playing": view.plan.playing,
+        },
+        "contacts": [
+            {"parts": list(one.parts), "depth_mm": round(1e3 * one.depth, 1)}
+            for one in view.contacts
         ],
-        "contact": None if view.contact is None else dataclasses.asdict(view.contact),
         "arm": None if view.arm is None else _arm_row(view.arm),
+    }
+
+
+def reach_row(state: ReachState) -> dict[str, Any]:
+    """Return the state of the reachability map."""
+    return {
+        "text": state.text,
+        "smallest_index": round(state.smallest_index, 4),
+        "largest_index": round(state.largest_index, 4),
+    }
+
+
+def _obstacle_row(one: ObstacleView) -> dict[str, Any]:
+    return {
+        "name": one.placed.name,
+        "shape": one.placed.shape,
+        "size": [round(length, 4) for length in one.placed.size],
+        "distance": one.distance if math.isfinite(one.distance) else None,
+        "part": one.part,
     }
 
 

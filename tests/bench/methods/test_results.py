@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.methods.results import Cell, Results, draw
+from robot_ik.bench.methods.plots import draw
+from robot_ik.bench.methods.results import Cell, Results
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import json_text
 

@@ -32,6 +32,7 @@ const PATHS = {
   panel: "M4 5h16v14H4zM14 5v14",
   pause: "M8 5v14M16 5v14",
   play: "M7 5v14l11-7z",
+  record: "M12 5a7 7 0 1 0 0 14 7 7 0 0 0 0-14M12 10a2 2 0 1 0 0 4 2 2 0 0 0 0-4",
   reset: "M4 12a8 8 0 1 0 3-6.2M4 4v5h5",
   save: "M12 4v11m-4-4 4 4 4-4M5 20h14",
   share: "M12 15V4m-4 4 4-4 4 4M5 13v5a2 2 0 0 0 2 2h10a2 2 0 0 0 2-2v-5",

@@ -2,6 +2,20 @@
 
 import { make, show } from "./dom.js";
 
+/** Put a label where a node is on the screen, or hide it if viser has no such node. */
+export function placeAtNode(label, name, frame) {
+  const viewer = window.__viserMutable;
+  const camera = viewer?.camera;
+  const node = name && camera && viewer.nodeRefFromName[name];
+  show(label, Boolean(node));
+  if (!node) return;
+  node.updateWorldMatrix(true, false);
+  const at = camera.position.clone().setFromMatrixPosition(node.matrixWorld).project(camera);
+  const x = ((at.x + 1) / 2) * frame.clientWidth;
+  const y = ((1 - at.y) / 2) * frame.clientHeight;
+  label.style.transform = `translate(${x}px, ${y}px) translate(-50%, 4px)`;
+}
+
 export class Labels {
   constructor(colours) {
     this.count = 0;
@@ -27,18 +41,8 @@ export class Labels {
 
   /** Put each label where the node of its instance is on the screen. */
   place() {
-    const viewer = window.__viserMutable;
-    const camera = viewer?.camera;
     this.labels.forEach((label, k) => {
-      const node = k < this.count && camera && viewer.nodeRefFromName[`/robot/label_${k}`];
-      show(label, Boolean(node));
-      if (!node) return;
-      node.updateWorldMatrix(true, false);
-      const at = camera.position.clone().setFromMatrixPosition(node.matrixWorld).project(camera);
-      const { clientWidth: width, clientHeight: height } = this.element;
-      const x = ((at.x + 1) / 2) * width;
-      const y = ((1 - at.y) / 2) * height;
-      label.style.transform = `translate(${x}px, ${y}px) translate(-50%, 4px)`;
+      placeAtNode(label, k < this.count && `/robot/label_${k}`, this.element);
     });
   }
 }

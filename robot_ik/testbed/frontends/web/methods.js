@@ -32,9 +32,12 @@ const PACE = {
   usual: [0, 2],
 };
 
+/** A number with one digit after the point, or none if it is large. */
+const figure = (value) => value.toFixed(value < 99.95 ? 1 : 0);
+
 /** Figures of a card: label, help, text. */
 const FIGURES = [
-  ["steps", "Mean iterations of a solve", (one) => one.mean_iterations.toFixed(1)],
+  ["steps", "Mean iterations of a solve", (one) => figure(one.mean_iterations)],
   [
     "time",
     (one) =>
@@ -45,7 +48,7 @@ const FIGURES = [
   [
     "jump",
     "Largest change of a joint between two frames: a method that jumps has a large one",
-    (one) => `${one.jump_deg.toFixed(one.jump_deg < 10 ? 1 : 0)}°`,
+    (one) => `${figure(one.jump_deg)}°`,
   ],
   [
     "solved",

@@ -5,6 +5,7 @@ import { ArmTab } from "./arm.js";
 import { CameraPane } from "./camera.js";
 import { Channel } from "./channel.js";
 import { Connection } from "./connection.js";
+import { ContactLabels } from "./contact_labels.js";
 import { Gallery, Intro, KeyList } from "./dialogs.js";
 import { button, download, make } from "./dom.js";
 import { GoalsTab } from "./goals.js";
@@ -41,6 +42,7 @@ class Page {
       robot: (value) => this.showRobot(value),
       settings: (value) => this.showSettings(value),
       role: (value) => this.showRole(value),
+      reach: (value) => this.showReach(value),
       view: (value) => this.showView(value),
       camera: (value) => this.camera.show(value),
       picture: (value) => {
@@ -129,6 +131,7 @@ class Page {
     this.top.showProgram(program);
     if (this.tabs) return;
     this.labels = new Labels(program.colours);
+    this.contactLabels = new ContactLabels();
     this.gallery = new Gallery(program, this.channel);
     this.intro = new Intro(() => this.gallery.open());
     this.keyList = new KeyList(program.keys);
@@ -139,18 +142,19 @@ class Page {
       Goals: new GoalsTab(this.channel),
       Arm: new ArmTab(this.channel),
       AR: new ArTab(this.channel),
-      Scene: new SceneTab(this.channel),
+      Scene: new SceneTab(this.channel, (text) => this.overlay.notice(text)),
       Record: new RecordTab(program, this.channel),
     };
     this.dialogs.push(this.tabs.Methods.theses.table);
     this.buildSide();
-    this.root.prepend(this.labels.element);
+    this.root.prepend(this.labels.element, this.contactLabels.element);
     this.root.append(...this.dialogs.map(({ element }) => element));
     this.listenToKeys(program.keys);
     this.intro.openOnce();
     if (this.robot) this.showRobot(this.robot);
     if (this.settings) this.showSettings(this.settings);
     if (this.role) this.showRole(this.role);
+    if (this.reach) this.showReach(this.reach);
     if (this.arStatus) this.showArStatus(this.arStatus);
     if (this.cases) this.showCases(this.cases);
     if (this.view) this.draw();
@@ -241,6 +245,11 @@ class Page {
     this.tabs?.Scene.showRole(role);
   }
 
+  showReach(reach) {
+    this.reach = reach;
+    this.tabs?.Scene.reach.showReach(reach);
+  }
+
   showView(changes) {
     this.view = { ...this.view, ...changes };
     if (this.tabs) this.draw();
@@ -251,6 +260,7 @@ class Page {
     this.top.show(view);
     this.overlay.show(view, this.keys?.movesCamera ?? false, this.settings?.ar.on ?? false);
     this.labels.show(view, this.settings?.overlay ?? true);
+    this.contactLabels.show(view);
     this.timeline.show(view.timeline);
     for (const [name, tab] of Object.entries(this.tabs)) {
       if (name === "Methods") tab.show(view, this.tab === name);

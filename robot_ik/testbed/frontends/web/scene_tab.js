@@ -1,22 +1,15 @@
 // Obstacles, and what the 3D view shows.
 
-import { button, heading, make, refill, show, toggle } from "./dom.js";
-
-const SHAPES = [
-  ["box", "Box"],
-  ["sphere", "Sphere"],
-  ["cylinder", "Cylinder"],
-];
+import { button, heading, make, show, toggle } from "./dom.js";
+import { ObstacleList } from "./obstacle_list.js";
+import { PlanBox } from "./plan_box.js";
+import { ReachBox } from "./reach_box.js";
 
 export class SceneTab {
-  constructor(channel) {
-    this.channel = channel;
-    const add = ([shape, label]) =>
-      button(shape, label, () => channel.command("add_obstacle", { shape }), {
-        title: "Drag it in the 3D view",
-      });
-    this.obstacles = make("table", { class: "rk-table num" });
-    this.contact = make("div", { class: "rk-warning" });
+  constructor(channel, notice) {
+    this.obstacles = new ObstacleList(channel, notice);
+    this.plan = new PlanBox(channel);
+    this.reach = new ReachBox(channel);
     const switched = (name) => (on) => channel.action(name, { on });
     this.switches = {
       overlay: toggle("Trails and labels", true, switched("show_overlay"), "Over the scene (L)"),
@@ -24,7 +17,6 @@ export class SceneTab {
       turn_handles: toggle("Turn handles", false, switched("show_turn_handles"), "Turn the ball"),
       tool_frames: toggle("Tool frames", false, switched("show_tool_frames"), "x red, y green, z blue"),
       wire: toggle("Wire", false, switched("show_wire"), "Robots as lines from joint to joint"),
-      reach: toggle("Reach", false, switched("show_reach"), "The space that the tool reaches"),
       regions: toggle(
         "Regions of the figure",
         false,
@@ -41,10 +33,9 @@ export class SceneTab {
     this.element = make(
       "div",
       {},
-      heading("Obstacles", make("small", {}, "distances only; no method avoids them")),
-      make("div", { class: "rk-buttons" }, SHAPES.map(add)),
-      this.contact,
-      this.obstacles,
+      this.obstacles.element,
+      this.plan.element,
+      this.reach.element,
       heading("Show"),
       Object.values(this.switches).map(({ element }) => element),
       button("fit", "Fit the camera", () => channel.action("fit_camera"), {
@@ -58,6 +49,7 @@ export class SceneTab {
 
   showSettings(settings) {
     for (const [name, one] of Object.entries(this.switches)) one.set(settings[name]);
+    this.reach.set(settings.reach);
   }
 
   showRole(role) {
@@ -71,35 +63,7 @@ export class SceneTab {
 
   show(view) {
     show(this.switches.regions.element, view.can_act);
-    const { contact } = view;
-    show(this.contact, contact !== null);
-    if (contact) {
-      const depth = (1e3 * contact.depth).toFixed(1);
-      this.contact.textContent = `${contact.parts.join(" touches ")}: ${depth} mm deep`;
-    }
-    const names = view.obstacles.map(({ shape }, k) => `${shape} ${k + 1}`);
-    refill(this.obstacles, names, () => names.map((name, k) => this.row(name, k)));
-    view.obstacles.forEach(({ distance, part }, k) => {
-      const cell = this.obstacles.rows[k].cells[1];
-      const touches = distance !== null && distance < 0;
-      cell.textContent = "far";
-      if (touches) cell.textContent = `touches ${part}, ${(-1e3 * distance).toFixed(1)} mm deep`;
-      else if (distance !== null) cell.textContent = `${(100 * distance).toFixed(1)} cm to ${part}`;
-      cell.classList.toggle("rk-bad", touches);
-    });
-  }
-
-  row(name, index) {
-    const remove = button("trash", "", () => this.channel.command("remove_obstacle", { index }), {
-      kind: "plain",
-      title: `remove ${name}`,
-    });
-    return make(
-      "tr",
-      {},
-      make("td", {}, name),
-      make("td"),
-      make("td", { class: "rk-narrow" }, remove),
-    );
+    this.obstacles.show(view);
+    this.plan.show(view);
   }
 }

@@ -128,10 +128,18 @@ export class Theses {
       const share = `${Math.floor(100 * met[k] + 1e-6)} % met`;
       return `${method}: ${share}${lost[k] ? `, first lost at ${lost[k]}` : ""}`;
     });
-    refill(this.course, [number, frame, lines], () => [
-      make("p", {}, `Test ${number}: ${moves}. Frame ${frame} of ${frames}, ${place}.`),
-      make("p", {}, `Thesis: ${thesis}.`),
-      ...lines.map((text) => make("p", { class: "num" }, text)),
-    ]);
+    refill(this.course, [number, lines.length], () => {
+      this.courseLines = lines.map(() => make("p", { class: "num" }));
+      this.courseFrame = make("p", { class: "num" });
+      return [
+        make("p", {}, `Test ${number}: ${moves}. Thesis: ${thesis}.`),
+        this.courseFrame,
+        ...this.courseLines,
+      ];
+    });
+    this.courseFrame.textContent = `Frame ${frame} of ${frames}, ${place}`;
+    lines.forEach((text, k) => {
+      this.courseLines[k].textContent = text;
+    });
   }
 }

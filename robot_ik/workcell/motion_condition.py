@@ -1,4 +1,4 @@
-"""``condition_among``: the condition on collisions of a robot among the obstacles of a file."""
+"""Conditions on the collisions of a motion: with the obstacles of a file, or of an arm file."""
 
 from __future__ import annotations
 
@@ -32,3 +32,29 @@ def condition_among(
     """
     obstacles = () if file is None else load_obstacles(file)
     return CollisionAvoidance(Scene(robot, obstacles), margin, ignore=ignore)
+
+
+def motion_condition(
+    robot: Robot, file: Path | None, avoid: bool, of_arm: CollisionAvoidance | None
+) -> CollisionAvoidance | None:
+    """Return the condition on a motion; None if it has none.
+
+    A file of obstacles comes first. A motion that shall avoid collisions and has no file takes the
+    condition of the arm file, with its scene, its ground and its margin. Without an arm file it is
+    the robot alone.
+
+    Args:
+        robot: The robot.
+        file: MJCF file of obstacles.
+        avoid: Whether the motion is planned around the obstacles and the robot itself.
+        of_arm: Condition of the table ``[collisions]`` of the arm file.
+
+    Raises:
+        ModelError: The file cannot be read.
+        CollisionError: An obstacle is not possible.
+    """
+    if file is None and not avoid:
+        return None
+    if file is None and of_arm is not None:
+        return of_arm
+    return condition_among(robot, file)
