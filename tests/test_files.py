@@ -314,6 +314,8 @@ ALLOWED = {
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
     ("robot_ik/cli/console.py", "open"): "/dev/null",
+    ("robot_ik/commands/streams.py", "open"): "/dev/null",
+    ("robot_ik/testbed/frontends/window_scene.py", "read_text"): "the scene of a bundled robot",
     ("robot_ik/commands/robots.py", "ElementTree.parse"): "models that ship",
     ("robot_ik/jobs/arm_camera/samples.py", "json.loads"): "what it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",

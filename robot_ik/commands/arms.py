@@ -222,7 +222,7 @@ def default_robot(arm: str | Path | None, bus: str) -> str:
     from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT  # pydantic
 
     if arm:
-        from robot_ik.jobs.robot_setup import robot_named_in
+        from robot_ik.robot_arm import robot_named_in
 
         return robot_named_in(load_arm(arm))
     return SHOWN_ROBOT if bus == NO_BUS or bus_row(bus).virtual else SERVO_ROBOT

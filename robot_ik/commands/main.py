@@ -354,7 +354,8 @@ def parse_command(words: Sequence[str]) -> tuple[str, Any]:
         target, bound, _ = app.parse_args(words or ["--help"])
     except CycloptsError as error:
         names = command_names()
-        raise explain(error, names, lambda: option_owners(app, names)) from error
+        owners = [row.name for rows in GROUPS.values() for row in rows]
+        raise explain(error, names, lambda: option_owners(app, owners)) from error
     result = target(*bound.args, **bound.kwargs)
     return " ".join(chain), result if hasattr(result, "run") else None
 

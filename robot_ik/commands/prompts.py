@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 from robot_ik.commands.terminal import Terminal, show_error
 from robot_ik.errors import HardwareError, OptionError
-from robot_ik.ports import Clock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
+    from robot_ik.ports import Clock
 
 NO_ENTER = "standard input has ended, so Enter cannot be pressed"
 """Reason why a step cannot end with Enter."""

@@ -135,7 +135,8 @@ class Reach(FolderOption, JsonOption):
         tuple[str, ...],
         Parameter(metavar="KIND[:JOINT[=DEG]]", allow_repeating=True, group=_SIMULATION),
     ] = ()
-    """Faults to inject. Examples: zero-offset:joint2=2, stuck:joint3, cover-gripper or blank-marker."""
+    """Faults to inject. Examples: zero-offset:joint2=2, stuck:joint3, cover-gripper,
+    blank-marker."""
     marker_at: Annotated[
         tuple[float, ...],
         Parameter(metavar="X Y Z [YAW_DEG]", consume_multiple=True, group=_SIMULATION),

@@ -172,8 +172,8 @@ def _latency(milliseconds: float) -> tuple[Fault, ...]:
 
 def _add_physics(config: ArmConfig, bus: VirtualBus) -> None:
     from robot_ik.hardware.virtual.world import World
-    from robot_ik.jobs.robot_setup import robot_named_in
     from robot_ik.robot import load_robot
+    from robot_ik.robot_arm import robot_named_in
 
     World(load_robot(robot_named_in(config)).model, config, bus)
 

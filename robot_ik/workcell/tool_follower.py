@@ -8,9 +8,9 @@ from robot_ik.budget import Budget
 from robot_ik.geometry import Pose
 from robot_ik.goals import BEST, EXACT, PoseGoal
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
+from robot_ik.robot_arm import robot_named_in
 from robot_ik.workcell.operator import Angles
 
 BUDGET = Budget(iterations=30, restarts=0)

@@ -185,7 +185,7 @@ def test_teleop_by_keys_stops_before_it_touches(
     assert run.code == 0, run.err
     assert "would" in run.err
     assert "ball" in run.err
-    assert "held back" in run.err
+    assert "held back" in run.out
     bend = np.radians(degrees(guarded)[1])
     hand = 0.1 * np.array([np.sin(bend), 1.0 + np.cos(bend)])
     ball = 0.1 * np.array([np.sin(np.radians(40.0)), 1.0 + np.cos(np.radians(40.0))])

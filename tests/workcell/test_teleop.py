@@ -340,4 +340,4 @@ def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(
         assert main(words) == 0
         assert "ended by the operator" in capsys.readouterr().out
         assert main([*words, "--seconds", "0.3"]) == 0
-        assert "end of the given time" in capsys.readouterr().err
+        assert "end of the given time" in capsys.readouterr().out
