@@ -152,7 +152,8 @@ def flag_rows() -> list[tuple[str, str, list[str]]]:
         prepare_command(command)
         for argument in command.assemble_argument_collection(parse_docstring=True):
             flags = [name for name in argument.names if name.startswith("--")]
-            meaning = (argument.parameter.help or "").split(". ")[0].rstrip(".")
+            text = " ".join((argument.parameter.help or "").split())
+            meaning = text.split(". ")[0].rstrip(".")
             if flags:
                 commands.setdefault((flags[0], meaning), []).append(row.name)
     return [(flag, meaning, names) for (flag, meaning), names in sorted(commands.items())]

@@ -72,6 +72,38 @@ GoalNumbers = Annotated[
         help="Goal in the world: position in metres and, optionally, a quaternion.",
     ),
 ]
+StartNumbers = Annotated[
+    tuple[float, ...],
+    Parameter(
+        metavar="Q …",
+        consume_multiple=True,
+        help="Start configuration in rad (slides: m). Default: the home pose.",
+    ),
+]
+Iterations = Annotated[
+    int,
+    Parameter(
+        metavar="N",
+        validator=Number(gte=1),
+        help="Iteration budget of all restarts together.",
+    ),
+]
+SceneFile = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE.xml",
+        help="Obstacles around the robot: an MJCF file without joints. The robot must not touch "
+        "them.",
+    ),
+]
+Margin = Annotated[
+    float,
+    Parameter(
+        metavar="M",
+        validator=Number(gte=0, lt=math.inf),
+        help="Smallest allowed distance between parts, in metres.",
+    ),
+]
 Seed = Annotated[
     int, Parameter(metavar="N", help="Random seed. The same seed gives the same result.")
 ]
@@ -152,7 +184,7 @@ class FolderOption(OverwriteOption):
         Parameter(
             metavar="FOLDER",
             group=OUTPUT_GROUP,
-            help="Result folder. Default: runs/<time>-<command>.",
+            help="Destination of the results. A folder; default: runs/<time>-<command>.",
         ),
     ] = None
 

@@ -30,6 +30,7 @@ from robot_ik.commands.options import (
     JsonOption,
     RecordFile,
     RobotName,
+    SceneFile,
     Seconds,
     Seed,
     SolverName,
@@ -90,8 +91,7 @@ class Reach(FolderOption, JsonOption):
     solver: SolverName = ""
     line: bool = False
     """Move the tool on a straight line."""
-    scene: Annotated[Path | None, Parameter(metavar="FILE.xml")] = None
-    """Refuse a motion that would touch these obstacles: an MJCF file without joints."""
+    scene: SceneFile = None
     avoid: bool = False
     """Plan a motion around the robot itself and the obstacles of --scene, or of the arm file."""
     follow: Annotated[Seconds | None, Parameter(metavar="S")] = None
@@ -133,10 +133,14 @@ class Reach(FolderOption, JsonOption):
 
     fault: Annotated[
         tuple[str, ...],
-        Parameter(metavar="KIND[:JOINT[=DEG]]", allow_repeating=True, group=_SIMULATION),
+        Parameter(
+            metavar="KIND[:JOINT[=DEG]] …",
+            consume_multiple=True,
+            allow_repeating=True,
+            group=_SIMULATION,
+        ),
     ] = ()
-    """Faults to inject. Examples: zero-offset:joint2=2, stuck:joint3, cover-gripper,
-    blank-marker."""
+    """Faults to inject. For example stuck:joint3, zero-offset:joint2=2, or cover-gripper."""
     marker_at: Annotated[
         tuple[float, ...],
         Parameter(metavar="X Y Z [YAW_DEG]", consume_multiple=True, group=_SIMULATION),

@@ -65,7 +65,7 @@ class SimBus:
             allow_repeating=True,
         ),
     ] = ()
-    """Faults to inject. Examples: stuck:joint3, zero-offset:joint2=2, corrupt=0.01, or a file of
+    """Faults to inject. For example stuck:joint3, zero-offset:joint2=2, corrupt=0.01, or a file of
     faults with times."""
     seed: Seed | None = None
     physics: bool = False

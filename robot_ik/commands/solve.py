@@ -15,11 +15,13 @@ from robot_ik.commands.options import (
     FrameName,
     FreeFeet,
     GoalNumbers,
+    Iterations,
     JointNames,
     JsonOption,
     RobotName,
     Seed,
     SolverName,
+    StartNumbers,
     parse_goal,
 )
 from robot_ik.commands.tables import plural, table
@@ -67,15 +69,13 @@ class Solve(JsonOption):
         Parameter(metavar="NAME=VALUE …", consume_multiple=True, allow_repeating=True),
     ] = ()
     """Options of the solver (see `robot-ik solvers NAME`)."""
-    start: Annotated[tuple[float, ...], Parameter(metavar="Q …", consume_multiple=True)] = ()
-    """Start configuration in rad (slides: m). Default: the home pose."""
+    start: StartNumbers = ()
     seed: Seed = 0
     position_tolerance: Annotated[float, Parameter(metavar="M", validator=Number(gt=0))] = 1e-4
     """Largest position error of a solution, in metres."""
     angle_tolerance: Annotated[float, Parameter(metavar="RAD", validator=Number(gt=0))] = 1e-3
     """Largest orientation error of a solution, in radians."""
-    iterations: Annotated[int, Parameter(metavar="N", validator=Number(gte=1))] = 20_000
-    """Iteration budget of all restarts together."""
+    iterations: Iterations = 20_000
     restarts: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=0))] = None
     """Random restarts. 0: a local solution near the start. Default: the solver's own."""
 

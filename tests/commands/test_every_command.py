@@ -32,6 +32,8 @@ from tests.doc_pages import script
 LINES = {
     "solve": "--goal -0.4 -0.1 0.7",
     "reach": "--bus sim --goal -0.42 -0.08 0.80",
+    "plan": "--goal -0.4 -0.1 0.7",
+    "reachability": "--cell 0.5 --directions 2 --rolls 1",
     "run": "overload",
     "servo scan": "--bus sim --baud 1000000",
     "servo ports": "",

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.commands.main import parse_command
 from robot_ik.commands.reach import Reach
 from robot_ik.ports import RealClock
 from robot_ik.robot import load_robot
@@ -287,6 +288,14 @@ def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
     other = arm_file(tmp_path, 'robot = "puma560"', 'robot = "panda"')
     for bus in ("sim", "/dev/ttyUSB0"):
         assert Reach(bus=bus, arm=str(other)).robot_name == "panda"
+
+
+@pytest.mark.parametrize(
+    "line", ["--fault stuck:joint3 cover-gripper", "--fault stuck:joint3 --fault cover-gripper"]
+)
+def test_several_faults_are_given_together_or_one_by_one(line: str) -> None:
+    _, reach = parse_command(["reach", *line.split()])
+    assert reach.fault == ("stuck:joint3", "cover-gripper")
 
 
 def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(

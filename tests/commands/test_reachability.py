@@ -20,7 +20,7 @@ SCENE = """<mujoco><worldbody>
 def test_the_map_and_its_pictures_are_written(robot_ik: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     pytest.importorskip("matplotlib")
-    run = robot_ik("reachability", "puma560", *SMALL, "--out", tmp_path / "reach", "--json")
+    run = robot_ik("reachability", *SMALL, "--out", tmp_path / "reach", "--json")
     assert run.code == 0, run
     facts = json.loads(run.out)
     names = sorted(path.name for path in (tmp_path / "reach").iterdir())
@@ -30,7 +30,7 @@ def test_the_map_and_its_pictures_are_written(robot_ik: Any, tmp_path: Path) -> 
     assert sum(facts["counts"].values()) == facts["poses"] == reach_map.grid.poses
     assert facts["counts"]["reached"] == (reach_map.status == rik.ReachStatus.REACHED).sum()
     assert facts["counts"]["touching"] > 0
-    again = robot_ik("reachability", "puma560", *SMALL, "--out", tmp_path / "reach")
+    again = robot_ik("reachability", *SMALL, "--out", tmp_path / "reach")
     assert again.code == 0 and "reached only with a collision" in again.out
 
 
@@ -39,7 +39,7 @@ def test_obstacles_of_a_scene_file_count(robot_ik: Any, tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text(SCENE)
     counts = []
     for out, scene in (("open", ()), ("walled", ("--scene", tmp_path / "scene.xml"))):
-        run = robot_ik("reachability", "puma560", *SMALL, *scene, "--out", tmp_path / out, "--json")
+        run = robot_ik("reachability", *SMALL, *scene, "--out", tmp_path / out, "--json")
         assert run.code == 0, run
         counts.append(json.loads(run.out)["counts"])
     assert counts[1]["reached"] < counts[0]["reached"]
@@ -54,9 +54,9 @@ def test_what_cannot_be_done_is_said(robot_ik: Any, tmp_path: Path) -> None:
     (tmp_path / "letter").mkdir()
     (tmp_path / "letter" / "map.zarr").mkdir()
     (tmp_path / "letter" / "map.zarr" / "letter.txt").write_text("dear reader")
-    other = robot_ik("reachability", "puma560", *SMALL, "--out", tmp_path / "letter")
+    other = robot_ik("reachability", *SMALL, "--out", tmp_path / "letter")
     assert other.code == 2 and "not a reachability map" in other.err
-    cell = robot_ik("reachability", "puma560", "--cell", "-1", *out)
+    cell = robot_ik("reachability", "--cell", "-1", *out)
     assert cell.code == 2 and "--cell" in cell.err
 
 
@@ -64,7 +64,5 @@ def test_a_cluster_that_is_not_there_is_named(robot_ik: Any, tmp_path: Path) -> 
     pytest.importorskip("zarr")
     pytest.importorskip("distributed")
     address = "tcp://127.0.0.1:9"
-    run = robot_ik(
-        "reachability", "puma560", *SMALL, "--out", tmp_path / "reach", "--cluster", address
-    )
+    run = robot_ik("reachability", *SMALL, "--out", tmp_path / "reach", "--cluster", address)
     assert run.code == 2 and address in run.err

@@ -147,6 +147,20 @@ WALL = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 
 
+CHILD = """import sys, threading
+from robot_ik.commands.main import main
+from robot_ik.motion import plan as module
+search = module.plan
+
+def plan(*arguments, **options):
+    threading.Timer(1.0, print, ("searching",), {"file": sys.stderr, "flush": True}).start()
+    return search(*arguments, **options)
+
+module.plan = plan
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for a child")
 def test_ctrl_c_ends_an_endless_search(tmp_path):
     """The line about the work in progress comes from inside the search."""
@@ -154,14 +168,14 @@ def test_ctrl_c_ends_an_endless_search(tmp_path):
     arguments = ["plan", "--robot", str(tmp_path / "wall.xml"), "--start", "-0.5", "0"]
     arguments += ["--goal-q", "0.5", "0", "--iterations", str(1 << 40)]
     child = subprocess.Popen(
-        [sys.executable, "-m", "robot_ik", *arguments],
+        [sys.executable, "-c", CHILD, *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     assert child.stderr is not None
     for line in child.stderr:
-        if "planning" in line:
+        if "searching" in line:
             break
     child.send_signal(signal.SIGINT)
     _, rest = child.communicate(timeout=60)
