@@ -50,7 +50,7 @@ class ServoMonitor(BusOptions, JsonOption):
     """
 
     rate: Annotated[float, Parameter(metavar="HZ", validator=Number(gt=0, lte=MAX_RATE))] = 10.0
-    """Samples a second, at most 200."""
+    """Samples a second. At most 200."""
     count: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=1))] = None
     """Number of samples. Default: until Ctrl-C."""
 

@@ -49,7 +49,7 @@ class ServoRecord(MovingBusOptions, OverwriteOption, JsonOption):
     rate: Annotated[float, Parameter(metavar="HZ", validator=Number(gt=0, lte=MAX_RATE))] = field(
         default=50.0, kw_only=True
     )
-    """Samples a second, at most 200."""
+    """Samples a second. At most 200."""
 
     def run(self, terminal: Terminal = QUIET) -> ServoRecordReport:
         """Record and write the file."""
