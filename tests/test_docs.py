@@ -157,7 +157,8 @@ def run_line(
             check_options(["reach", *shlex.split(words[2].removeprefix("ARGS="))], where)
         return
     if words[0] == "python":
-        assert (ROOT / words[1]).is_file(), where
+        is_package = words[1] == "-m" and (ROOT / words[2].replace(".", "/")).is_dir()
+        assert is_package or (ROOT / words[1]).is_file(), where
         return
     assert words[0] == "robot-ik", f"{where}: nobody knows how to check this"
     if only_options or "/dev/" in command:

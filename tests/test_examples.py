@@ -63,9 +63,8 @@ def number(pattern: str, text: str) -> float:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)
-def test_an_example_is_short_and_says_what_it_prints(path: Path) -> None:
+def test_an_example_states_what_it_prints(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) < 60
     docstring = text.split('"""')[1]
     assert re.search(r"[Pp]rints?\b", docstring)
     assert "def test_" + path.stem.split("_", 1)[1] in Path(__file__).read_text(encoding="utf-8")

@@ -125,6 +125,10 @@ def test_read_the_docs_builds_as_make_does() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     (made,) = re.findall(r"-m sphinx (.*) -d build/doctrees (-c docs \.) ", makefile)
     assert " ".join(made) in build
+    # `python -m sphinx` imports the checkout, in which only an editable install finds all packages.
+    assert any(
+        "pip install" in line and "--editable" in line for line in config["build"]["commands"]
+    )
     workflow = yaml.safe_load(
         (ROOT / ".github" / "workflows" / "docs.yml").read_text(encoding="utf-8")
     )

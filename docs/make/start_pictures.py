@@ -329,9 +329,8 @@ def photo() -> Image:
 def detected() -> Image:
     """Return the photograph of page 5 with the detected marker."""
     write_photo()
-    run(
-        "robot-ik camera detect photo.png --intrinsics camera.yaml --size 0.10 --ids 7 --draw found"
-    )
+    lens = "--intrinsics camera.yaml"
+    run(f"robot-ik camera detect photo.png {lens} --marker-size 0.10 --id 7 --draw found")
     (file,) = Path("found").glob("*.png")
     return narrow(cv2.imread(str(file)))
 

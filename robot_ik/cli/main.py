@@ -42,8 +42,6 @@ class CommandRow:
 # Name -> file of ``robot_ik/cli/`` and one line of help, in the order of ``robot-ik --help``.
 ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
-    "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
-    "bench": ("bench", "methods on seeded problems: success, time, plots"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
     "poses record": ("key_poses", "a pose into a file: from joints, from a recorded frame, by reaching"),
@@ -54,11 +52,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
     "figure": ("figure", "a humanoid sees a ball and reaches, bends, jumps or walks"),
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
-    "camera list": ("camera", "cameras of this machine: index, name, who uses them"),
-    "camera print": ("camera", "a sheet of markers, a board, a cube or a pattern to print"),
-    "camera calibrate": ("camera", "lens and focal length from views of a printed pattern"),
-    "camera detect": ("camera", "markers in pictures: ids, corners, poses"),
-    "camera locate": ("camera", "where the camera stands, from a board whose pose is known"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
     "camera verify": ("arm_camera", "how far the arm is from where its joints say"),
     "video": ("view", "a film of the testbed without a screen, from its command log"),

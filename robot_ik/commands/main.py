@@ -189,11 +189,36 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         ),
     ),
     "Camera": (
-        Row("camera list", "List the cameras of this machine and the programs that use them."),
-        Row("camera print", "Make a sheet of markers, a board, a cube or a pattern to print."),
-        Row("camera calibrate", "Measure lens and focal length from views of a pattern."),
-        Row("camera detect", "Detect markers in pictures: ids, corners, poses."),
-        Row("camera locate", "Measure the pose of the camera from a board of known pose."),
+        Row(
+            "camera list",
+            "List the cameras of this machine and the programs that use them.",
+            "camera_list:CameraList",
+            mujoco=False,
+        ),
+        Row(
+            "camera print",
+            "Make a sheet of markers, a board, a cube or a pattern to print.",
+            "camera_print:CameraPrint",
+            mujoco=False,
+        ),
+        Row(
+            "camera calibrate",
+            "Measure lens and focal length from views of a pattern.",
+            "camera_calibrate:CameraCalibrate",
+            mujoco=False,
+        ),
+        Row(
+            "camera detect",
+            "Detect markers in pictures: ids, corners, poses.",
+            "camera_detect:CameraDetect",
+            mujoco=False,
+        ),
+        Row(
+            "camera locate",
+            "Measure the pose of the camera from a board of known pose.",
+            "camera_locate:CameraLocate",
+            mujoco=False,
+        ),
         Row("camera handeye", "Measure where the camera is mounted, by moving the arm."),
         Row("camera verify", "Measure how far the arm is from where its joints say."),
         Row("ar", "Draw the robot into the pictures of a camera, on a printed board."),
@@ -202,8 +227,11 @@ GROUPS: dict[str, tuple[Row, ...]] = {
     "Information": (
         Row("robots", "List the bundled robots, or describe one.", "robots:Robots", mujoco=False),
         Row("solvers", "List the solvers, or the options of one.", "solvers:Solvers"),
-        Row("bench", "Compare methods on seeded problems: success, time, plots."),
-        Row("experiments", "Repeat the experiments of the theses: a00 or s12."),
+        Row(
+            "bench",
+            "Compare the solvers, or repeat the experiments of the theses.",
+            "bench:Bench",
+        ),
         Row(
             "doctor",
             "Check what this machine can do, and what to do about the rest.",

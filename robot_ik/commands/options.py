@@ -20,6 +20,7 @@ from robot_ik.hardware import BUSES
 
 if TYPE_CHECKING:
     from robot_ik.commands.terminal import Terminal
+    from robot_ik.geometry import Pose
     from robot_ik.goals import PoseGoal, PositionGoal
 
 NO_BUS = "none"
@@ -36,6 +37,12 @@ BUS_METAVAR = "|".join(BUSES)
 
 BUS_HELP = "; ".join(f"{bus.name}: {bus.title}" for bus in BUSES.values())
 """The values of ``--bus``, explained."""
+
+DICTIONARY_HELP = "Dictionary of the markers, for example DICT_APRILTAG_36H11."
+"""Help of ``--dictionary``."""
+
+INTRINSICS_HELP = "Calibration of a real camera (OpenCV or ROS YAML)."
+"""Help of ``--intrinsics``."""
 
 RobotName = Annotated[
     str,
@@ -130,6 +137,67 @@ ExitPolicy = Annotated[
         help="State of the arm at the end. park: back to the start pose, then torque off. "
         "Default: as the arm file says.",
     ),
+]
+MarkerIds = Annotated[
+    tuple[int, ...],
+    Parameter(
+        metavar="N …",
+        consume_multiple=True,
+        allow_repeating=True,
+        help="Ids of markers or servos. Default: all.",
+    ),
+]
+MarkerSize = Annotated[
+    float | None,
+    Parameter(
+        metavar="M",
+        help="Side of the black square in metres. Required for poses from a real camera.",
+    ),
+]
+Dictionary = Annotated[str, Parameter(metavar="NAME", help=DICTIONARY_HELP)]
+BoardName = Annotated[
+    str,
+    Parameter(
+        metavar="BOARD",
+        help="Board in front of a real camera. Forms: marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, "
+        "charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM, chessboard:COLUMNSxROWS:SQUARE_MM or "
+        "FILE.toml[:NAME].",
+    ),
+]
+BoardPose = Annotated[
+    tuple[float, ...],
+    Parameter(
+        metavar="X Y Z [W X Y Z]",
+        consume_multiple=True,
+        help="Pose of the board. Position in metres and, optionally, a quaternion.",
+    ),
+]
+IntrinsicsFile = Annotated[Path | None, Parameter(metavar="FILE", help=INTRINSICS_HELP)]
+ViewCount = Annotated[int, Parameter(metavar="N", help="Number of views to take.")]
+PatternColumns = Annotated[
+    int | None,
+    Parameter(
+        metavar="N",
+        help="Columns of the board or pattern. Board: markers (default 2). charuco: squares (8). "
+        "chessboard: inner corners, as OpenCV and ROS count (9).",
+    ),
+]
+PatternRows = Annotated[
+    int | None,
+    Parameter(
+        metavar="N",
+        help="Rows of the board or pattern. Default: 2 for a board, 6 for a pattern.",
+    ),
+]
+CharucoMarkerMm = Annotated[
+    float | None,
+    Parameter(
+        metavar="MM",
+        help="Side of the markers of a ChArUco board in mm. Default: 0.73 squares.",
+    ),
+]
+ResultFile = Annotated[
+    Path, Parameter(metavar="FILE", group=OUTPUT_GROUP, help="Destination of the results."), OUTPUT
 ]
 RecordFile = Annotated[
     Path | None,
@@ -263,3 +331,24 @@ def parse_goal(numbers: tuple[float, ...], frame: str | None) -> PositionGoal | 
         "3 (x y z in metres) or 7 (x y z, then quaternion w x y z)",
         hint="for example: --goal -0.4 -0.1 0.7",
     )
+
+
+def parse_pose(option: str, numbers: tuple[float, ...]) -> Pose | None:
+    """Return the pose of an option: a position in metres, or a position and a quaternion.
+
+    None: the option is not given.
+
+    Raises:
+        OptionError: The count is wrong, or a number cannot be used.
+    """
+    from robot_ik.geometry import Pose  # NumPy: not for --help
+
+    if not numbers:
+        return None
+    allowed = "3 (x y z in metres) or 7 (x y z, then quaternion w x y z)"
+    if len(numbers) not in (3, 7):
+        raise OptionError(option, f"{len(numbers)} numbers", allowed)
+    try:
+        return Pose(numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0))
+    except ValueError as error:
+        raise OptionError(option, str(error), allowed) from error

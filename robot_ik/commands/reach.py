@@ -20,14 +20,17 @@ from robot_ik.commands.arms import default_robot
 from robot_ik.commands.options import (
     BUS_HELP,
     BUS_METAVAR,
+    DICTIONARY_HELP,
     NO_BUS,
     ArmName,
     BaseName,
     FolderOption,
     FrameName,
     GoalNumbers,
+    IntrinsicsFile,
     JointNames,
     JsonOption,
+    MarkerSize,
     RecordFile,
     RobotName,
     SceneFile,
@@ -108,16 +111,18 @@ class Reach(FolderOption, JsonOption):
         "synthetic"
     )
     """Image source."""
-    intrinsics: Annotated[Path | None, Parameter(metavar="FILE", group=_CAMERA)] = None
-    """Calibration of a real camera (OpenCV or ROS YAML)."""
+    intrinsics: Annotated[IntrinsicsFile, Parameter(group=_CAMERA)] = None
     extrinsics: Annotated[Path | None, Parameter(metavar="FILE", group=_CAMERA)] = None
     """Pose of a real camera, from `robot-ik camera locate` or `camera handeye`."""
     marker: Annotated[int | None, Parameter(metavar="ID", group=_CAMERA)] = None
     """Id of the target marker. All others are ignored. Default: the scene's."""
-    marker_size: Annotated[float | None, Parameter(metavar="M", group=_CAMERA)] = None
-    """Side of the black square in metres. Required for a real camera."""
-    dictionary: Annotated[str | None, Parameter(metavar="NAME", group=_CAMERA)] = None
-    """Dictionary of the marker, for example DICT_5X5_50. Default: the scene's."""
+    marker_size: Annotated[MarkerSize, Parameter(group=_CAMERA)] = None
+    dictionary: Annotated[
+        str | None,
+        Parameter(
+            metavar="NAME", group=_CAMERA, help=f"{DICTIONARY_HELP} Default: that of the scene."
+        ),
+    ] = None
 
     bus: Annotated[
         str,

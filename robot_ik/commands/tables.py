@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from robot_ik.geometry import Pose
 
 GAP = 2
 """Blank columns between two columns of a table."""
@@ -33,7 +37,9 @@ class FoldedTable(Table):
             return
         yield from super().__rich_console__(console, options)
 
-    def _rows_as_lists(self) -> Iterator[Table]:
+    def _rows_as_lists(self) -> Iterator[RenderableType]:
+        if self.title:
+            yield Text(_plain(self.title), style="bold")
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
             cells = zip(names[1:], row[1:], strict=True)
@@ -43,14 +49,48 @@ class FoldedTable(Table):
             )
 
 
-def table(*columns: str, rows: Iterable[Sequence[object]], header: bool = True) -> Table:
-    """Return a table. Cells are ``Text`` or shown by ``str``. The first column is never folded."""
-    grid = FoldedTable(box=None, pad_edge=False, header_style="bold", show_header=header)
+def table(
+    *columns: str,
+    rows: Iterable[Sequence[object]],
+    header: bool = True,
+    title: str | None = None,
+    fold: bool = True,
+) -> Table:
+    """Return a table. Cells are ``Text`` or shown by ``str``. The first column is never folded.
+
+    Args:
+        columns: Heads of the columns.
+        rows: The cells.
+        header: Whether the heads are shown.
+        title: Line above the table.
+        fold: Whether cells are folded on narrow terminals.
+    """
+    grid = FoldedTable(
+        box=None,
+        pad_edge=False,
+        header_style="bold",
+        show_header=header,
+        title=title,
+        title_justify="left",
+        title_style="bold",
+    )
     for index, name in enumerate(columns):
-        grid.add_column(name, no_wrap=index == 0, overflow="fold")
+        grid.add_column(name, no_wrap=index == 0 or not fold, overflow="fold")
     for row in rows:
         grid.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return grid
+
+
+def pairs_table(pairs: Iterable[Sequence[object]]) -> Table:
+    """Return a table of names and values without a header."""
+    return table("", "", rows=pairs, header=False)
+
+
+def pose_text(pose: Pose) -> str:
+    """Return a pose for people: millimetres and quaternion w x y z."""
+    position = " ".join(f"{1e3 * value:z.2f}" for value in pose.position)
+    wxyz = " ".join(f"{value:z.5f}" for value in pose.wxyz)
+    return f"{position} mm, wxyz {wxyz}"
 
 
 def plural(count: int, noun: str) -> str:

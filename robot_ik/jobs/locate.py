@@ -36,8 +36,7 @@ class LocateRequest:
         intrinsics: Calibration file of the camera.
         board: Name of the board, see ``parse_target``.
         dictionary: Dictionary of its markers. Empty: the default one.
-        pose_parent_board: Pose of the board, seen from the frame ``parent``.
-        parent: Name of that frame.
+        pose_world_board: Pose of the board.
         pictures: Largest number of pictures that are read.
     """
 
@@ -45,8 +44,7 @@ class LocateRequest:
     intrinsics: Path | str
     board: str
     dictionary: str = ""
-    pose_parent_board: Pose = field(default_factory=Pose)
-    parent: str = "world"
+    pose_world_board: Pose = field(default_factory=Pose)
     pictures: int = 20
 
 
@@ -133,8 +131,8 @@ def run_locate(
             f"no board {request.board} in {pictures} of {request.source}",
             hint=_not_found_hint(board, without_board),
         )
-    extrinsics = locate_camera(views, request.pose_parent_board, intrinsics, parent=request.parent)
-    pose_camera_board = extrinsics.pose_parent_camera.inverse() @ request.pose_parent_board
+    extrinsics = locate_camera(views, request.pose_world_board, intrinsics)
+    pose_camera_board = extrinsics.pose_parent_camera.inverse() @ request.pose_world_board
     errors = [_median_error(view, pose_camera_board, intrinsics) for view in views]
     return LocateReport(extrinsics, searched, errors)
 

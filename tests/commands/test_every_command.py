@@ -17,8 +17,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, get_type_hints
 
+import cv2
+import numpy as np
 import pytest
 
+from robot_ik.camera import device
+from robot_ik.camera.device import CameraDevice
+from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.commands import main as main_module
 from robot_ik.commands.main import GROUPS, make_app
 from robot_ik.commands.options import OUTPUT, FolderOption
@@ -27,6 +32,7 @@ from robot_ik.commands.usage import command_app, explain, option_owners
 from robot_ik.hardware import ports, stop_file
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.motion import Trajectory
+from robot_ik.geometry import Pose
 from tests.doc_pages import script
 
 LINES = {
@@ -48,7 +54,13 @@ LINES = {
     "teleop": "--leader so101 --leader-bus sim --follower so101 --follower-bus sim --seconds 0.1",
     "stop": "",
     "robots": "puma560",
+    "bench": "--solver lm --robot puma560 --problems cold --count 5",
     "solvers": "dls",
+    "camera list": "",
+    "camera print": "marker",
+    "camera calibrate": "synthetic:charuco?frames=19&seed=7 --views 6",
+    "camera detect": "photo.png",
+    "camera locate": "photo.png --intrinsics lens.yaml --board marker:7:50",
     "doctor": "",
     "completion": "bash",
 }
@@ -111,6 +123,23 @@ def _desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = SimpleNamespace(device="/dev/ttyUSB0", description="U2D2", vid=1, pid=2)
     monkeypatch.setattr(ports, "serial_ports", lambda: [port])
     monkeypatch.setattr(stop_file, "running_arms", lambda _port: [FakeArm()])
+@pytest.fixture(scope="module")
+def photo() -> bytes:
+    """A photograph of marker 7, as a PNG file."""
+    pose = Pose((0.0, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))
+    rng = np.random.default_rng(0)
+    image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, rng, dictionary="DICT_5X5_50")
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, photo: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run each test in a folder with a photograph, on a machine with one camera."""
+    monkeypatch.chdir(tmp_path)
+    Path("photo.png").write_bytes(photo)
+    STANDARD_CAMERA.save("lens.yaml")
+    webcam = CameraDevice(0, "/dev/video0", "HD Webcam", "", usable=True, pictures=True)
+    monkeypatch.setattr(device, "find_cameras", lambda: (webcam,))
 
 
 def test_every_command_has_a_line() -> None:

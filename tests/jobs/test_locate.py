@@ -27,7 +27,7 @@ def request_of_two(tmp_path: Path) -> LocateRequest:
         image = render_markers(STANDARD_CAMERA, {7: (0.05, SEEN)}, rng, dictionary="DICT_5X5_50")
         cv2.imwrite(str(shots / f"{number}.png"), image)
     STANDARD_CAMERA.save(tmp_path / "lens.yaml")
-    return LocateRequest(str(shots), tmp_path / "lens.yaml", "marker:7:50", pose_parent_board=BOARD)
+    return LocateRequest(str(shots), tmp_path / "lens.yaml", "marker:7:50", pose_world_board=BOARD)
 
 
 def test_the_report_has_pose_and_errors(request_of_two: LocateRequest) -> None:

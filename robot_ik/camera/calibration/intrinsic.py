@@ -50,6 +50,8 @@ _BLUR_RATIO = 1.8
 _BLUR_PIXELS = 2.0
 # Three coefficients that lower the error by less than this factor describe noise.
 _MIN_GAIN = 1.03
+# Three coefficients that lower the error of the median view by this factor describe the lens.
+_CLEAR_GAIN = 1.5
 _MODELS = {5: "plumb_bob", 8: "rational_polynomial"}
 # OpenCV's type stubs do not know that a guess may be missing.
 _NO_GUESS: Any = None
@@ -152,7 +154,7 @@ def calibrate(
     views: Sequence[CalibrationView | FoundPattern],
     size: tuple[int, int],
     *,
-    coefficients: Literal[5, 8] = 5,
+    coefficients: Literal[5, 8] | None = 5,
     name: str = "camera",
 ) -> CalibrationResult:
     """Calibrate a camera.
@@ -160,7 +162,8 @@ def calibrate(
     Args:
         views: The pattern in each picture.
         size: (width, height) of the pictures, px.
-        coefficients: 5 (plumb_bob), or 8 (rational_polynomial) for a wide lens.
+        coefficients: 5 (plumb_bob), or 8 (rational_polynomial) for a wide lens. None: 8 if they
+            fit clearly better.
         name: Name of the camera.
 
     Raises:
@@ -171,6 +174,8 @@ def calibrate(
         for k, v in enumerate(views)
     ]
     left_out = _blurred(named)
+    if coefficients is None:
+        coefficients = _coefficients_for([v.found for v in named], size)
     for last in (False, True):
         used = [k for k in range(len(named)) if k not in left_out]
         _require_views(len(used), len(named))
@@ -220,6 +225,14 @@ def calibrate(
         _verdict(intrinsics, fit.rms, hold_out, bool(doubts)),
         tuple(doubts),
     )
+
+
+def _coefficients_for(found: Sequence[FoundPattern], size: tuple[int, int]) -> Literal[5, 8]:
+    """Return 8 if eight coefficients fit the median view clearly better than five, else 5."""
+    if len(found) < FEWEST_VIEWS:
+        return 5
+    five, eight = (float(np.median(_fit(found, size, count).per_view)) for count in (5, 8))
+    return 8 if five > _CLEAR_GAIN * eight else 5
 
 
 @dataclass(frozen=True, eq=False)

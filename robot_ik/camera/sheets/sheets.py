@@ -34,8 +34,8 @@ QUIET = 1.0 / 6.0
 #: Paper, mm, upright.
 PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}
 
-# White round the marker on a face of a cube, in markers, on each side, at least.
-_CUBE_WHITE = 0.1
+#: Edge of a cube, in markers. It leaves white round the markers.
+CUBE_EDGE = 1.25
 # Side of a marker or square, mm, at least.
 _SMALLEST_MM = 3.0
 # The command that finds a board or cube as one body, with the file that --body writes.
@@ -74,10 +74,9 @@ class SheetRequest:
             (charuco 30, chessboard 25).
         columns: Board: markers (2). Patterns: as in ``PatternRequest``.
         rows: The same downwards.
-        ids: Of the markers. A board counts on from the first one.
+        id: Ids of the markers. A board counts on from the first one.
         dictionary: Of the markers.
         gap_mm: White between markers.
-        edge_mm: Edge of the cube.
         marker_mm: Side of the markers of a charuco board.
         page: Paper: a4, letter or a3.
     """
@@ -86,10 +85,9 @@ class SheetRequest:
     size_mm: float | None = None
     columns: int | None = None
     rows: int | None = None
-    ids: tuple[int, ...] = ()
+    id: tuple[int, ...] = ()
     dictionary: str = "DICT_5X5_50"
     gap_mm: float | None = None
-    edge_mm: float | None = None
     marker_mm: float | None = None
     page: str = "a4"
 
@@ -107,7 +105,7 @@ class SheetRequest:
     @property
     def edge(self) -> float:
         """Edge of the cube, mm."""
-        return 1.25 * self.size if self.edge_mm is None else self.edge_mm
+        return CUBE_EDGE * self.size
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -120,9 +118,9 @@ class SheetRequest:
     def marker_ids(self) -> tuple[int, ...]:
         """Ids of the markers on a sheet of markers, a board or a cube."""
         if self.kind == "board":
-            first = self.ids[0] if self.ids else 0
+            first = self.id[0] if self.id else 0
             return tuple(range(first, first + self.counts[0] * self.counts[1]))
-        return self.ids or tuple(range(6 if self.kind == "cube" else 1))
+        return self.id or tuple(range(6 if self.kind == "cube" else 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,8 +249,8 @@ def _markers(request: SheetRequest, area: Area) -> Block:
     height = rows * step - request.gap + 2 * quiet
     what = "marker" if len(ids) == 1 else "markers"
     about = f"{what} {_names(ids)} of {request.dictionary}, {request.size:g} mm"
-    options = f"--dictionary {request.dictionary} --size {request.size / 1e3:g}"
-    options += f" --ids {' '.join(map(str, ids))}"
+    options = f"--dictionary {request.dictionary} --marker-size {request.size / 1e3:g}"
+    options += f" --id {' '.join(map(str, ids))}"
     use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
     return Block(width, height, _prints(request, places), labels, about, use=use)
 
@@ -278,13 +276,6 @@ def _board(request: SheetRequest, _area: Area) -> Block:
 
 def _cube(request: SheetRequest, _area: Area) -> Block:
     """Lay the net of a cube out."""
-    white = (request.edge - request.size) / 2
-    if white < _CUBE_WHITE * request.size - _ROUNDING:
-        raise CameraError(
-            f"a cube of {request.edge:g} mm leaves {white:g} mm of white round "
-            f"markers of {request.size:g} mm",
-            hint=f"--edge-mm {(1.0 + 2.0 * _CUBE_WHITE) * request.size:g} at least",
-        )
     # Raise the error of an impossible cube.
     body_of(request)
     cuts, folds, _ = cube_paper(request.edge)
@@ -378,7 +369,6 @@ def _fitting_size(request: SheetRequest) -> float | None:
             request,
             size_mm=size,
             gap_mm=None if request.gap_mm is None else request.gap_mm * share,
-            edge_mm=None if request.edge_mm is None else request.edge_mm * share,
             marker_mm=None if request.marker_mm is None else request.marker_mm * share,
         )
         if _laid_out(smaller) is not None:

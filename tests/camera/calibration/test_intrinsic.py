@@ -35,6 +35,17 @@ WIDE = CameraIntrinsics(
     "rational_polynomial",
 )
 
+VERY_WIDE = CameraIntrinsics(
+    640,
+    480,
+    300.0,
+    300.0,
+    318.0,
+    241.0,
+    (10.0, 5.0, 0.0, 0.0, 0.3, 10.4, 8.0, 1.6),
+    "rational_polynomial",
+)
+
 
 def seen(
     camera: CameraIntrinsics, pose: Pose, rng: np.random.Generator, noise: float = 0.05
@@ -115,6 +126,13 @@ def test_a_wide_lens_needs_eight_coefficients() -> None:
     assert eight.intrinsics.rms < 0.09
     assert eight.intrinsics.fx == pytest.approx(WIDE.fx, rel=0.005)
     assert five.intrinsics.rms >= eight.intrinsics.rms
+
+
+def test_the_lens_decides_the_number_of_coefficients() -> None:
+    wide = calibrate(views(VERY_WIDE, 9, seed=4, fill=(0.5, 1.1)), SIZE, coefficients=None)
+    assert wide.intrinsics.model == "rational_polynomial"
+    usual = calibrate(views(STANDARD_CAMERA, 7, seed=2), SIZE, coefficients=None)
+    assert usual.intrinsics.model == "plumb_bob"
 
 
 def test_eight_coefficients_that_say_nothing_are_reported() -> None:

@@ -76,7 +76,7 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("ids", [(20, 21, 22, 23, 24, 25), (7, 3, 11)])
 def test_the_folded_sheet_is_the_body_that_is_tracked(ids: tuple[int, ...]) -> None:
     """The test folds along the lines of the net, with the markers where a detector finds them."""
-    sheet = SheetRequest("cube", ids=ids)
+    sheet = SheetRequest("cube", id=ids)
     corners = found(sheet)
     middle = corners[ids[0]].mean(axis=0)
     assert set(corners) == set(ids)
@@ -139,7 +139,7 @@ def test_the_lines_are_in_the_pdf_at_true_scale() -> None:
 
 
 def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
-    sheet = SheetRequest("cube", ids=(20, 21, 22, 23, 24, 25))
+    sheet = SheetRequest("cube", id=(20, 21, 22, 23, 24, 25))
     # Front in the middle, its neighbours around it, the back to the right; all prints upright.
     net_positions = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
     corners = found(sheet)

@@ -154,11 +154,11 @@ def test_two_runs_do_not_write_one_file(tmp_path: Path) -> None:
 
 
 def test_only_the_files_of_the_command_are_replaced(robot_ik: Any) -> None:
-    Path("place.toml").write_text("older")
-    Path("place.samples.json").write_text("mine")
+    Path("extrinsics.toml").write_text("older")
+    Path("extrinsics.samples.json").write_text("mine")
     run = robot_ik("camera", *LOCATE, "--overwrite")
-    assert run.code == 0 and "intrinsics" in Path("place.toml").read_text(), run
-    assert Path("place.samples.json").read_text() == "mine"
+    assert run.code == 0 and "intrinsics" in Path("extrinsics.toml").read_text(), run
+    assert Path("extrinsics.samples.json").read_text() == "mine"
 
 
 def test_drawings_neither_replace_pictures_nor_each_other(robot_ik: Any) -> None:

@@ -85,9 +85,9 @@ def test_a_readable_table_and_only_the_listed_ids(robot_ik: Any, place: Path) ->
         place / "board.png",
         "--intrinsics",
         place / "camera.yaml",
-        "--size",
+        "--marker-size",
         STANDARD_SIZE,
-        "--ids",
+        "--id",
         5,
         3,
     )
@@ -142,10 +142,10 @@ def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
     for name in ("b.png", "d.png"):
         (folder / name).write_bytes((place / "board.png").read_bytes())
     cv2.imwrite(str(folder / "e.png"), np.full((240, 320), 128, np.uint8))
-    options = ("--intrinsics", place / "camera.yaml", "--size", STANDARD_SIZE)
+    options = ("--intrinsics", place / "camera.yaml", "--marker-size", STANDARD_SIZE)
     run = robot_ik("camera", "detect", folder, tmp_path / "gone.png", *options, "--json")
     assert run.code == 1
-    assert "4 of 6 pictures could not be looked at" in run.err
+    assert "4 of 6 pictures could not be searched" in run.err
     for words in (
         "a.png is not a picture",
         "c.jpg is not a picture",
@@ -174,7 +174,7 @@ def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
 
 def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((480, 640), 128, np.uint8))
-    run = robot_ik("camera", "detect", tmp_path / "grey.png", "--ids", 4)
+    run = robot_ik("camera", "detect", tmp_path / "grey.png", "--id", 4)
     assert run.code == 1 and run.out == ""
     assert "none of the ids 4 of DICT_5X5_50 in 1 picture" in run.err
     assert "too small, blurred, or without white" in run.err
@@ -184,7 +184,7 @@ def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:
     ("options", "hint"),
     [
         (("--dictionary", "DICT_6X6_250"), "--dictionary DICT_5X5_50"),
-        (("--ids", 9), "leave --ids away"),
+        (("--id", 9), "omit --id to see which"),
     ],
 )
 def test_markers_of_another_kind_are_named(
@@ -202,12 +202,15 @@ def test_markers_of_another_kind_are_named(
         (("missing.png",), "there is no camera, file or folder 'missing.png'"),
         (("{}/bodies.toml",), "is not a picture that OpenCV can read"),
         (("{}/board.png", "--dictionary", "DICT_5X5"), "did you mean 'DICT_5X5_50'"),
-        (("{}/board.png", "--ids", "50"), "DICT_5X5_50 has no marker 50"),
+        (("{}/board.png", "--id", "50"), "DICT_5X5_50 has no marker 50"),
         (("{}/board.png", "--intrinsics", "{}/camera.yaml"), "a pose needs the size of the marker"),
-        (("{}/board.png", "--intrinsics", "{}/camera.yaml", "--size", "50"), "50 mm are 0.05"),
-        (("{}/board.png", "--size", "-1"), "a marker size of -1.0 m is impossible"),
+        (
+            ("{}/board.png", "--intrinsics", "{}/camera.yaml", "--marker-size", "50"),
+            "50 mm are 0.05",
+        ),
+        (("{}/board.png", "--marker-size", "-1"), "a marker size of -1.0 m is impossible"),
         (("{}/board.png", "--bodies", "{}/bodies.toml"), "needs the camera's intrinsics"),
-        (("{}/board.png", "--intrinsics", "{}/none.yaml", "--size", "0.05"), "none.yaml"),
+        (("{}/board.png", "--intrinsics", "{}/none.yaml", "--marker-size", "0.05"), "none.yaml"),
         (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: not valid TOML"),
         (
             (
@@ -216,7 +219,7 @@ def test_markers_of_another_kind_are_named(
                 "{}/bodies.toml",
                 "--intrinsics",
                 "{}/camera.yaml",
-                "--ids",
+                "--id",
                 "9",
             ),
             "the size of marker 9 is unknown",
@@ -241,7 +244,7 @@ def test_a_picture_of_another_size_than_the_calibration_is_refused(
         tmp_path / "small.png",
         "--intrinsics",
         place / "camera.yaml",
-        "--size",
+        "--marker-size",
         0.05,
     )
     run.assert_one_screen_error()

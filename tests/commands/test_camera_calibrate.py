@@ -38,7 +38,7 @@ def test_a_folder_of_pictures_becomes_a_camera(
     robot_ik: Any, pictures: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "desk.yaml"
-    run = robot_ik("camera", "calibrate", pictures, "--out", out, "--name", "desk", "--json")
+    run = robot_ik("camera", "calibrate", pictures, "--out", out, "--json")
     assert run.code == 0, run.err
     assert "left out:" in run.err and "view7.png is not a picture" in run.err
     said = json.loads(run.out)
@@ -192,7 +192,7 @@ def test_a_camera_that_gives_nothing_is_an_error(
             ["grey.png", "--pattern", "chessboard", "--marker-mm", "20"],
             "a chessboard has no markers",
         ),
-        ([], "nothing to calibrate from"),
+        ([], "there is nothing to calibrate from"),
     ],
 )
 def test_mistakes_are_reported(

@@ -14,8 +14,8 @@ import pytest
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.targets import marker_grid
-from robot_ik.cli.arguments import pose_text
 from robot_ik.commands.reach import Reach, load_camera_pose
+from robot_ik.commands.tables import pose_text
 from robot_ik.errors import CalibrationError, OptionError
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -51,8 +51,8 @@ def test_nothing_is_written_when_all_pictures_are_doubted(robot_ik: Any) -> None
     cv2.imwrite("shots/1.png", np.roll(image, 25, axis=1))  # the camera was knocked
     run = robot_ik("camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID)
     assert run.code == 1 and "doubtful: in 2 of 2 pictures" in run.err
-    assert "camera or board moved" in run.err and "place.toml is not written" in run.err
-    assert run.out == "" and not Path("place.toml").exists()
+    assert "camera or board moved" in run.err and "extrinsics.toml is not written" in run.err
+    assert run.out == "" and not Path("extrinsics.toml").exists()
 
 
 def test_one_picture_that_contradicts_the_others_is_reported(robot_ik: Any) -> None:
@@ -62,7 +62,7 @@ def test_one_picture_that_contradicts_the_others_is_reported(robot_ik: Any) -> N
     cv2.imwrite("shots/8.png", np.roll(image, 25, axis=1))
     run = robot_ik("camera", "locate", "shots", "--intrinsics", "camera.yaml", *GRID)
     assert run.code == 0 and "doubtful: in 1 of 8 pictures" in run.err, run
-    assert CameraExtrinsics.load("place.toml").views == 8
+    assert CameraExtrinsics.load("extrinsics.toml").views == 8
 
 
 def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> None:
@@ -74,19 +74,19 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
         "--intrinsics",
         "camera.yaml",
         *GRID,
-        "--pose-world-board",
+        "--board-pose",
         *place,
     )
-    assert run.code == 0 and "2 of 3 show the board" in run.out and "wrote place.toml" in run.err, (
-        run
-    )
+    assert (
+        run.code == 0 and "2 of 3 show the board" in run.out and "wrote extrinsics.toml" in run.err
+    ), run
     assert "left out: shots/1a.png is not a picture" in run.err and "doubtful" not in run.err
     true = BOARD.compose(SEEN.inverse())
-    found = CameraExtrinsics.load("place.toml")
+    found = CameraExtrinsics.load("extrinsics.toml")
     position, angle = found.pose_parent_camera.distance(true)
     assert position < 1.5e-3 and angle < np.deg2rad(0.15)
     assert position < 4 * found.sigma_position
-    reach = Reach(camera="0", intrinsics=Path("camera.yaml"), extrinsics=Path("place.toml"))
+    reach = Reach(camera="0", intrinsics=Path("camera.yaml"), extrinsics=Path("extrinsics.toml"))
     assert load_camera_pose(reach) == found.pose_parent_camera
     dataclasses.replace(STANDARD_CAMERA, fx=802.0).save("other.yaml")
     with pytest.raises(CalibrationError, match="another calibration"):
@@ -113,9 +113,9 @@ def test_json(robot_ik: Any) -> None:
         (["shots/2.png", *GRID], 1, "check its sizes and dictionary"),
         (["shots/0.png", *GRID[:2]], 1, "exist in DICT_4X4_50: 0, 1, 2, 3: --dictionary DICT_4X4"),
         (["shots/0.png", "--board", "plank"], 2, "'plank' is not a board"),
-        (["shots/0.png", *GRID, "--pose-world-board", "1", "2"], 2, "2 numbers"),
-        (["shots/0.png", *GRID, "--pose-world-board", *"1230000"], 2, "zero quaternion"),
-        (["shots/0.png", *GRID, "--frames", "0"], 2, "0 pictures"),
+        (["shots/0.png", *GRID, "--board-pose", "1", "2"], 2, "2 numbers"),
+        (["shots/0.png", *GRID, "--board-pose", *"1230000"], 2, "zero quaternion"),
+        (["shots/0.png", *GRID, "--count", "0"], 2, "--count"),
         (["nowhere.png", *GRID], 2, "nowhere.png"),
     ],
 )
@@ -125,7 +125,7 @@ def test_what_cannot_be_done_is_reported(
     run = robot_ik("camera", "locate", *arguments, "--intrinsics", "camera.yaml")
     run.assert_one_screen_error(code)
     assert words in run.err
-    assert not Path("place.toml").exists()
+    assert not Path("extrinsics.toml").exists()
 
 
 def test_a_pose_for_people_has_no_minus_zero() -> None:
