@@ -35,7 +35,7 @@ class ServoSetup(BusOptions, JsonOption):
     joint: Annotated[str, Parameter(metavar="JOINT")] = ""
     """Joint of the arm file that this servo is for: its id, rate and model. Or use --id."""
     id: Annotated[int | None, Parameter(metavar="N")] = None
-    """Id of a servo or marker. The new id, 0 to 252. Or use --joint."""
+    """Ids of markers or servos. The new id, 0 to 252. Or use --joint."""
     baud: Annotated[int | None, Parameter(metavar="RATE")] = None
     """Baud rate of servos, in bits/s. The new rate. Default: that of the arm file."""
     from_baud: Annotated[

@@ -41,7 +41,7 @@ class ServoTorque(BusOptions, JsonOption):
         tuple[int, ...],
         Parameter(metavar="N …", consume_multiple=True, allow_repeating=True),
     ] = field(default=(), kw_only=True)
-    """Id of a servo or marker. Only for off, also for servos that are not in the arm file."""
+    """Ids of markers or servos. Only for off, also for servos that are not in the arm file."""
     baud: Annotated[int | None, Parameter(metavar="RATE")] = field(default=None, kw_only=True)
     """Baud rate of servos, in bits/s. Only with --id. Default: that of the arm file."""
 

@@ -57,8 +57,7 @@ def test_help_imports_nothing_heavy() -> None:
     ("line", "reported"),
     [
         ("figure --path triangle", "'triangle' is not a valid choice; allowed: circle, random, marker"),
-        ("ar --record a.csv", "unknown option '--record'
-"),
+        ("ar --record a.csv", "unknown option '--record'\n"),
         ("figure --scale inf", "--scale: inf; allowed: 0 or more (default: 1; synthetic"),
         ("ar --size 640 3", "--size: 640 x 3 pixels; allowed: 16 to 16384 each (default: the camera's)"),
     ],

@@ -29,10 +29,10 @@ from robot_ik.commands.main import GROUPS, make_app
 from robot_ik.commands.options import OUTPUT, FolderOption
 from robot_ik.commands.terminal import Terminal
 from robot_ik.commands.usage import command_app, explain, option_owners
+from robot_ik.geometry import Pose
 from robot_ik.hardware import ports, stop_file
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.motion import Trajectory
-from robot_ik.geometry import Pose
 from tests.doc_pages import script
 
 LINES = {
@@ -123,6 +123,8 @@ def _desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = SimpleNamespace(device="/dev/ttyUSB0", description="U2D2", vid=1, pid=2)
     monkeypatch.setattr(ports, "serial_ports", lambda: [port])
     monkeypatch.setattr(stop_file, "running_arms", lambda _port: [FakeArm()])
+
+
 @pytest.fixture(scope="module")
 def photo() -> bytes:
     """A photograph of marker 7, as a PNG file."""
