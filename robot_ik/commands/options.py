@@ -241,9 +241,9 @@ RobotPose = Annotated[
 DrawnScale = Annotated[
     float | None,
     Parameter(
-        metavar="SHARE",
+        metavar="FACTOR",
         validator=Number(gt=0, lt=math.inf),
-        help="Drawn size over true size. Default: 1; synthetic: as large as fits.",
+        help="Scale factor. Drawn size over true size. Default: 1; synthetic: as large as fits.",
     ),
 ]
 DrawnVideo = Annotated[

@@ -143,7 +143,7 @@ class Reach(FolderOption, JsonOption):
             group=_SIMULATION,
         ),
     ] = ()
-    """Faults to inject: zero-offset:joint2=2, stuck:joint3, cover-gripper or blank-marker."""
+    """Faults to inject. For example stuck:joint3, zero-offset:joint2=2, or cover-gripper."""
     marker_at: Annotated[
         tuple[float, ...],
         Parameter(metavar="X Y Z [YAW_DEG]", consume_multiple=True, group=_SIMULATION),
