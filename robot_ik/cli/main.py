@@ -49,7 +49,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "poses export": ("key_poses", "a motion as frames: CSV or BVH"),
     "poses import": ("key_poses", "motion capture (BVH) onto a figure"),
     "servo": ("", "servos by hand: find, set up, calibrate, watch, move, record, save"),
-    "figure": ("figure", "a humanoid sees a ball and reaches, bends, jumps or walks"),
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
     "camera verify": ("arm_camera", "how far the arm is from where its joints say"),

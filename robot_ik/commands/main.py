@@ -223,7 +223,9 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         Row("camera verify", "Measure how far the arm is from where its joints say."),
         Row("ar", "Draw the robot into the pictures of a camera, on a printed board.", "ar:Ar"),
     ),
-    "Figure": (Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk."),),
+    "Figure": (
+        Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk.", "figure:Figure"),
+    ),
     "Information": (
         Row("robots", "List the bundled robots, or describe one.", "robots:Robots", mujoco=False),
         Row("solvers", "List the solvers, or the options of one.", "solvers:Solvers"),

@@ -54,6 +54,7 @@ LINES = {
     "servo replay": "motion.csv --bus sim --arm one.toml",
     "teleop": "--leader so101 --leader-bus sim --follower so101 --follower-bus sim --seconds 0.1",
     "stop": "",
+    "figure": "--ball 0.45 -0.25 1.3",
     "robots": "puma560",
     "bench": "--solver lm --robot puma560 --problems cold --count 5",
     "solvers": "dls",
