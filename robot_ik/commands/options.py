@@ -144,7 +144,7 @@ MarkerIds = Annotated[
         metavar="N …",
         consume_multiple=True,
         allow_repeating=True,
-        help="Ids of markers or servos. Default: all.",
+        help="Id of a servo or marker. Default: all.",
     ),
 ]
 MarkerSize = Annotated[
@@ -174,6 +174,13 @@ BoardPose = Annotated[
 ]
 IntrinsicsFile = Annotated[Path | None, Parameter(metavar="FILE", help=INTRINSICS_HELP)]
 ViewCount = Annotated[int, Parameter(metavar="N", help="Number of views to take.")]
+ExtrinsicsFile = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE",
+        help="Pose of a real camera, from `robot-ik camera locate` or `camera handeye`.",
+    ),
+]
 PatternColumns = Annotated[
     int | None,
     Parameter(

@@ -24,6 +24,7 @@ from robot_ik.commands.options import (
     NO_BUS,
     ArmName,
     BaseName,
+    ExtrinsicsFile,
     FolderOption,
     FrameName,
     GoalNumbers,
@@ -112,8 +113,7 @@ class Reach(FolderOption, JsonOption):
     )
     """Image source."""
     intrinsics: Annotated[IntrinsicsFile, Parameter(group=_CAMERA)] = None
-    extrinsics: Annotated[Path | None, Parameter(metavar="FILE", group=_CAMERA)] = None
-    """Pose of a real camera, from `robot-ik camera locate` or `camera handeye`."""
+    extrinsics: Annotated[ExtrinsicsFile, Parameter(group=_CAMERA)] = None
     marker: Annotated[int | None, Parameter(metavar="ID", group=_CAMERA)] = None
     """Id of the target marker. All others are ignored. Default: the scene's."""
     marker_size: Annotated[MarkerSize, Parameter(group=_CAMERA)] = None
@@ -145,7 +145,7 @@ class Reach(FolderOption, JsonOption):
             group=_SIMULATION,
         ),
     ] = ()
-    """Faults to inject: zero-offset:joint2=2, stuck:joint3, cover-gripper or blank-marker."""
+    """Faults to inject. For example stuck:joint3, zero-offset:joint2=2, or cover-gripper."""
     marker_at: Annotated[
         tuple[float, ...],
         Parameter(metavar="X Y Z [YAW_DEG]", consume_multiple=True, group=_SIMULATION),

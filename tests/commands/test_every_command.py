@@ -45,6 +45,8 @@ LINES = {
     "camera calibrate": "synthetic:charuco?frames=19&seed=7 --views 6",
     "camera detect": "photo.png",
     "camera locate": "photo.png --intrinsics lens.yaml --board marker:7:50",
+    "camera handeye": "--views 4",
+    "camera verify": "--views 4",
     "doctor": "",
     "completion": "bash",
 }
