@@ -17,10 +17,10 @@ from pathlib import Path
 
 from benchmarks.camera import rows as table
 from benchmarks.camera.rows import Effort, MeasuredRows, Row
+from benchmarks.quantity_table import show_quantities
 from robot_ik.bench.methods.results import this_machine
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.bench import show_quantities
 from robot_ik.errors import RobotIkError, unknown_name_text
 from robot_ik.jobs.results import claimed, save_json
 

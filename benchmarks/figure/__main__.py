@@ -16,8 +16,8 @@ import sys
 from collections.abc import Sequence
 
 from benchmarks.figure.rows import measure_figure
+from benchmarks.quantity_table import show_quantities
 from robot_ik.cli import console
-from robot_ik.cli.bench import show_quantities
 from robot_ik.errors import RobotIkError
 from robot_ik.figure.abilities import load_abilities
 from robot_ik.figure.figure import load_figure

@@ -35,8 +35,8 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from benchmarks.quantity_table import show_quantities
 from robot_ik.cli import console
-from robot_ik.cli.bench import show_quantities
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page

@@ -27,8 +27,8 @@ LIBRARIES = (
 #: What is run of our own, each into a folder of its own.
 BENCHES = {
     "methods": "bench --count 200 --seconds 2",
-    "kernels": "bench --sets kernels --solvers lm dls transpose ccd fabrik",
-    "batch": "bench --sets batch --solvers auto lm --robots puma560",
+    "kernels": "bench --problems kernels --solver lm dls transpose ccd fabrik",
+    "batch": "bench --problems batch --solver auto lm --robot puma560",
 }
 
 

@@ -45,7 +45,7 @@ class ArOptions:
     """Draws a robot into the pictures of a camera, standing on a printed board that is moved about.
 
     With no options everything is made up: a table, a board, a hand.  Neither camera, OpenGL nor display is
-    needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
+    needed.  Exit code 0: done.  1: the board was in no picture.  2: wrong input.
     """
 
     robot: Annotated[str, robot_argument(f"the motion's, else {SHOWN_ROBOT}")] = ""
@@ -90,14 +90,10 @@ class ArOptions:
     seed: int = 0
     """Of the synthetic camera's noise."""
     json: Json = False
-    self_test: bool = False
-    """Measure how well drawings lie on pictures, against OpenCV's projection and exact truth."""
 
 
 def run(options: ArOptions) -> int:
     """Runs the job; 0 done, 1 not."""
-    if options.self_test:
-        return run_self_test(json=options.json)
     request = make_request(options)
     from robot_ik.jobs.ar.job import run_ar
 
@@ -168,19 +164,3 @@ def _check(options: ArOptions) -> None:
         options.sync == "latest" or not (options.predict or options.shift), "--sync",
         "the picture that was tracked has no delay to make up for", "--sync latest with --predict or --shift",
     )  # fmt: skip
-
-
-def run_self_test(*, json: bool = False) -> int:
-    """Measure how well drawings lie on pictures: 0 if all figures are within their limits, else 1."""
-    from robot_ik.cli.bench import show_quantities
-    from robot_ik.jobs.ar.self_test import self_test
-
-    with console.busy("measuring"):
-        figures = list(self_test())
-    good = all(figure.passed is not False for _, figure in figures)
-    if json:
-        rows = [{"row": name, **figure.facts()} for name, figure in figures]
-        console.print_json({"good": good, "figures": rows})
-    else:
-        show_quantities("row", figures)
-    return console.DONE if good else console.NOT_ACHIEVED

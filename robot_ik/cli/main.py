@@ -42,8 +42,6 @@ class CommandRow:
 # Name -> file of ``robot_ik/cli/`` and one line of help, in the order of ``robot-ik --help``.
 ROWS: dict[str, tuple[str, str]] = {
     "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
-    "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
-    "bench": ("bench", "methods on seeded problems: success, time, plots"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
     "poses record": ("key_poses", "a pose into a file: from joints, from a recorded frame, by reaching"),

@@ -93,7 +93,7 @@ class CameraVerify(ArmCameraOptions):
     seed: Seed = 0
     out: ResultFile = Path("verify.samples.json")
     plot: Annotated[Path | None, Parameter(metavar="FILE.png", group=OUTPUT_GROUP), OUTPUT] = None
-    """Write a plot of the results (extra `plots`)."""
+    """Draw plots of the results (extra `plots`)."""
 
     def written_files(self) -> list[Path]:
         """Return the files that this run writes."""

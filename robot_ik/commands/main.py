@@ -170,8 +170,11 @@ GROUPS: dict[str, tuple[Row, ...]] = {
     "Information": (
         Row("robots", "List the bundled robots, or describe one.", "robots:Robots", mujoco=False),
         Row("solvers", "List the solvers, or the options of one.", "solvers:Solvers"),
-        Row("bench", "Compare methods on seeded problems: success, time, plots."),
-        Row("experiments", "Repeat the experiments of the theses: a00 or s12."),
+        Row(
+            "bench",
+            "Compare the solvers, or repeat the experiments of the theses.",
+            "bench:Bench",
+        ),
         Row(
             "doctor",
             "Check what this machine can do, and what to do about the rest.",

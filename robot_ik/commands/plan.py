@@ -75,9 +75,13 @@ class Plan(OverwriteOption, JsonOption):
     """Samples a second."""
     seed: Seed = 0
     iterations: Iterations = 20_000
-    seconds: Seconds | None = None
-    """Duration, in s. The search ends then, and its result depends on the machine.
-    Default: no limit."""
+    seconds: Annotated[
+        Seconds | None,
+        Parameter(
+            help="Duration, in s. The search ends then, and its result depends on the machine. "
+            "Default: no limit."
+        ),
+    ] = None
     out: Annotated[Path | None, Parameter(metavar="FILE.csv", group=OUTPUT_GROUP), OUTPUT] = None
     """Destination of the results. A file with time and joint angles; default: none."""
 

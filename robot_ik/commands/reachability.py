@@ -75,9 +75,14 @@ class Reachability(JsonOption):
     """Number of directions of the frame's z axis."""
     rolls: Annotated[int, Parameter(metavar="N", validator=Number(gte=1, lte=MAX_ROLLS))] = 6
     """Number of turns of the frame about each direction."""
-    cluster: Annotated[str, Parameter(metavar="ADDRESS")] = ""
-    """Address of a Dask scheduler, for example tcp://host:8786 (extra `cluster`).
-    Default: the cores of this machine."""
+    cluster: Annotated[
+        str,
+        Parameter(
+            metavar="ADDRESS",
+            help="Address of a Dask scheduler, for example tcp://host:8786 (extra `cluster`). "
+            "Default: the cores of this machine.",
+        ),
+    ] = ""
     out: Annotated[Path | None, Parameter(metavar="FOLDER", group=OUTPUT_GROUP)] = None
     """Destination of the results. A folder; default: runs/<time>-reachability."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
@@ -37,7 +37,7 @@ class FoldedTable(Table):
             return
         yield from super().__rich_console__(console, options)
 
-    def _rows_as_lists(self) -> Iterator[Table | Text]:
+    def _rows_as_lists(self) -> Iterator[RenderableType]:
         if self.title:
             yield Text(_plain(self.title), style="bold")
         names = [_plain(column.header) for column in self.columns]
@@ -50,9 +50,21 @@ class FoldedTable(Table):
 
 
 def table(
-    *columns: str, rows: Iterable[Sequence[object]], header: bool = True, title: str | None = None
+    *columns: str,
+    rows: Iterable[Sequence[object]],
+    header: bool = True,
+    title: str | None = None,
+    fold: bool = True,
 ) -> Table:
-    """Return a table. Cells are ``Text`` or shown by ``str``. The first column is never folded."""
+    """Return a table. Cells are ``Text`` or shown by ``str``. The first column is never folded.
+
+    Args:
+        columns: Heads of the columns.
+        rows: The cells.
+        header: Whether the heads are shown.
+        title: Line above the table.
+        fold: Whether cells are folded on narrow terminals.
+    """
     grid = FoldedTable(
         box=None,
         pad_edge=False,
@@ -63,7 +75,7 @@ def table(
         title_style="bold",
     )
     for index, name in enumerate(columns):
-        grid.add_column(name, no_wrap=index == 0, overflow="fold")
+        grid.add_column(name, no_wrap=index == 0 or not fold, overflow="fold")
     for row in rows:
         grid.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return grid

@@ -44,6 +44,7 @@ OTHER_COMMANDS = {
     "info": "doctor",
     "find-cameras": "camera list",
     "viz": "view",
+    "experiments": "bench",
 }
 """Command of other programs -> command here. Exact synonyms are aliases of a row instead."""
 

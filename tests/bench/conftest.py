@@ -15,9 +15,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`bench` with two methods, of which one serves no poses, on two robots."""
     out = tmp_path_factory.mktemp("bench") / "new"
     arguments = (
-        f"bench --solvers analytic lm triangulation --robots puma560 panda --count 12 --out {out}"
+        f"bench --solver analytic lm triangulation --robot puma560 panda --count 12 --out {out}"
     )
-    assert main([*arguments.split(), "--sets", "cold", "warm", "unreachable"]) == 0
+    assert main([*arguments.split(), "--problems", "cold", "warm", "unreachable", "--plot"]) == 0
     return out
 
 

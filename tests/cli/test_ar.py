@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -16,8 +15,6 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.commands.main import main
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
-from robot_ik.jobs.ar import self_test
-from robot_ik.jobs.quantity import Quantity
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,23 +98,3 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
     assert said in errors
     assert "Traceback" not in errors
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(("rms", "code"), [(0.04, 0), (0.06, 1)])
-def test_the_self_test_judges(
-    rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def measured() -> Iterator[tuple[str, Quantity]]:
-        yield "projection", Quantity("spheres, RMS", rms, "px", 0.05)
-        yield "latency", Quantity("nothing, RMS", 12.0, "px")
-
-    monkeypatch.setattr(self_test, "self_test", measured)
-    assert main(["ar", "--self-test"]) == code
-    assert f"{rms} px" in capsys.readouterr().out
-    assert main(["ar", "--self-test", "--json"]) == code
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["good"] is (code == 0)
-    assert [(row["row"], row["passed"]) for row in facts["figures"]] == [
-        ("projection", code == 0),
-        ("latency", None),
-    ]

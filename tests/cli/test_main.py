@@ -57,20 +57,15 @@ def test_help_imports_nothing_heavy() -> None:
     ("line", "reported"),
     [
         ("figure --path triangle", "'triangle' is not a valid choice; allowed: circle, random, marker"),
-        ("experiments", "missing: {a00,s12} (Which thesis.)"),
-        ("experiments b00", "'b00' is not a valid choice (did you mean 'a00'?); allowed: a00, s12"),
-        ("bench --sets foo", "--sets: 'foo' is not a valid choice; allowed: cold, warm,"),
         ("servo torque onn", "'onn' is not a valid choice (did you mean 'on'?); allowed: on, off"),
         ("servo torque", "missing: on|off (What to do.)"),
         ("servo calibrate", "missing: OUT.toml"),
         ("ar --record a.csv", "unknown option '--record'\n"),
-        ("bench --seconds 0", "--seconds: 0 s; allowed: above 0"),
         ("sim-bus --wire-baud 99999999", "--wire-baud: 99999999; allowed: 0 to 10500000"),
         ("servo monitor --rate nan", "--rate: nan Hz; allowed: above 0, at most 200"),
         ("servo monitor --rate 200.1", "--rate: 200.1 Hz; allowed: above 0, at most 200"),
         ("figure --scale inf", "--scale: inf; allowed: 0 or more (default: 1; synthetic"),
         ("ar --size 640 3", "--size: 640 x 3 pixels; allowed: 16 to 16384 each (default: the camera's)"),
-        ("experiments s12 --seed -1", "--seed: -1; allowed: 0 or more"),
     ],
 )
 def test_wrong_words_are_reported_in_one_sentence(line: str, reported: str, robot_ik: Any) -> None:

@@ -69,7 +69,7 @@ def test_two_runs_at_once_do_not_share_a_folder(tmp_path: Path, monkeypatch: pyt
     [
         ["reach", "--bus", "none", "--out"],
         ["bench", "--out"],
-        ["experiments", "s12", "--out"],
+        ["bench", "s12", "--out"],
     ],
 )
 def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path: Path, robot_ik: Any) -> None:

@@ -39,6 +39,7 @@ LINES = {
     "servo scan": "--bus sim --baud 1000000",
     "servo move": "joint1=5 --bus sim",
     "robots": "puma560",
+    "bench": "--solver lm --robot puma560 --problems cold --count 5",
     "solvers": "dls",
     "camera list": "",
     "camera print": "marker",

@@ -30,7 +30,7 @@ HEAVY = ["mujoco", "numba", "cv2", "numpy", "pydantic", "serial", "dynamixel_sdk
         ("solve --gaol 1 2 3", "unknown option --gaol; did you mean --goal?"),
         (
             "solve --speed 1",
-            "robot-ik solve has no option --speed (an option of: reach, plan, servo move)",
+            "robot-ik solve has no option --speed (an option of: reach, plan, ",
         ),
         ("solve --method lm", "unknown option --method; here it is --solver"),
         ("solve --seed many", "--seed: 'many' is not a whole number"),

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
-from robot_ik.errors import ConfigError, GoalError, UnsupportedJointError
+from robot_ik.errors import GoalError, OptionError, UnsupportedJointError
 from robot_ik.goals import Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.problem import Problem
@@ -77,12 +77,12 @@ def ask_a00(
         seed: Seed of courses and restarts.
 
     Raises:
-        ConfigError: No such test.
+        OptionError: No such test.
         UnknownSolverError: No such method.
     """
     for number in numbers:
         if number not in NUMBERS:
-            raise ConfigError(f"{number}", file="command line", key="--tests", allowed="1 … 13")
+            raise OptionError("--test", f"there is no test {number}", "1 … 13")
     for name in solvers:
         SOLVERS[name]  # an unknown name raises an error with close names
     return A00Report(

@@ -103,17 +103,6 @@ class DrawingErrors:
         )
 
 
-def self_test() -> Iterator[tuple[str, Quantity]]:
-    """Measure all rows: their names and their figures, as they are ready."""
-    for name, figures in (
-        ("projection", projection()),
-        ("overlay", overlay()),
-        ("latency", latency()),
-    ):
-        for figure in figures:
-            yield name, figure
-
-
 def projection(seed: int = 1) -> Iterator[Quantity]:
     """Measure the middles of drawn spheres against OpenCV's projection."""
     for kind, lens in (("pinhole", PINHOLE), ("with distortion", DISTORTED)):

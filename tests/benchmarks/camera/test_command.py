@@ -11,7 +11,7 @@ import pytest
 from benchmarks.camera import rows
 from benchmarks.camera.__main__ import main
 from benchmarks.camera.rows import Effort, Row
-from robot_ik.cli.bench import show_quantities
+from benchmarks.quantity_table import show_quantities
 from robot_ik.errors import CameraError
 from robot_ik.jobs.quantity import Quantity
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -18,12 +19,13 @@ from robot_ik.commands.main import main
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("--solvers lmm", "did you mean 'lm'"),
-        ("--robots puma56", "did you mean 'puma560'"),
-        ("--sets warmer", "warm"),
-        ("--count 0", "--count: 0 problems"),
-        ("--count 999999999999", "1 to 100000"),
-        ("--position-tolerance 0", "positive"),
+        ("--solver lmm", "did you mean 'lm'"),
+        ("--robot puma56", "did you mean 'puma560'"),
+        ("--problems warmer", "warm"),
+        ("--count 0", "--count: 0 is out of range"),
+        ("--count 999999999999", "at least 1, at most 100000"),
+        ("--seconds 0", "--seconds"),
+        ("--test 3", "with bench a00"),
     ],
 )
 def test_wrong_input_is_one_sentence(
@@ -41,7 +43,7 @@ def test_wrong_input_is_one_sentence(
 def test_the_table_has_a_row_for_each_method(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = "bench --solvers analytic lm --robots panda --sets cold --count 10 --no-plots"
+    arguments = "bench --solver analytic lm --robot panda --problems cold --count 10"
     assert main([*arguments.split(), "--out", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].strip() == "panda, cold"
@@ -53,13 +55,23 @@ def test_the_table_has_a_row_for_each_method(
     assert [file.name for file in tmp_path.iterdir()] == ["bench.json"]
 
 
+def test_json_is_the_content_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = "bench --solver lm --robot panda --problems cold --count 10 --json --out"
+    assert main([*arguments.split(), str(tmp_path)]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts.pop("schema") == 1
+    assert facts == json.loads((tmp_path / "bench.json").read_text())
+
+
 def test_kernels_and_batches(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(growth, "JOINTS", (4, 8))
     monkeypatch.setattr(growth, "FIGURE_FRAMES", growth.FIGURE_FRAMES[:2])
-    arguments = "bench --solvers lm analytic --robots panda puma560 --sets kernels batch"
-    arguments += " --count 2 --no-plots"
+    arguments = "bench --solver lm analytic --robot panda puma560 --problems kernels batch"
+    arguments += " --count 2"
     assert main([*arguments.split(), "--out", str(tmp_path)]) == 0
     reported = capsys.readouterr()
     results = Results.model_validate_json((tmp_path / "bench.json").read_bytes())
@@ -89,9 +101,7 @@ def test_kernels_and_batches(
 def test_problems_that_do_not_exist_take_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = (
-        "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
-    )
+    arguments = "bench --solver lm ccd --robot humanoid --problems unreachable --count 5 --out"
     assert main([*arguments.split(), str(tmp_path)]) == 0
     (line, *_) = capsys.readouterr().out.splitlines()
     assert line.startswith("humanoid, unreachable: nothing is out of its reach")
@@ -99,8 +109,8 @@ def test_problems_that_do_not_exist_take_one_line(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for a child there")
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, real_time: None) -> None:
-    arguments = "bench --solvers lm ccd --robots puma560 --sets cold --count 2000 --seconds 999"
-    arguments += " --no-plots --out"
+    arguments = "bench --solver lm ccd --robot puma560 --problems cold --count 2000 --seconds 999"
+    arguments += " --out"
     child = subprocess.Popen(
         [sys.executable, "-m", "robot_ik", *arguments.split(), str(tmp_path)],
         stdout=subprocess.PIPE,
@@ -115,7 +125,7 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, real_time: None) -> None:
     child.send_signal(signal.SIGINT)
     out, err = child.communicate()
     assert child.returncode == 130, err
-    assert "interrupted" in err and "partial results" in err and "Traceback" not in err
+    assert "interrupted" in err and "partial results in" in err and "Traceback" not in err
     results = Results.model_validate_json((tmp_path / "bench.json").read_bytes())
     assert not results.complete
     assert results.cells[0].count > 0 and sum(cell.count for cell in results.cells) < 4000
