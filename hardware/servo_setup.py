@@ -67,7 +67,7 @@ def set_up(
                 f"torque of the servo (id {servo.id}) is on, so its EEPROM is locked; nothing was "
                 "written",
                 hint="support the parts on its horn and switch torque off: robot-ik servo torque "
-                f"off --ids {servo.id} --baud {servo.baud}",
+                f"off --id {servo.id} --baud {servo.baud}",
             )
         family.write_address(bus, table, servo.id, id, baud)
 

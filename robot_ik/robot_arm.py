@@ -20,7 +20,7 @@ from robot_ik.hardware.arm_part import ArmPart
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.ports import Array, Clock, Closing, JointReading
 from robot_ik.robot import Robot, load_robot
-from robot_ik.robot_file import catalogue
+from robot_ik.robot_file import catalogue, find_robot
 
 if TYPE_CHECKING:
     from robot_ik.collision.avoidance import CollisionAvoidance
@@ -252,3 +252,18 @@ def _require_joints(robot: Robot, names: Sequence[str], config: ArmConfig) -> No
             key="joints",
             allowed=", ".join(robot.joints),
         )
+
+
+def robot_named_in(config: ArmConfig) -> str:
+    """Return the name or path of the robot that an arm file names.
+
+    Raises:
+        ConfigError: The arm file names no robot, or the robot does not exist.
+    """
+    try:
+        find_robot(config.robot_source)
+    except ModelError as error:
+        raise ConfigError(
+            str(error.args[0]), file=config.file or config.name, key="robot", hint=error.hint
+        ) from error
+    return config.robot_source

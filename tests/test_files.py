@@ -37,23 +37,21 @@ from robot_ik.figure.motion.bvh import Bvh, export_bvh
 from robot_ik.figure.motion.retarget import SkeletonMap
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
-from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.families.dynamixel_x_table import X_TABLES
 from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import make_motion, robot_of
 from robot_ik.jobs.ar.script_motion import is_script
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.figure import read_balls
-from robot_ik.jobs.hand_guiding import load_motion
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.testbed.commands import CommandLog, Reset, Start
 from robot_ik.testbed.gallery_scene import gallery_scene
+from robot_ik.workcell.guided_recording import load_motion
 
 ROOT = Path(robot_ik.__file__).parent
 HARDWARE = Path(str(sys.modules["robot_ik.hardware"].__file__)).parent
@@ -165,12 +163,6 @@ def _saved(save: Callable[[Path], object]) -> Callable[[Path], str]:
     return text
 
 
-def _backup(path: Path) -> None:
-    table = X_TABLES["XM430-W350"]
-    registers = {r.name: max(r.minimum, 0) for r in table if r.eeprom and r.writable}
-    save_backup(path, "arm", [SavedServo("joint1", 1, "XM430-W350", 1020, 46, registers)])
-
-
 @dataclass(frozen=True)
 class Row:
     """A reader, the name its file has, and what is in a good one."""
@@ -199,7 +191,6 @@ ROWS = {
         "l.json",
         _saved(lambda p: save_lerobot(p, _calibration())),
     ),
-    "backup": Row(load_backup, "b.json", _saved(_backup)),
     "faults": Row(lambda p: load_faults(p, ARM), "f.toml", lambda _: FAULTS),
     "script": Row(
         load_script, "s.toml", lambda _: shipped()["take_a_block"].read_text(encoding="utf-8")
@@ -323,6 +314,8 @@ ALLOWED = {
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
     ("robot_ik/cli/console.py", "open"): "/dev/null",
+    ("robot_ik/commands/streams.py", "open"): "/dev/null",
+    ("robot_ik/testbed/frontends/window_scene.py", "read_text"): "the scene of a bundled robot",
     ("robot_ik/commands/robots.py", "ElementTree.parse"): "models that ship",
     ("robot_ik/jobs/arm_camera/samples.py", "json.loads"): "what it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",

@@ -265,7 +265,7 @@ def execute() -> Image:
 
 def stuck() -> str:
     """Return the output of a move with a stripped gear."""
-    with served("robot-ik sim-bus --arm desk_arm/arm.toml --link broken_port --stuck elbow"):
+    with served("robot-ik sim-bus --arm desk_arm/arm.toml --link broken_port --fault stuck:elbow"):
         command = "robot-ik servo move elbow=40 --bus broken_port --arm desk_arm/arm.toml"
         return terminal_svg(command, run(command, code=1), "Output of robot-ik servo move")
 

@@ -207,8 +207,7 @@ class DynamixelX:
             if share < (SMALLEST_GRIP if drive.joint.group == GRIPPER else SMALLEST_STRENGTH):
                 raise HardwareError(
                     f"{text} and could not hold the arm; nothing was switched on",
-                    hint="a power cycle resets its Goal PWM; PWM Limit is an EEPROM setting: "
-                    "robot-ik servo restore, or DYNAMIXEL Wizard 2",
+                    hint="a power cycle resets its Goal PWM; DYNAMIXEL Wizard 2 sets PWM Limit",
                 )
             if share < 1.0:
                 log.warning("%s: it is weaker than its model", text)

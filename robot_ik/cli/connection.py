@@ -62,7 +62,7 @@ def resolved_robot(arm: Path | None, bus: str) -> str:
         UnknownRobotError, ConfigError: As ``ArmConfig.load``; or the arm file names no robot.
     """
     if arm:
-        from robot_ik.jobs.robot_setup import robot_named_in
+        from robot_ik.robot_arm import robot_named_in
 
         return robot_named_in(load_arm(arm))
     return SHOWN_ROBOT if bus == NONE or bus_row(bus).virtual else SERVO_ROBOT

@@ -111,7 +111,7 @@ class PosesPlayOptions(_MotionOptions):
 
 @dataclass(frozen=True)
 class PosesExportOptions(_MotionOptions):
-    """Writes a motion as frames: CSV for `robot-ik servo play` and others, BVH for animation programs.
+    """Writes a motion as frames: CSV for `robot-ik servo replay` and others, BVH for animation programs.
 
     robot-ik poses export walk walk.bvh
     """

@@ -123,6 +123,20 @@ def open_arm_on(bus: str, config: ArmConfig, on_exit: str | None) -> Arm:
 
 
 @contextlib.contextmanager
+def keeping_error(report: ServoReport) -> Iterator[None]:
+    """Make an error of connected servos the report's error, which is exit code 1.
+
+    ``UnsafeCommandError`` is raised, because the input is wrong.
+    """
+    try:
+        yield
+    except UnsafeCommandError:
+        raise
+    except HardwareError as error:
+        report.error = error
+
+
+@contextlib.contextmanager
 def driving(
     arm: Arm, report: ServoReport, terminal: Terminal, *, space: bool = True
 ) -> Iterator[None]:
@@ -139,13 +153,8 @@ def driving(
     """
     stopping = stop_on_space(arm, terminal) if space else contextlib.nullcontext()
     try:
-        with arm, stopping:
-            try:
-                yield
-            except UnsafeCommandError:
-                raise
-            except HardwareError as error:
-                report.error = error
+        with arm, stopping, keeping_error(report):
+            yield
     finally:
         left = arm.exit_report
         if left is not None:  # the arm was connected
@@ -213,7 +222,7 @@ def default_robot(arm: str | Path | None, bus: str) -> str:
     from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT  # pydantic
 
     if arm:
-        from robot_ik.jobs.robot_setup import robot_named_in
+        from robot_ik.robot_arm import robot_named_in
 
         return robot_named_in(load_arm(arm))
     return SHOWN_ROBOT if bus == NO_BUS or bus_row(bus).virtual else SERVO_ROBOT

@@ -97,31 +97,96 @@ GROUPS: dict[str, tuple[Row, ...]] = {
         Row("poses import", "Transfer motion capture (BVH) to a figure."),
     ),
     "Servos": (
-        Row("servo ports", "List serial ports, their adapters and the programs that use them."),
+        Row(
+            "servo ports",
+            "List serial ports, their adapters and the programs that use them.",
+            "servo_ports:ServoPorts",
+            aliases=("find-port",),
+            mujoco=False,
+        ),
         Row(
             "servo scan",
             "List the servos on a bus, at every baud rate.",
             "servo_scan:ServoScan",
             mujoco=False,
         ),
-        Row("servo setup", "Set the id and baud rate of the only connected servo."),
-        Row("servo calibrate", "Measure ranges, zeros and directions by hand."),
-        Row("servo monitor", "Watch position, current, supply, heat and errors."),
+        Row(
+            "servo setup",
+            "Set the id and baud rate of the only connected servo.",
+            "servo_setup:ServoSetup",
+            aliases=("setup-motors",),
+            mujoco=False,
+        ),
+        Row(
+            "servo calibrate",
+            "Measure ranges, zeros and directions by hand.",
+            "servo_calibrate:ServoCalibrate",
+            aliases=("calibrate",),
+            mujoco=False,
+        ),
+        Row(
+            "servo monitor",
+            "Watch position, current, supply, heat and errors.",
+            "servo_monitor:ServoMonitor",
+            mujoco=False,
+        ),
         Row(
             "servo move",
             "Move joints to angles, slowly and within limits.",
             "servo_move:ServoMove",
             mujoco=False,
         ),
-        Row("servo torque", "Switch torque on (hold the pose) or off (release)."),
-        Row("servo reset-fault", "Restart servos that have shut down."),
-        Row("servo teach", "Record the arm while a hand guides it."),
-        Row("servo play", "Repeat a recording within the limits."),
-        Row("servo backup", "Save the control tables as JSON."),
-        Row("servo restore", "Write the EEPROM of a backup."),
-        Row("teleop", "Lead an arm by another arm, a gamepad or the keys of this terminal."),
-        Row("stop", "Make an arm that another program drives stop and hold."),
-        Row("sim-bus", "Serve simulated servos on a port that any client can open."),
+        Row(
+            "servo torque",
+            "Switch torque on (hold the pose) or off (release).",
+            "servo_torque:ServoTorque",
+            mujoco=False,
+        ),
+        Row(
+            "servo reset-fault",
+            "Restart servos that have shut down.",
+            "servo_reset_fault:ServoResetFault",
+            mujoco=False,
+        ),
+        Row(
+            "servo record",
+            "Record the arm while a person guides it by hand.",
+            "servo_record:ServoRecord",
+            aliases=(
+                "record",
+                "servo teach",
+            ),
+            mujoco=False,
+        ),
+        Row(
+            "servo replay",
+            "Repeat a recording within the limits.",
+            "servo_replay:ServoReplay",
+            aliases=(
+                "replay",
+                "servo play",
+            ),
+            mujoco=False,
+        ),
+        Row(
+            "teleop",
+            "Lead an arm by another arm, a gamepad or the keys of this terminal.",
+            "teleop:Teleop",
+            aliases=("teleoperate",),
+            mujoco=False,
+        ),
+        Row(
+            "stop",
+            "Make an arm that another program drives stop and hold.",
+            "stop:Stop",
+            mujoco=False,
+        ),
+        Row(
+            "sim-bus",
+            "Serve simulated servos on a port that any client can open.",
+            "sim_bus:SimBus",
+            mujoco=False,
+        ),
     ),
     "Camera": (
         Row(
@@ -329,7 +394,8 @@ def parse_command(words: Sequence[str]) -> tuple[str, Any]:
         target, bound, _ = app.parse_args(words or ["--help"])
     except CycloptsError as error:
         names = command_names()
-        raise explain(error, names, lambda: option_owners(app, names)) from error
+        owners = [row.name for rows in GROUPS.values() for row in rows]
+        raise explain(error, names, lambda: option_owners(app, owners)) from error
     result = target(*bound.args, **bound.kwargs)
     return " ".join(chain), result if hasattr(result, "run") else None
 

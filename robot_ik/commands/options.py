@@ -144,7 +144,7 @@ MarkerIds = Annotated[
         metavar="N …",
         consume_multiple=True,
         allow_repeating=True,
-        help="Id of a servo or marker. Default: all.",
+        help="Ids of markers or servos. Default: all.",
     ),
 ]
 MarkerSize = Annotated[

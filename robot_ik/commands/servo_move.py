@@ -71,9 +71,9 @@ class ServoMove(MovingBusOptions, JsonOption):
             require_inside(goal, config)
             report.goal = goal
             if guard is not None:
-                from robot_ik.jobs.hand_guiding import play_straight
+                from robot_ik.workcell.replay import move_straight
 
-                play_straight(arm, goal, guard, terminal.busy)
+                move_straight(arm, goal, guard, terminal.busy)
             with terminal.busy("moving", report.duration):
                 arm.move_to(goal)
             arm.read()

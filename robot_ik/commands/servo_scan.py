@@ -38,7 +38,7 @@ class ServoScan(BusOptions, JsonOption):
         tuple[int, ...],
         Parameter(metavar="RATE …", consume_multiple=True, allow_repeating=True),
     ] = ()
-    """Baud rates to try, in bits/s. Default: all."""
+    """Baud rate of servos, in bits/s. Default: all are tried."""
 
     def run(self, terminal: Terminal = QUIET) -> ServoScanReport:
         """Ping all ids at each baud rate."""
@@ -81,8 +81,13 @@ class ServoScanReport(Report):
             yield servo_table(self.servos)
 
     def facts(self) -> dict[str, Any]:
-        servos = [{"model": servo.model, **asdict(servo)} for servo in self.servos]
+        servos = [servo_facts(servo) for servo in self.servos]
         return {"port": self.port, "bauds": list(self.bauds), "servos": servos}
+
+
+def servo_facts(servo: FoundServo) -> dict[str, Any]:
+    """Return the values of a servo for programs."""
+    return {"model": servo.model, **asdict(servo)}
 
 
 def servo_table(servos: Iterable[FoundServo]) -> Table:

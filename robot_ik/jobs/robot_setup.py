@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.errors import ConfigError, ModelError, OptionError, UnsupportedJointError
+from robot_ik.errors import OptionError, UnsupportedJointError
 from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_arm import RobotArm, arm_collisions, open_robot, robot_of_arm
-from robot_ik.robot_file import find_robot
 from robot_ik.workcell.arm_guard import guard_of
 
 if TYPE_CHECKING:
@@ -376,16 +375,6 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
     if held:
         _log.warning("%s stays as at home: moves are planned for hinges and slides", ", ".join(held))
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
-
-
-def robot_named_in(config: ArmConfig) -> str:
-    """The robot that an arm file names: name or path; raises ``ConfigError`` where there is none."""
-    try:
-        find_robot(config.robot_source)
-    except ModelError as error:
-        file, problem = config.file or config.name, str(error.args[0])
-        raise ConfigError(problem, file=file, key="robot", hint=error.hint) from error
-    return config.robot_source
 
 
 def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, ArmConfig]:

@@ -90,7 +90,7 @@ def test_a_recording_that_would_touch_is_refused_before_torque(
 ) -> None:
     free = tmp_path / "free.csv"
     Trajectory([0.0, 0.5], np.radians([[0, 0, 0], [20, -20, 0]]), JOINTS).save_csv(free)
-    run = robot_ik("servo", "play", free, *guarded.at)
+    run = robot_ik("servo", "replay", free, *guarded.at)
     assert run.code == 0, run.err
     assert degrees(guarded) == pytest.approx([20.0, -20.0, 0.0], abs=0.5)
     before = goals(guarded), degrees(guarded)
@@ -100,7 +100,7 @@ def test_a_recording_that_would_touch_is_refused_before_torque(
     ):
         file = tmp_path / f"{name}.csv"
         Trajectory([0.0, 0.5], np.radians(rows), JOINTS).save_csv(file)
-        run = robot_ik("servo", "play", file, *guarded.at)
+        run = robot_ik("servo", "replay", file, *guarded.at)
         assert run.code == 1, (name, run)
         assert "ball" in run.err
         assert (goals(guarded), degrees(guarded)) == before
@@ -185,7 +185,7 @@ def test_teleop_by_keys_stops_before_it_touches(
     assert run.code == 0, run.err
     assert "would" in run.err
     assert "ball" in run.err
-    assert "held back" in run.err
+    assert "held back" in run.out
     bend = np.radians(degrees(guarded)[1])
     hand = 0.1 * np.array([np.sin(bend), 1.0 + np.cos(bend)])
     ball = 0.1 * np.array([np.sin(np.radians(40.0)), 1.0 + np.cos(np.radians(40.0))])

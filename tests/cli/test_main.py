@@ -57,13 +57,7 @@ def test_help_imports_nothing_heavy() -> None:
     ("line", "reported"),
     [
         ("figure --path triangle", "'triangle' is not a valid choice; allowed: circle, random, marker"),
-        ("servo torque onn", "'onn' is not a valid choice (did you mean 'on'?); allowed: on, off"),
-        ("servo torque", "missing: on|off (What to do.)"),
-        ("servo calibrate", "missing: OUT.toml"),
         ("ar --record a.csv", "unknown option '--record'\n"),
-        ("sim-bus --wire-baud 99999999", "--wire-baud: 99999999; allowed: 0 to 10500000"),
-        ("servo monitor --rate nan", "--rate: nan Hz; allowed: above 0, at most 200"),
-        ("servo monitor --rate 200.1", "--rate: 200.1 Hz; allowed: above 0, at most 200"),
         ("figure --scale inf", "--scale: inf; allowed: 0 or more (default: 1; synthetic"),
         ("ar --size 640 3", "--size: 640 x 3 pixels; allowed: 16 to 16384 each (default: the camera's)"),
     ],

@@ -83,9 +83,8 @@ def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path:
     "words",
     [
         ["run", "pick_and_place", "--junit"],
-        ["servo", "backup", "--bus", "sim"],
-        ["servo", "teach", "--bus", "sim", "--seconds", "1"],
-        ["servo", "calibrate", "--bus", "sim", "--seconds", "1"],
+        ["servo", "record", "--bus", "sim", "--seconds", "1"],
+        ["servo", "calibrate", "--bus", "sim"],
     ],
 )
 @pytest.mark.parametrize("trouble", ["exists", "in a file", "taken"])
@@ -95,7 +94,7 @@ def test_every_command_refuses_a_file_it_cannot_have(
     from robot_ik.jobs.script import shipped
 
     words = [next(iter(shipped())) if word == "pick_and_place" else word for word in words]
-    suffix = {"teach": ".csv", "calibrate": ".toml"}.get(words[1], ".json")
+    suffix = {"record": ".csv", "calibrate": ".toml"}.get(words[1], ".json")
     file = (tmp_path / "none" if trouble == "in a file" else tmp_path) / f"result{suffix}"
     with contextlib.ExitStack() as stack:
         if trouble == "exists":

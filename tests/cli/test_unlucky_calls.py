@@ -96,7 +96,7 @@ def test_a_narrow_table_breaks_no_word(
         (["solve", "--goal", "0", "0", "0", "--frame", ""], "--frame: the value is empty"),
         (["solve", "--goal", "0", "0", "0", "--robot="], "--robot: the value is empty"),
         (["robots", ""], "the value is empty"),
-        (["servo", "monitor", "--bus", "sim", "--count", "0"], "--count: 0 samples"),
+        (["servo", "monitor", "--bus", "sim", "--count", "0"], "--count: 0 is out of range"),
         (["ar", "--size", "100000", "100000"], "16 to 16384"),
         (["ar", "--size", "-640", "480"], "16 to 16384"),
         (["reach", "--marker-size", "-0.05"], "marker size of -0.05 m"),

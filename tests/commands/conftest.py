@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ from robot_ik.commands import terminal
 from robot_ik.commands.main import main
 from robot_ik.jobs import vision
 from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_smaller
+from tests.hardware.joints import with_servo
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -180,6 +181,87 @@ def desk(arm_file: Path, real_time: None) -> Iterator[Desk]:
     bus = VirtualBus.from_config(config, RealClock())
     with PtyPort(bus, match_baud=True) as port:
         yield Desk(port.path, arm_file, config, bus)
+
+
+Hand = Callable[[str, Callable[[], object]], None]
+
+
+@pytest.fixture
+def nominal(desk: Desk, tmp_path: Path) -> Path:
+    """The arm file before calibration: zeros and directions nobody has looked at."""
+    joints = tuple(with_servo(j, direction=1, zero_ticks=2048) for j in desk.config.joints)
+    path = tmp_path / "nominal.toml"
+    replace(desk.config, joints=joints, file=None).save(path)
+    return path
+
+
+@pytest.fixture
+def calibrate(
+    robot_ik: Callable[..., Run],
+    desk: Desk,
+    nominal: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[..., Run]:
+    """``calibrate(hand, options …)``: ``hand(step, sample)`` does what the step asks for."""
+    from robot_ik.commands import servo_calibrate
+    from robot_ik.workcell import hand_calibration
+
+    def run(hand: Hand, *options: object) -> Run:
+        class Scripted:
+            def __init__(self, *options: object) -> None:
+                pass
+
+            def step(self, text: str, sample: Callable[[], object]) -> None:
+                hand(text, sample)
+                sample()
+
+            def note(self, text: str) -> None:
+                pass
+
+            def again(self, error: Exception) -> bool:
+                return False
+
+        monkeypatch.setattr(servo_calibrate, "Prompts", Scripted)
+        monkeypatch.setattr(hand_calibration, "STILL_SAMPLES", 2)
+        arm = () if "--arm" in options else ("--arm", nominal)
+        return robot_ik(
+            "servo", "calibrate", tmp_path / "mine.toml", "--bus", desk.port, *arm, *options
+        )
+
+    return run
+
+
+def _good_hand(desk: Desk, reach: float = 95.0, pose: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Hand:
+    """Sweep each joint by ``reach`` degrees both ways, hold the pose, and turn each joint."""
+
+    def hand(text: str, sample: Callable[[], object]) -> None:
+        if text.startswith("1."):
+            for joint in desk.config.names:
+                for way in (*[reach / 2] * 2, *[-reach / 2] * 4, *[reach / 2] * 2):
+                    desk.turn(joint, way)
+                    sample()
+        elif text.startswith("2."):
+            for joint, degrees in zip(desk.config.names, pose, strict=True):
+                desk.turn(joint, degrees)
+        else:
+            (joint,) = [name for name in desk.config.names if name in text]
+            desk.turn(joint, 10.0)
+
+    return hand
+
+
+@pytest.fixture
+def good_hand(desk: Desk) -> Callable[..., Hand]:
+    """``good_hand(reach=…, pose=…)``: one that does what ``calibrate`` asks for."""
+    return lambda **wishes: _good_hand(desk, **wishes)
+
+
+@pytest.fixture
+def mine(calibrate: Callable[..., Run], desk: Desk, tmp_path: Path) -> Path:
+    """A calibrated arm."""
+    assert calibrate(_good_hand(desk)).code == 0
+    return tmp_path / "mine.toml"
 
 
 @pytest.fixture(scope="module")

@@ -38,8 +38,8 @@ from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
-from robot_ik.jobs.hand_guiding import calibrate_by_hand
 from robot_ik.ports import VirtualClock
+from robot_ik.workcell.hand_calibration import calibrate_by_hand
 from tests.hardware.joints import with_servo
 
 ARMS = ("koch_v11", "omx_f", "vx300s", "wx250s")

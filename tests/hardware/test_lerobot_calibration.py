@@ -16,8 +16,8 @@ from robot_ik.hardware.calibration import calibrated, check_calibration
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.jobs.hand_guiding import calibrate_by_hand
 from robot_ik.ports import VirtualClock
+from robot_ik.workcell.hand_calibration import calibrate_by_hand
 
 CONFIG = ArmConfig.load("so101")
 LIMITS = {joint.name: (joint.lower, joint.upper) for joint in CONFIG.joints}

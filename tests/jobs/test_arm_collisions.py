@@ -20,16 +20,16 @@ from robot_ik.goals import PoseGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.jog import KeyboardJog
-from robot_ik.jobs.leader_arm import LeaderArm
 from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
 from robot_ik.jobs.script import ScriptRequest, parse_script, run_script
-from robot_ik.jobs.teleop import teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot_arm import open_robot
 from robot_ik.workcell.arm_guard import ArmGuard
 from robot_ik.workcell.guided_motion import playable
+from robot_ik.workcell.jog import KeyboardJog
+from robot_ik.workcell.leader_arm import LeaderArm
 from robot_ik.workcell.motion_condition import motion_condition
+from robot_ik.workcell.teleop import teleoperate
 from tests.commands.reach_runs import run_reach
 
 NAME = "tabletop_puma"

@@ -98,7 +98,7 @@ def test_ar_refuses_the_calibration_of_another_model(arm_file: Path, port: str) 
         "--bus PORT",
         "servo move shoulder_pan=5 --arm ARM --bus PORT",
         "servo torque on shoulder_pan --arm ARM --bus PORT",
-        "servo teach FILE --seconds 0.1 --arm ARM --bus PORT",
+        "servo record FILE --seconds 0.1 --arm ARM --bus PORT",
         f"teleop --leader ARM --leader-bus PORT --follower {ROBOT} --follower-bus sim "
         "--seconds 0.1",
         f"teleop --leader {ROBOT} --leader-bus sim --follower ARM --follower-bus PORT "

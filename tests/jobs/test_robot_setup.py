@@ -10,11 +10,11 @@ import pytest
 from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError, OptionError, UnsupportedJointError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.jog import KeyboardJog
 from robot_ik.jobs.robot_setup import ArmRequest, Rehearsal, joints_that_move, prepare_robot
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
+from robot_ik.workcell.jog import KeyboardJog
 
 
 def arm_text() -> str:

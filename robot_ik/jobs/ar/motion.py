@@ -18,12 +18,11 @@ from robot_ik.goals import PositionGoal
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.ar.script_motion import is_script, play_script
-from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Array, JointSource
 from robot_ik.robot import Robot
-from robot_ik.robot_arm import open_robot
+from robot_ik.robot_arm import open_robot, robot_named_in
 
 # A wave goes this part of the way from home to the nearer limit of each joint.
 _WAVE_SHARE = 0.25

@@ -18,6 +18,14 @@ from robot_ik.ports import VirtualClock
 TABLE = X_TABLES["XM430-W350"]
 
 
+MEMORY_GROWTH = 20_000
+"""Bytes that may be allocated in the second half of the soak.
+
+The caches of requests are bounded, and rare sets of servos still fill them. One object lost in
+every hundredth cycle would need as much.
+"""
+
+
 @pytest.mark.soak
 def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     config = ArmConfig.generic("soak", [f"joint{k}" for k in range(6)], [-3] * 6, [3] * 6)
@@ -47,6 +55,6 @@ def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     tracemalloc.stop()
     # error numbers without data; the rest was asked again
     assert missing < 0.001 * 6 * 60_000 * 1.5
-    assert memory[-1] < 1.05 * memory[2]  # then most sets of servos have been asked: plans are kept
+    assert memory[-1] - memory[2] < MEMORY_GROWTH
     assert sim.counters.cycles == 60_000
     assert sim.counters.timeouts <= 2  # all three tries spoilt: some 0.04 are expected

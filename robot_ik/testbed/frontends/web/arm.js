@@ -31,7 +31,7 @@ export class ArmTab {
     );
     const [follow, hold, release, teach, replay] = this.buttons.values();
     this.save = button("save", "Save the recording", () => channel.action("save_recording"), {
-      title: "As CSV: robot-ik servo play repeats it, too",
+      title: "As CSV: robot-ik servo replay repeats it, too",
     });
     this.recorded = make("small", { class: "num" });
     this.table = make("table", { class: "rk-table num" });

@@ -31,7 +31,7 @@ export class RecordTab {
         "div",
         { class: "rk-buttons" },
         file("Poses", () => channel.action("save_poses"), "poses.toml, for robot-ik poses"),
-        file("CSV", save("csv"), "Joint values, for robot-ik servo play"),
+        file("CSV", save("csv"), "Joint values, for robot-ik servo replay"),
         file("BVH", save("bvh"), "For Blender and other animation programs"),
         file("HTML", () => channel.action("share_motion"), "Plays in any browser", "share"),
       ),

@@ -1,4 +1,4 @@
-"""The virtual bus as a program: a stranger's client talks to it, signals end it, nothing stays behind."""
+"""The simulated bus as a program: a foreign client uses it, and signals end it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,15 @@ def serve(tmp_path: Path, real_time: None) -> Serve:
     @contextmanager
     def serving(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         child = subprocess.Popen(
-            [sys.executable, "-m", "robot_ik", "sim-bus", "--link", str(tmp_path / "arm"), *arguments],
+            [
+                sys.executable,
+                "-m",
+                "robot_ik",
+                "sim-bus",
+                "--link",
+                str(tmp_path / "arm"),
+                *arguments,
+            ],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -81,7 +89,7 @@ def test_the_official_sdk_can_use_it_and_a_signal_ends_it(
 
 
 def test_faults_reach_the_wire(serve: Serve, tmp_path: Path) -> None:
-    with serve("--silent", "joint1"):
+    with serve("--fault", "silent:joint1"):
         assert ping(tmp_path / "arm", 1)[1] == sdk.COMM_RX_TIMEOUT
         assert ping(tmp_path / "arm", 2)[1] == sdk.COMM_SUCCESS
 
@@ -98,11 +106,13 @@ def test_replies_come_as_late_as_asked(serve: Serve, tmp_path: Path) -> None:
 
 def test_a_file_of_faults_happens_in_its_time(serve: Serve, tmp_path: Path) -> None:
     faults = tmp_path / "faults.toml"
-    text = 'schema = 1\n[[faults]]\nkind = "silent"\njoint = "joint1"\nat_packet = 2\nfor_packets = 1\n'
+    silent = '[[faults]]\nkind = "silent"\njoint = "joint1"\nat_packet = 2\nfor_packets = 1\n'
+    text = f"schema = 1\n{silent}"
     faults.write_text(text + '[[faults]]\nkind = "overload"\nid = 2\n')
-    with serve("--faults", str(faults)):
+    with serve("--fault", str(faults)):
         link = tmp_path / "arm"
-        success, timeout = sdk.COMM_SUCCESS, sdk.COMM_RX_TIMEOUT
+        success = sdk.COMM_SUCCESS
+        timeout = sdk.COMM_RX_TIMEOUT
         assert [ping(link, 1)[1] for _ in range(3)] == [success, timeout, success]
         port = sdk.PortHandler(str(link))
         assert port.openPort()
@@ -112,7 +122,8 @@ def test_a_file_of_faults_happens_in_its_time(serve: Serve, tmp_path: Path) -> N
 
 def test_with_physics_an_arm_that_is_too_heavy_feels_it(serve: Serve, tmp_path: Path) -> None:
     with serve("--physics", "--arm", "puma560"):
-        handler, port = sdk.PacketHandler(2.0), sdk.PortHandler(str(tmp_path / "arm"))
+        handler = sdk.PacketHandler(2.0)
+        port = sdk.PortHandler(str(tmp_path / "arm"))
         assert port.openPort()
         assert handler.write1ByteTxRx(port, 2, 64, 1) == (sdk.COMM_SUCCESS, 0)
         wait_for(lambda: handler.read2ByteTxRx(port, 2, 126)[0])  # a real PUMA on servos of 4 N m
@@ -132,15 +143,15 @@ def test_baud_rate_matters_only_when_asked(serve: Serve, tmp_path: Path) -> None
     [
         (["--arm", "pmua560"], "puma560"),
         (["--arm", "nowhere/arm.toml"], "nowhere/arm.toml"),
-        (["--stuck", "joitn3"], "joint3"),
-        (["--zero-offset", "joint3"], "--zero-offset"),
-        (["--zero-offset", "joint3=nan"], "--zero-offset"),
-        (["--zero-offset", "joitn3=2"], "joint3"),
-        (["--corrupt", "2"], "--corrupt"),
-        (["--drop", "nan"], "--drop"),
+        (["--fault", "stuck:joitn3"], "joint3"),
+        (["--fault", "zero-offset:joint3"], "--fault"),
+        (["--fault", "zero-offset:joint3=nan"], "--fault"),
+        (["--fault", "zero-offset:joitn3=2"], "joint3"),
+        (["--fault", "corrupt=2"], "--fault"),
+        (["--fault", "drop=nan"], "--fault"),
         (["--latency-ms", "-1"], "--latency-ms"),
         (["--wire-baud", "-9600"], "--wire-baud"),
-        (["--faults", "nowhere/faults.toml"], "nowhere/faults.toml"),
+        (["--fault", "nowhere/faults.toml"], "nowhere/faults.toml"),
     ],
 )
 def test_wrong_input(arguments: list[str], named: str, robot_ik: Any, tmp_path: Path) -> None:

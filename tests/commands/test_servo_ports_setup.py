@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli import servo_bus
-from robot_ik.cli.arguments import gather
 from robot_ik.hardware import discovery
 from robot_ik.hardware.discovery import FoundServo
 from robot_ik.hardware.family import family_of
@@ -38,7 +36,9 @@ def ports(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def having(*names: str) -> None:
         found = [
-            SimpleNamespace(device=n, description="U2D2", vid=0x0403, pid=0x6014, serial_number="FT1")
+            SimpleNamespace(
+                device=n, description="U2D2", vid=0x0403, pid=0x6014, serial_number="FT1"
+            )
             for n in names
         ]
         monkeypatch.setattr(list_ports, "comports", lambda: found)
@@ -61,7 +61,12 @@ def test_ports_name_the_adapter_and_who_uses_it(robot_ik: Any, ports: Any, desk:
         (row,) = json.loads(robot_ik("servo", "ports", "--json").out)["ports"]
     finally:
         os.close(client)
-    assert (row["port"], row["usb"], row["adapter"], row["serial"]) == (desk.port, "0403:6014", "U2D2", "FT1")
+    assert (row["port"], row["usb"], row["adapter"], row["serial"]) == (
+        desk.port,
+        "0403:6014",
+        "U2D2",
+        "FT1",
+    )
     assert any(f"({os.getpid()})" in user for user in row["used_by"])
     run = robot_ik("servo", "ports")
     assert run.code == 0 and "0403:6014" in run.out
@@ -75,17 +80,10 @@ def test_a_name_that_survives_replugging(tmp_path: Any, monkeypatch: pytest.Monk
     (tmp_path / "ttyUSB0").write_text("")
     (names / "usb-FTDI-if00").symlink_to("../ttyUSB0")
     monkeypatch.setattr(ports, "BY_ID", names)
-    listed = [SimpleNamespace(device=str(tmp_path / f"ttyUSB{k}"), description="U2D2") for k in (0, 1)]
+    listed = [
+        SimpleNamespace(device=str(tmp_path / f"ttyUSB{k}"), description="U2D2") for k in (0, 1)
+    ]
     assert [ports.port_row(port)["stable"] for port in listed] == [str(names / "usb-FTDI-if00"), ""]
-
-
-def test_only_options_of_any_number_of_values_are_gathered() -> None:
-    words = ["--arm", "a", "--from-baud", "1", "-x", "--arm", "b", "--from-baud=2"]
-    gathered = ["--arm", "a", "-x", "--arm", "b", "--from-baud", "1", "2"]
-    assert gather(servo_bus.ServoSetupOptions, words) == gathered
-
-
-# ----------------------------------------------------------------------------------------- setup
 
 
 def alone(desk: Any, *, baud_code: int = 1, id: int = 1) -> VirtualServo:
@@ -107,7 +105,9 @@ def test_setup_by_joint(robot_ik: Any, desk: Any) -> None:
 
 def test_setup_by_number(robot_ik: Any, desk: Any) -> None:
     servo = alone(desk, baud_code=3, id=9)
-    run = robot_ik("servo", "setup", *desk.at, "--id", 17, "--baud", 57_600, "--from-baud", 1_000_000)
+    run = robot_ik(
+        "servo", "setup", *desk.at, "--id", 17, "--baud", 57_600, "--from-baud", 1_000_000
+    )
     assert run.code == 0 and (servo.id, servo.baud) == (17, 57_600)
 
 
@@ -142,7 +142,13 @@ def test_setup_refuses_another_model(robot_ik: Any, desk: Any) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [(), ("--id", 3, "--joint", "joint1"), ("--id", 253), ("--joint", "joitn1"), ("--id", 3, "--baud", 7)],
+    [
+        (),
+        ("--id", 3, "--joint", "joint1"),
+        ("--id", 253),
+        ("--joint", "joitn1"),
+        ("--id", 3, "--baud", 7),
+    ],
 )
 def test_setup_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -> None:
     robot_ik("servo", "setup", *desk.at, *options).assert_one_screen_error()
@@ -150,12 +156,16 @@ def test_setup_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -
 
 def test_setup_of_a_rate_that_the_model_has_not(robot_ik: Any, desk: Any) -> None:
     servo = alone(desk)
-    run = robot_ik("servo", "setup", *desk.at, "--id", 3, "--baud", 4_500_000, "--from-baud", 57_600)
+    run = robot_ik(
+        "servo", "setup", *desk.at, "--id", 3, "--baud", 4_500_000, "--from-baud", 57_600
+    )
     assert run.code == 2 and "4000000" in run.err and servo.id == 1
 
 
 def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
-    robot_ik("servo", "setup", *desk.at, "--id", 3, "--from-baud", 9600).assert_one_screen_error(code=1)
+    robot_ik("servo", "setup", *desk.at, "--id", 3, "--from-baud", 9600).assert_one_screen_error(
+        code=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -170,7 +180,10 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
             [FoundServo(id, rate, X) for rate in (1_000_000, 57_600, 2_000_000) for id in (1, 2)],
             ["answer at every rate: the port has none"],
         ),
-        ([FoundServo(1, 57_600, X), FoundServo(1, 1_000_000, X)], ["different rates"]),  # both as bought
+        (
+            [FoundServo(1, 57_600, X), FoundServo(1, 1_000_000, X)],
+            ["different rates"],
+        ),  # both as bought
         (
             [FoundServo(1, 57_600, X, shared=True), FoundServo(2, 57_600, X)],
             ["id 1 at 57600: damaged replies. Two"],
@@ -181,7 +194,9 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_all_of_them_together(found: list[FoundServo], reported: list[str]) -> None:
+def test_what_is_wrong_with_all_of_them_together(
+    found: list[FoundServo], reported: list[str]
+) -> None:
     notes = discovery.scan_notes(found)
     assert len(notes) == len(reported) and all(
         part in note for part, note in zip(reported, notes, strict=True)

@@ -1,4 +1,4 @@
-"""The hand of an arm in teleoperation, moved by inverse kinematics."""
+"""The tool of an arm in teleoperation, moved by inverse kinematics."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from robot_ik.budget import Budget
 from robot_ik.geometry import Pose
 from robot_ik.goals import BEST, EXACT, PoseGoal
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.operator import Angles
-from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
+from robot_ik.robot_arm import robot_named_in
+from robot_ik.workcell.operator import Angles
 
 BUDGET = Budget(iterations=30, restarts=0)
 """Budget of one solve.  An arm that follows must not jump, so there are no restarts."""
 
 JOINTS_FOR_ANY_POSE = 6
-"""Number of degrees of freedom with which a hand can have any pose in its reach."""
+"""Number of degrees of freedom with which a tool can have any pose in its reach."""
 
 POSITION_TOLERANCE = 1e-3
-"""m. Largest position error of the hand after a step."""
+"""m. Largest position error of the tool after a step."""
 
 ANGLE_TOLERANCE = 1e-2
-"""rad. Largest angle error of the hand after a step."""
+"""rad. Largest angle error of the tool after a step."""
 
 
-class LedHand:
-    """The hand of a follower, led from the last command on.
+class ToolFollower:
+    """The tool of a follower, led from the last command on.
 
     An arm with fewer degrees of freedom reaches the position with the best orientation there.
 
@@ -35,7 +35,7 @@ class LedHand:
         config: Arm file of the follower.
 
     Attributes:
-        names: Joints that carry the hand.
+        names: Joints that carry the tool.
         pose: Pose of the last command.
     """
 
@@ -62,7 +62,7 @@ class LedHand:
         )
 
     def engage(self, angles: Angles) -> Pose:
-        """Begin to lead the hand at joint values, and return its pose there."""
+        """Begin to lead the tool at joint values, and return its pose there."""
         self._q = self._robot.home.copy()
         self._q[self._columns] = [angles[name] for name in self.names]
         self._q = self._robot.clip(self._q)
@@ -70,12 +70,12 @@ class LedHand:
         return self.pose
 
     def go(self, pose: Pose, *, exactly: bool = False) -> dict[str, float]:
-        """Return joint -> value that bring the hand to a pose, or as near as possible.
+        """Return joint -> value that bring the tool to a pose, or as near as possible.
 
         Args:
             pose: Target in the world.
-            exactly: Keep the last command if the hand cannot reach the pose.  Steps that add up
-                must neither drift, nor rotate the hand at the end of its reach.
+            exactly: Keep the last command if the tool cannot reach the pose.  Steps that add up
+                must neither drift, nor rotate the tool at the end of its reach.
         """
         q = self._problem.solve(self._q, target=pose).q
         if np.isfinite(q).all():

@@ -1,4 +1,4 @@
-"""Calibration of joints that two servos turn, and of slides: in process, with the truth in the servos."""
+"""Calibration in process of joints that two servos turn, and of slides."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.registers import OperatingMode
 from robot_ik.hardware.servo import Direct, Pinion
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.jobs.hand_guiding import calibrate_by_hand
 from robot_ik.ports import VirtualClock
+from robot_ik.workcell.hand_calibration import calibrate_by_hand
 from tests.hardware.joints import Twin, make_joint, with_servo, with_twin
 
 MODE = OperatingMode.EXTENDED_POSITION
 LIFT = make_joint("lift", 1, "XM430-W350", MODE, -1, 1500, -2.0, 2.0, 1.0, 4.0, gear=Direct(2.0))
 RACK = make_joint("rack", 2, "XL330-M288", MODE, -1, 700, 0.0, 0.03, 0.05, 0.4, gear=Pinion(0.008))
-OWN, SHADOW = Twin(3, direction=1, zero_ticks=2600), Twin(3, shadow=True)
+OWN = Twin(3, direction=1, zero_ticks=2600)
+SHADOW = Twin(3, shadow=True)
 LIMITS = {"lift": (-2.0, 2.0), "rack": (0.0, 0.03)}
 REACH = {"lift": (-1.5, 1.5), "rack": (0.0, 0.025)}
 
@@ -52,7 +53,9 @@ class Hand:
     """Does what each step asks for, sampling on the way."""
 
     def __init__(self, true: ArmConfig, bus: VirtualBus, slip: float = 1.0) -> None:
-        self.true, self.bus, self.slip = true, bus, slip
+        self.true = true
+        self.bus = bus
+        self.slip = slip
         self.q = {joint.name: 0.0 for joint in true.joints}
 
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
@@ -81,7 +84,9 @@ class Hand:
         return False
 
 
-def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object] = lambda bus: 0) -> Any:
+def measured(
+    twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object] = lambda bus: 0
+) -> Any:
     true = true_arm(twin)
     bus = VirtualBus.from_config(true, VirtualClock())
     fault(bus)
@@ -97,10 +102,16 @@ def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object
 def test_both_servos_of_a_joint_and_a_slide_are_found(twin: Twin, tmp_path: Path) -> None:
     true, bus, found, made = measured(twin)
     for mine, truth in zip(made.servos, true.servos, strict=True):
-        assert (mine.id, mine.direction, mine.primary_id) == (truth.id, truth.direction, truth.primary_id)
+        assert (mine.id, mine.direction, mine.primary_id) == (
+            truth.id,
+            truth.direction,
+            truth.primary_id,
+        )
         assert mine.zero_ticks == pytest.approx(truth.zero_ticks, abs=2)
     for joint in made.joints:
-        assert (joint.lower, joint.upper) == pytest.approx(REACH[joint.name], abs=3 * joint.resolution)
+        assert (joint.lower, joint.upper) == pytest.approx(
+            REACH[joint.name], abs=3 * joint.resolution
+        )
     path = tmp_path / "pairs.calibration.toml"
     found.save(path)
     assert dataclasses.replace(Calibration.load(path), file=None) == found
@@ -115,7 +126,9 @@ def test_both_servos_of_a_joint_and_a_slide_are_found(twin: Twin, tmp_path: Path
 
 
 def test_two_servos_that_slip_are_refused() -> None:
-    with pytest.raises(HardwareError, match=r"two servos of joint 'lift' do not turn together: id 1 by 17"):
+    with pytest.raises(
+        HardwareError, match=r"two servos of joint 'lift' do not turn together: id 1 by 17"
+    ):
         measured(OWN, slip=0.8)
 
 
@@ -123,7 +136,9 @@ def test_a_shadow_that_counts_the_other_way_is_refused() -> None:
     def reverse(bus: VirtualBus) -> None:
         bus.servo(3).rotate_by_hand(300)
 
-    with pytest.raises(HardwareError, match=r"shadow of joint 'lift' \(servo id 3\) stands 13\.2 deg beside"):
+    with pytest.raises(
+        HardwareError, match=r"shadow of joint 'lift' \(servo id 3\) stands 13\.2 deg beside"
+    ):
         measured(SHADOW, fault=reverse)
     with pytest.raises(HardwareError, match="counts the other way round"):
         measured(SHADOW, slip=-1.0)
@@ -133,11 +148,17 @@ def test_a_swapped_second_servo_is_a_mismatch() -> None:
     _, bus, found, made = measured(OWN)
     other = with_twin(made.joints[0], dataclasses.replace(OWN, direction=-1))
     changed = dataclasses.replace(made, joints=(other, made.joints[1]))
-    with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
+    with (
+        open_arm(made, "sim", virtual_bus=bus) as arm,
+        pytest.raises(CalibrationMismatchError) as caught,
+    ):
         check_calibration(arm.bus, changed, found)
     assert ("lift", "direction", "1", "-1") in caught.value.rows
     single = dataclasses.replace(made, joints=tuple(with_twin(j, None) for j in made.joints))
-    with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(ConfigError, match="lift, rack, lift"):
+    with (
+        open_arm(made, "sim", virtual_bus=bus) as arm,
+        pytest.raises(ConfigError, match="lift, rack, lift"),
+    ):
         check_calibration(arm.bus, single, found)
 
 
@@ -150,7 +171,10 @@ def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> 
         arm.enable()
     bus.servo(3).memory.set("homing_offset", 0)
     bus.servo(1).memory.set("homing_offset", 25)  # of the first one it moves the zero of the joint
-    with open_arm(made, "sim", virtual_bus=bus) as arm, pytest.raises(CalibrationMismatchError) as caught:
+    with (
+        open_arm(made, "sim", virtual_bus=bus) as arm,
+        pytest.raises(CalibrationMismatchError) as caught,
+    ):
         check_calibration(arm.bus, made, found)
     assert caught.value.rows == (("lift", "homing_offset", "0", "25"),)
     bus.servo(1).memory.set("homing_offset", 0)

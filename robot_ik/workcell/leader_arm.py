@@ -1,7 +1,7 @@
 """An arm that a person guides, as the leader of another arm.
 
 Joint to joint, a value of the leader goes to the follower's joint of the same name, each range onto
-the other's.  Hand to hand, the follower's hand repeats the motion of the leader's hand since both
+the other's.  Tool to tool, the follower's tool repeats the motion of the leader's tool since both
 were engaged.
 """
 
@@ -14,10 +14,10 @@ import numpy as np
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.geometry import Pose
-from robot_ik.hardware.arm import Arm, ArmState
+from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.led_hand import LedHand
-from robot_ik.jobs.operator import Angles, Operator
+from robot_ik.workcell.operator import Angles, Operator
+from robot_ik.workcell.tool_follower import ToolFollower
 
 LOST = 0.2
 """s without a good sample of the leader after which it counts as lost.
@@ -51,7 +51,7 @@ class JointCoupling:
                 f"no joint of {leader.name} is one of {follower.name}",
                 file=leader.file or leader.name,
                 key="joints",
-                allowed=f"names of {', '.join(follower.names)}; or hand to hand: --by hand",
+                allowed=f"names of {', '.join(follower.names)}; or tool to tool: --mode tool",
             )
         self.names = tuple(joint.name for joint in joints)
         self._leader_limits = {joint.name: joint.limits for joint in joints}
@@ -60,10 +60,6 @@ class JointCoupling:
     def follower(self, leader: Angles) -> dict[str, float]:
         """Return the values of the follower, clipped to its ranges."""
         return _mapped(leader, self._leader_limits, self._follower_limits)
-
-    def leader(self, follower: Angles) -> dict[str, float]:
-        """Return the values of the leader, clipped to its ranges."""
-        return _mapped(follower, self._follower_limits, self._leader_limits)
 
 
 def _mapped(values: Angles, source: _Limits, target: _Limits) -> dict[str, float]:
@@ -80,71 +76,43 @@ def _mapped(values: Angles, source: _Limits, target: _Limits) -> dict[str, float
 
 
 class LeaderArm(Operator):
-    """An arm that a person guides.  Its torque is off, unless it pushes back.
+    """An arm that a person guides.  Its torque is off.
 
     Args:
         arm: Connected.
         follower: Arm file of the follower.
-        by: ``joints`` or ``hand``.
-        scale: Hand to hand: metres of the follower for one of the leader.
-        force: Share of the arm file's currents with which the leader is pushed towards the values
-            of the follower; 0: no force feedback.
+        mode: ``joints`` or ``tool``.
+        scale: Tool to tool: metres of the follower for one of the leader.
 
     Raises:
-        ConfigError: The two arms share no joint, or the leader's servos have no current limit.
+        ConfigError: The two arms share no joint.
     """
 
     def __init__(
         self,
         arm: Arm,
         follower: ArmConfig,
-        by: Literal["joints", "hand"],
+        mode: Literal["joints", "tool"],
         scale: float,
-        force: float,
     ) -> None:
         self._arm = arm
         self._scale = scale
-        self._force = force
         self._coupling: JointCoupling | None = None
-        # Poses of the leader's and the follower's hand at which they were engaged.
+        # Poses of the leader's and the follower's tool at which they were engaged.
         self._engaged_poses: tuple[Pose, Pose] | None = None
         self._last_values: dict[str, float] = {}
         self._last_time = -np.inf
-        if by == "joints":
+        if mode == "joints":
             self._coupling = JointCoupling(arm.config, follower)
         else:
-            self._leader_hand = LedHand(arm.config)
-            self._follower_hand = LedHand(follower)
-        if force:
-            self._require_gentle()
-
-    def _require_gentle(self) -> None:
-        """Check that every servo of the leader can push with a limited current."""
-        stiff = [joint.name for joint in self._arm.config.joints if not joint.servo.presses]
-        if not stiff and self._coupling is not None:
-            return
-        problem = (
-            "force feedback needs a leader whose servos push with a limited current, joint to joint"
-        )
-        if stiff:
-            problem += f"; {', '.join(stiff)} cannot"
-        raise ConfigError(
-            problem,
-            file=self._arm.config.file or self._arm.config.name,
-            key="mode",
-            allowed="current_based_position for every joint, or no --force-feedback",
-        )
+            self._leader_tool = ToolFollower(arm.config)
+            self._follower_tool = ToolFollower(follower)
 
     def engage(self, follower: Angles) -> None:
         if self._coupling is None:
-            self._follower_hand.engage(follower)
-            leader_pose = self._leader_hand.engage(self._read())
-            self._engaged_poses = (leader_pose, self._follower_hand.pose)
-        elif self._force and self._arm.state is ArmState.CONNECTED:
-            self._arm.enable()
-            joints = self._arm.config.joints
-            currents = {joint.name: joint.current for joint in joints if joint.current is not None}
-            self._arm.limit_current({name: self._force * mA for name, mA in currents.items()})
+            self._follower_tool.engage(follower)
+            leader_pose = self._leader_tool.engage(self._read())
+            self._engaged_poses = (leader_pose, self._follower_tool.pose)
 
     def command(self, now: float) -> Angles:  # noqa: ARG002 - the leader gives its present values
         values = self._read()
@@ -153,17 +121,10 @@ class LeaderArm(Operator):
         if self._engaged_poses is None:
             raise RuntimeError("command() before engage()")
         leader, follower = self._engaged_poses
-        pose = self._leader_hand.engage(values)
+        pose = self._leader_tool.engage(values)
         step = self._scale * (pose.position - leader.position)
         rotation = pose.rotation @ leader.rotation.T @ follower.rotation
-        return self._follower_hand.go(Pose.from_rotation(rotation, follower.position + step))
-
-    def feel(self, follower: Angles) -> None:
-        has_torque = self._arm.state is not ArmState.CONNECTED
-        if self._force and self._coupling is not None and has_torque:
-            target = self._coupling.leader(follower)
-            command = {name: target[name] for name in self._arm.joints if name in target}
-            self._arm.send(command, self._arm.clock.now())
+        return self._follower_tool.go(Pose.from_rotation(rotation, follower.position + step))
 
     def recover(self, timeout: float) -> None:
         self._arm.reconnect(timeout)

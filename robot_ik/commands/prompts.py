@@ -11,16 +11,18 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
-from robot_ik.errors import HardwareError
-from robot_ik.ports import Clock
+from robot_ik.commands.terminal import Terminal, show_error
+from robot_ik.errors import HardwareError, OptionError
 
 if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
+    from robot_ik.ports import Clock
 
 NO_ENTER = "standard input has ended, so Enter cannot be pressed"
 """Reason why a step cannot end with Enter."""
+
+ENTER = "a terminal, or a pipe that sends one line for each step"
+"""Standard input with which steps can end."""
 
 SAMPLE_PERIOD = 0.02
 """s between two samples: quick enough that a sweep by hand misses no end of a range."""
@@ -33,17 +35,26 @@ class Prompts:
     """Prompts for one step after the other.
 
     Args:
+        terminal: Shows the steps.
         clock: Paces the samples.
         seconds: Duration of each step.  None: until Enter (a line on standard input).
         period: s between two samples.
+        alternative: What to try if Enter cannot be pressed, for the error.
 
     Raises:
-        ConfigError: Steps end with Enter, and standard input has ended already.
+        OptionError: Steps end with Enter, and standard input has ended already.
     """
 
     def __init__(
-        self, clock: Clock, seconds: float | None = None, period: float = SAMPLE_PERIOD
+        self,
+        terminal: Terminal,
+        clock: Clock,
+        seconds: float | None = None,
+        period: float = SAMPLE_PERIOD,
+        alternative: str = ENTER,
     ) -> None:
+        self._terminal = terminal
+        self._alternative = alternative
         self._clock = clock
         self._period = period
         self._seconds = seconds
@@ -52,7 +63,7 @@ class Prompts:
         self._reader: threading.Thread | None = None
         with contextlib.suppress(OSError):  # on Windows select() works with sockets only
             if seconds is None and _has_input() and not self._read_input():
-                raise wrong("--seconds", NO_ENTER, "--seconds S")
+                raise OptionError("standard input", NO_ENTER, alternative)
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
         """Print an instruction, sample until the step is done, and sample once more then.
@@ -65,7 +76,7 @@ class Prompts:
             HardwareError: Standard input has ended.  Errors of ``sample``.
         """
         ending = "then press Enter" if self._seconds is None else f"{self._seconds:g} s from now"
-        console.say(f"{text}; {ending}", "bold")
+        self._terminal.say(f"{text}; {ending}", "bold")
         if self._reader is None and self._seconds is None:
             self._reader = threading.Thread(
                 target=self._read_lines, name="standard input", daemon=True
@@ -81,14 +92,14 @@ class Prompts:
 
     def note(self, text: str) -> None:
         """Print the result of a step."""
-        console.say(text)
+        self._terminal.say(text)
 
     def again(self, error: OperatorError) -> bool:
         """Show why a step failed.  Return whether it can be repeated: only at a terminal."""
         if self._seconds is not None or sys.__stdin__ is None or not sys.__stdin__.isatty():
             return False
-        console.show_error(error)
-        console.say(
+        show_error(error)
+        self._terminal.say(
             "repeat the step once more (Ctrl-C ends the command; nothing is written)", "yellow"
         )
         return True
@@ -107,7 +118,7 @@ class Prompts:
             return False
         if not is_line:
             self._lines.put(False)
-            raise HardwareError(NO_ENTER, hint="give --seconds S")
+            raise HardwareError(NO_ENTER, hint=f"run the command with {self._alternative}")
         return True
 
     def _read_lines(self) -> None:

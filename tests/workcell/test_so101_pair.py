@@ -13,10 +13,11 @@ import pytest
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.jobs.hand_guiding import TaughtMotion, load_playable, play_motion
-from robot_ik.jobs.leader_arm import LeaderArm
-from robot_ik.jobs.teleop import teleoperate
 from robot_ik.ports import VirtualClock
+from robot_ik.workcell.guided_recording import GuidedRecording, load_playable
+from robot_ik.workcell.leader_arm import LeaderArm
+from robot_ik.workcell.replay import replay
+from robot_ik.workcell.teleop import teleoperate
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 FOLLOWER = ArmConfig.load("so101")
@@ -56,7 +57,7 @@ def test_the_follower_follows_the_leader_with_its_gripper():
                 turn_by_hand(led, LEADER, TURN / STEPS)
             return False
 
-        operator = LeaderArm(leader, FOLLOWER, "joints", 1.0, 0.0)
+        operator = LeaderArm(leader, FOLLOWER, "joints", 1.0)
         report = teleoperate(operator, follower, seconds=4.0, over=guide)
         assert report.engaged == 1
         target = led.true_angles(LEADER)
@@ -70,7 +71,7 @@ def test_the_arm_repeats_what_a_hand_has_shown(tmp_path):
     bus = VirtualBus.from_config(FOLLOWER, clock)
     start = bus.true_angles(FOLLOWER)
     with open_arm(FOLLOWER, "sim", virtual_bus=bus) as arm:
-        taught = TaughtMotion(arm)
+        taught = GuidedRecording(arm)
         for _ in range(STEPS):
             turn_by_hand(bus, FOLLOWER, TURN / STEPS)
             taught.sample()
@@ -83,6 +84,6 @@ def test_the_arm_repeats_what_a_hand_has_shown(tmp_path):
 
     config, playable, _ = load_playable(tmp_path / "shown.csv", replace(FOLLOWER, file=None), 1.0)
     with open_arm(config, "sim", virtual_bus=bus, on_exit="hold") as arm:
-        report = play_motion(arm, playable, [], lambda _what, _seconds: nullcontext())
+        report = replay(arm, playable, [], lambda _what, _seconds: nullcontext())
         report.require_arrived()
     assert bus.true_angles(FOLLOWER) == pytest.approx(shown, abs=math.radians(1.0))

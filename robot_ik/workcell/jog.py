@@ -1,4 +1,4 @@
-"""Jogging: a person moves the joints or the hand of an arm in steps, within its limits."""
+"""Jogging: a person moves the joints or the tool of an arm in steps, within its limits."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.led_hand import LedHand
-from robot_ik.jobs.operator import Angles, Operator
 from robot_ik.ports import Array
+from robot_ik.workcell.operator import Angles, Operator
+from robot_ik.workcell.tool_follower import ToolFollower
 
 JOINT_KEYS = ("qa", "ws", "ed", "rf", "tg", "yh", "uj", "ik", "ol")
 """Two keys for each joint, forwards and back: columns of the keyboard from the left."""
 
-HAND_KEYS: Mapping[str, tuple[int, int]] = {
+TOOL_KEYS: Mapping[str, tuple[int, int]] = {
     "w": (0, 1),
     "s": (0, -1),
     "a": (1, 1),
@@ -33,7 +33,7 @@ HAND_KEYS: Mapping[str, tuple[int, int]] = {
 """Key -> axis of the world (0 to 2: along, 3 to 5: about) and its sign."""
 
 MODE_KEY = "\t"
-"""Changes between joints and hand."""
+"""Changes between joints and tool."""
 
 FINER = "-"
 """Halves the steps."""
@@ -61,18 +61,18 @@ COARSEST = 4.0
 
 
 class Jog(Operator):
-    """Moves joints, or the hand in the axes of the world.
+    """Moves joints, or the tool in the axes of the world.
 
     Args:
         config: Arm file of the follower.
         read: Returns the keys or buttons that are pressed, or were since the last call.
         stop: Makes the follower hold.
-        hand: Move the hand instead of joints.
+        moves_tool: Move the tool instead of joints.
 
     Attributes:
         joints: Joints of the follower.
         angles: Joint -> commanded value, rad (m of a slide).
-        hand: The hand is moved instead of joints.
+        moves_tool: The tool is moved instead of joints.
         stop: Makes the follower hold.
     """
 
@@ -82,27 +82,27 @@ class Jog(Operator):
         read: Callable[[], Any],
         *,
         stop: Callable[[], object] = lambda: None,
-        hand: bool = False,
+        moves_tool: bool = False,
     ) -> None:
         self.joints = config.joints
         self.angles: dict[str, float] = {}
-        self.hand = hand
+        self.moves_tool = moves_tool
         self.stop = stop
-        self._hand = LedHand(config)
+        self._tool = ToolFollower(config)
         self._read = read
 
     def engage(self, follower: Angles) -> None:
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
-        self._hand.engage(self.angles)
+        self._tool.engage(self.angles)
 
     def go_on_from(self, command: Angles) -> None:
         self.angles |= command
-        self._hand.engage(self.angles)
+        self._tool.engage(self.angles)
 
     def change(self) -> None:
-        """Move the hand instead of joints, or joints instead of the hand."""
-        self.hand = not self.hand
-        self._hand.engage(self.angles)
+        """Move the tool instead of joints, or joints instead of the tool."""
+        self.moves_tool = not self.moves_tool
+        self._tool.engage(self.angles)
 
     def move_joint(self, number: int, rotation: float, slide: float) -> None:
         """Move one joint.  Does nothing if there is no joint of this number.
@@ -120,17 +120,17 @@ class Jog(Operator):
             lower, upper = joint.limits
             self.angles[joint.name] = min(max(self.angles[joint.name] + step, lower), upper)
 
-    def move_hand(self, along: Array, about: Array) -> None:
-        """Move the hand in the axes of the world.
+    def move_tool(self, along: Array, about: Array) -> None:
+        """Move the tool in the axes of the world.
 
         Args:
             along: (3,) m.
             about: (3,) rad.
         """
         rotation = Pose().plus(np.concatenate([np.zeros(3), about])).rotation
-        pose = self._hand.pose
+        pose = self._tool.pose
         target = Pose.from_rotation(rotation @ pose.rotation, pose.position + along)
-        self.angles |= self._hand.go(target, exactly=True)
+        self.angles |= self._tool.go(target, exactly=True)
 
 
 class KeyboardJog(Jog):
@@ -156,13 +156,13 @@ class KeyboardJog(Jog):
         elif key in (FINER, COARSER):
             factor = self._factor * (2.0 if key == COARSER else 0.5)
             self._factor = float(np.clip(factor, FINEST, COARSEST))
-        elif not self.hand:
+        elif not self.moves_tool:
             self._press_joint(key)
-        elif key in HAND_KEYS:
-            axis, sign = HAND_KEYS[key]
+        elif key in TOOL_KEYS:
+            axis, sign = TOOL_KEYS[key]
             motion = np.zeros(6)
             motion[axis] = sign * self._factor * (STEP if axis < 3 else ROTATION)
-            self.move_hand(motion[:3], motion[3:])
+            self.move_tool(motion[:3], motion[3:])
 
     def _press_joint(self, key: str) -> None:
         for number, pair in enumerate(JOINT_KEYS):

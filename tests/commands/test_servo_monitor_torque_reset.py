@@ -20,9 +20,6 @@ def degrees(desk: Any) -> list[float]:
     return np.degrees(desk.bus.true_angles(desk.config)).tolist()
 
 
-# --------------------------------------------------------------------------------------- monitor
-
-
 def test_monitor_in_lines_of_json(robot_ik: Any, desk: Any) -> None:
     desk.turn("joint2", 30.0)
     desk.servo(3).inject_error("overheating")
@@ -33,7 +30,9 @@ def test_monitor_in_lines_of_json(robot_ik: Any, desk: Any) -> None:
     assert second["position_deg"] == pytest.approx(30.0, abs=0.05) and second["joint"] == "joint2"
     assert (first["voltage"], second["voltage"], third["voltage"]) == (12.0, 12.0, 5.0)
     assert third["errors"] == ["overheating"] and first["errors"] == [] and first["torque"] is False
-    assert first["current_ma"] is not None and second["current_ma"] is None  # an XL430 tells its load
+    assert (
+        first["current_ma"] is not None and second["current_ma"] is None
+    )  # an XL430 tells its load
     assert second["load_percent"] is not None
 
 
@@ -58,12 +57,11 @@ def test_monitor_as_a_table_and_a_silent_servo(robot_ik: Any, desk: Any) -> None
     assert run.code == 1 and "no answer" in run.out
 
 
-@pytest.mark.parametrize("options", [("--rate", 0), ("--rate", "nan"), ("--rate", 1e9), ("--count", -1)])
+@pytest.mark.parametrize(
+    "options", [("--rate", 0), ("--rate", "nan"), ("--rate", 1e9), ("--count", -1)]
+)
 def test_monitor_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -> None:
     robot_ik("servo", "monitor", *desk.at, *options).assert_one_screen_error()
-
-
-# ---------------------------------------------------------------------------------------- torque
 
 
 def test_torque_on_holds_and_off_lets_go(robot_ik: Any, desk: Any) -> None:
@@ -87,7 +85,7 @@ def test_torque_off_by_id_of_a_stranger(robot_ik: Any, desk: Any) -> None:
     servo.memory.set("id", 77)
     servo.memory.set("baud_rate", 1)
     servo.memory.set("torque_enable", 1)
-    run = robot_ik("servo", "torque", "off", "--ids", 77, "--baud", 57_600, *desk.at)
+    run = robot_ik("servo", "torque", "off", "--id", 77, "--baud", 57_600, *desk.at)
     assert run.code == 0 and desk.torque() == [False] * 3
 
 
@@ -97,7 +95,10 @@ def test_torque_off_with_one_dead_servo_reaches_the_others(robot_ik: Any, desk: 
     run = robot_ik("servo", "torque", "off", *desk.at)
     assert run.code == 1 and "torque off for joint2: no answer from servo id 2" in run.err
     assert "error: not confirmed by joint2: torque may be ON, cut the power" in run.err
-    assert desk.torque() == [False, True, False] and run.out == "torque off, read back: joint1, joint3\n"
+    assert (
+        desk.torque() == [False, True, False]
+        and run.out == "torque off, read back: joint1, joint3\n"
+    )
 
 
 def test_torque_off_on_a_port_that_goes_away_is_not_confirmed(robot_ik: Any, desk: Any) -> None:
@@ -110,14 +111,17 @@ def test_torque_off_on_a_port_that_goes_away_is_not_confirmed(robot_ik: Any, des
 
 @pytest.mark.parametrize(
     "words",
-    [("maybe",), ("off", "joitn1"), ("on", "--ids", 1), ("off", "--ids", 300), ("off", "joint1", "--ids", 1)],
+    [
+        ("maybe",),
+        ("off", "joitn1"),
+        ("on", "--id", 1),
+        ("off", "--id", 300),
+        ("off", "joint1", "--id", 1),
+    ],
 )
 def test_torque_wrong_input(words: tuple[Any, ...], robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "torque", *words, *desk.at)
     assert run.code == 2 and "Traceback" not in run.err and desk.torque() == [False] * 3
-
-
-# ----------------------------------------------------------------------------------- reset-fault
 
 
 def test_reset_fault_restarts_who_has_shut_down(robot_ik: Any, desk: Any) -> None:
@@ -142,7 +146,9 @@ def test_reset_fault_of_a_tripped_watchdog_needs_no_restart(robot_ik: Any, desk:
 
 
 def test_reset_fault_tells_of_turns_that_were_forgotten(robot_ik: Any, desk: Any) -> None:
-    desk.turn("joint2", -90.0)  # 3048 ticks; another half turn of the joint is a whole one of the servo
+    desk.turn(
+        "joint2", -90.0
+    )  # 3048 ticks; another half turn of the joint is a whole one of the servo
     desk.turn("joint2", -180.0)
     desk.servo(2).inject_error("overload")
     run = robot_ik("servo", "reset-fault", "joint2", *desk.at)
@@ -154,9 +160,6 @@ def test_reset_fault_of_the_silent(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "reset-fault", *desk.at)
     assert run.code == 1 and "no answer" in run.out and "joint3" in run.out
     robot_ik("servo", "reset-fault", "joitn2", *desk.at).assert_one_screen_error()
-
-
-# ------------------------------------------------------------------------------------------ stop
 
 
 def test_a_stop_that_finds_no_program_says_who_takes_torque(robot_ik: Any) -> None:

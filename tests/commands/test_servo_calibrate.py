@@ -1,4 +1,4 @@
-"""Calibration: a hand turns the shafts of limp virtual servos behind a real port; the truth is theirs."""
+"""Calibration by hand of simulated servos behind a real port, compared with their true angles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.errors import ConfigError, HardwareError
+from robot_ik.commands.terminal import QUIET
+from robot_ik.errors import HardwareError, OptionError
 from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.config import ArmConfig
 
@@ -36,13 +37,25 @@ def test_zeros_directions_and_ranges_are_found(
         assert np.degrees([joint.lower, joint.upper]) == pytest.approx([-95, 95], abs=0.3)
     # With it the arm goes where it is sent, by its own true angles.
     run = robot_ik(
-        "servo", "move", 20, -30, 40, "--bus", desk.port, "--arm", tmp_path / "mine.toml", "--speed", 1
+        "servo",
+        "move",
+        20,
+        -30,
+        40,
+        "--bus",
+        desk.port,
+        "--arm",
+        tmp_path / "mine.toml",
+        "--speed",
+        1,
     )
     assert run.code == 0, run.err
     assert np.degrees(desk.bus.true_angles(desk.config)) == pytest.approx([20, -30, 40], abs=0.4)
 
 
-def test_the_file_has_all_that_was_found(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
+def test_the_file_has_all_that_was_found(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
     desk.servo(2).memory.set("homing_offset", 40)
     assert calibrate(good_hand()).code == 0
     path = tmp_path / "mine.calibration.toml"
@@ -60,10 +73,14 @@ def test_the_file_has_all_that_was_found(good_hand: Any, calibrate: Any, desk: A
     assert again.read_text() == path.read_text()
 
 
-def test_zeros_taken_in_another_pose(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
+def test_zeros_taken_in_another_pose(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
     run = calibrate(good_hand(pose=(0, 45, -30)), "--pose", "joint2=45", "joint3=-30")
     assert run.code == 0, run.err
-    for joint, true in zip(ArmConfig.load(tmp_path / "mine.toml").joints, desk.config.joints, strict=True):
+    for joint, true in zip(
+        ArmConfig.load(tmp_path / "mine.toml").joints, desk.config.joints, strict=True
+    ):
         assert joint.servo.zero_ticks == pytest.approx(true.servo.zero_ticks, abs=2)
 
 
@@ -71,17 +88,25 @@ def failing(run: Any, tmp_path: Path, *parts: str) -> None:
     run.assert_one_screen_error(code=1)
     for part in parts:
         assert part in run.err
-    assert not (tmp_path / "mine.toml").exists() and not (tmp_path / "mine.calibration.toml").exists()
-
-
-def test_a_joint_that_was_not_swept(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
-    hand = good_hand()
-    failing(
-        calibrate(lambda text, sample: None if text[0] == "1" else hand(text, sample)), tmp_path, "joint1"
+    assert (
+        not (tmp_path / "mine.toml").exists() and not (tmp_path / "mine.calibration.toml").exists()
     )
 
 
-def test_a_sweep_across_the_turns_end(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
+def test_a_joint_that_was_not_swept(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
+    hand = good_hand()
+    failing(
+        calibrate(lambda text, sample: None if text[0] == "1" else hand(text, sample)),
+        tmp_path,
+        "joint1",
+    )
+
+
+def test_a_sweep_across_the_turns_end(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
     desk.servo(3).rotate_by_hand(-900)  # its horn sits so that -95 degrees are below tick 0
     failing(calibrate(good_hand()), tmp_path, "joint3", "half a revolution", "extended_position")
 
@@ -103,8 +128,11 @@ def test_a_limp_servo_that_counts_beyond_its_turn_is_taken_as_with_torque(desk: 
     assert Sweep(desk.config, {1: 4096 + 7, 2: 5000, 3: -1}).now == {1: 7, 2: 5000, 3: 4095}
 
 
-def test_a_hand_that_does_not_hold_still(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
-    hand, bus = good_hand(), desk.bus
+def test_a_hand_that_does_not_hold_still(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
+    hand = good_hand()
+    bus = desk.bus
 
     def restless(text: str, sample: Callable[[], object]) -> None:
         hand(text, sample)
@@ -116,7 +144,9 @@ def test_a_hand_that_does_not_hold_still(good_hand: Any, calibrate: Any, desk: A
     failing(calibrate(restless), tmp_path, "joint2", "still")
 
 
-def test_the_wrong_joint_is_wiggled(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
+def test_the_wrong_joint_is_wiggled(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
     hand = good_hand()
     swapped = {"joint1": "joint3", "joint3": "joint1", "joint2": "joint2"}
 
@@ -131,10 +161,17 @@ def test_the_wrong_joint_is_wiggled(good_hand: Any, calibrate: Any, desk: Any, t
 
 def test_nothing_is_wiggled(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
     hand = good_hand()
-    failing(calibrate(lambda t, s: None if t[0] == "3" else hand(t, s)), tmp_path, "joint1", "did not turn")
+    failing(
+        calibrate(lambda t, s: None if t[0] == "3" else hand(t, s)),
+        tmp_path,
+        "joint1",
+        "did not turn",
+    )
 
 
-def test_a_zero_that_is_half_a_turn_off(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
+def test_a_zero_that_is_half_a_turn_off(
+    good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path
+) -> None:
     run = calibrate(good_hand(reach=40), "--pose", "joint1=110")
     failing(run, tmp_path, "joint1", "range, deg", "-100.0 .. 100.0")
 
@@ -144,9 +181,6 @@ def test_torque_must_be_off(good_hand: Any, calibrate: Any, desk: Any) -> None:
     run = calibrate(good_hand())
     run.assert_one_screen_error()
     assert "joint2" in run.err and "torque off" in run.err
-
-
-# --------------------------------------------------------------------------------- at a keyboard
 
 
 def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
@@ -161,7 +195,9 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
         stderr=subprocess.PIPE,
         text=True,
     )
-    hand, forgetful, said = good_hand(), True, []
+    hand = good_hand()
+    forgetful = True
+    said = []
     assert child.stderr is not None
     try:
         for line in child.stderr:
@@ -178,44 +214,55 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
         os.close(keys)
         os.close(terminal)
     assert sum(line.startswith("3.2") for line in said) == 2
-    assert any("joint 'joint2' did not turn" in line for line in said) and any("once more" in x for x in said)
+    assert any("joint 'joint2' did not turn" in line for line in said) and any(
+        "once more" in x for x in said
+    )
     mine = ArmConfig.load(tmp_path / "mine.toml")
     assert [j.servo.direction for j in mine.joints] == [1, -1, 1]
 
 
 def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
-    from robot_ik.cli.prompts import Prompts
+    from robot_ik.commands.prompts import Prompts
     from robot_ik.ports import RealClock
 
     reader, writer = os.pipe()
     with open(reader) as typed:
         monkeypatch.setattr(sys, "__stdin__", typed)
-        prompts = Prompts(RealClock(), period=0.001)
+        prompts = Prompts(QUIET, RealClock(), period=0.001)
         os.close(writer)
         for _ in range(2):
             with pytest.raises(HardwareError, match="Enter cannot be pressed"):
                 prompts.step("turn it", lambda: None)
-        with pytest.raises(ConfigError, match="Enter cannot be pressed; allowed: --seconds S"):
-            Prompts(RealClock())
+        with pytest.raises(OptionError, match="Enter cannot be pressed"):
+            Prompts(QUIET, RealClock())
 
 
-@pytest.mark.parametrize("command", [("calibrate", "mine.toml"), ("teach", "wave.csv")], ids=lambda c: c[0])
-def test_without_anybody_to_press_enter_no_servo_is_asked(
-    robot_ik: Any, desk: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, str]
+@pytest.mark.parametrize(
+    ("name", "out", "remedy"),
+    [("calibrate", "mine.toml", "a terminal"), ("record", "wave.csv", "--seconds S")],
+)
+def test_a_command_that_cannot_be_ended_sends_nothing(
+    robot_ik: Any,
+    desk: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    out: str,
+    remedy: str,
 ) -> None:
-    name, out = command
-    with open(os.devnull) as nobody:
-        monkeypatch.setattr(sys, "__stdin__", nobody)
+    with open(os.devnull) as empty:
+        monkeypatch.setattr(sys, "__stdin__", empty)
         run = robot_ik("servo", name, tmp_path / out, *desk.at)
     run.assert_one_screen_error()
-    assert "Enter cannot be pressed" in run.err and "--seconds S" in run.err
+    assert "Enter cannot be pressed" in run.err and remedy in run.err
     assert desk.bus.schedule.packets == 0 and not (tmp_path / out).exists()
 
 
 def test_steps_that_take_a_time() -> None:
-    from robot_ik.cli.prompts import Prompts
+    from robot_ik.commands.prompts import Prompts
     from robot_ik.ports import VirtualClock
 
-    clock, seen = VirtualClock(), []
-    Prompts(clock, 2.0, 0.5).step("turn it", lambda: seen.append(clock.now()))
+    clock = VirtualClock()
+    seen = []
+    Prompts(QUIET, clock, 2.0, 0.5).step("turn it", lambda: seen.append(clock.now()))
     assert seen == [0.0, 0.5, 1.0, 1.5, 2.0]

@@ -1,4 +1,4 @@
-"""The doctor's checks of servos: each fault is named with what to do about it, nothing is written."""
+"""The doctor's checks of servos name each fault and its remedy, and write nothing."""
 
 from __future__ import annotations
 
@@ -82,7 +82,9 @@ def memory(name: str, value: int) -> Callable[[Any], object]:
         ),
     ],
 )
-def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: Any, desk: Any) -> None:
+def test_cause_and_cure(
+    illness: Any, status: str, found: str, cure: str, rows: Any, desk: Any
+) -> None:
     illness(desk)
     code, seen = rows()
     row = seen[2]
@@ -92,12 +94,16 @@ def test_cause_and_cure(illness: Any, status: str, found: str, cure: str, rows: 
 
 
 @pytest.mark.parametrize(("late_ms", "status"), [(0.0, checks.OK), (16.0, checks.NOTE)])
-def test_the_latency_of_an_adapter_is_measured(late_ms: float, status: str, desk: Any, robot_ik: Any) -> None:
+def test_the_latency_of_an_adapter_is_measured(
+    late_ms: float, status: str, desk: Any, robot_ik: Any
+) -> None:
     desk.bus.inject(Fault("latency", value=late_ms))
     run = robot_ik("doctor", *desk.at, "--json")
     (row,) = [row for row in json.loads(run.out)["rows"] if row["what"] == "servo speed"]
     late = float(row["found"].split()[3])
-    assert late_ms <= late + 0.1 and (row["status"] == status or late > late_ms + 3.0), row  # a busy machine
+    assert late_ms <= late + 0.1 and (row["status"] == status or late > late_ms + 3.0), (
+        row
+    )  # a busy machine
     assert run.code == 0 and ("latency timer" in row["do"]) == (row["status"] == checks.NOTE)
 
 
@@ -107,7 +113,9 @@ def test_a_stranger_on_the_bus(rows: Any, desk: Any) -> None:
     assert code == 0 and "XM540-W270" in found[7]["found"] and found[7]["status"] == checks.NOTE
 
 
-def test_no_such_port_and_no_such_arm(robot_ik: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_such_port_and_no_such_arm(
+    robot_ik: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)  # a short path, which no table wraps
     run = robot_ik("doctor", "--bus", "no")
     assert run.code == 2 and "no such port" in run.out

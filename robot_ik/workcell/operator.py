@@ -44,9 +44,6 @@ class Operator(ABC):
             command: Joint -> value that was sent, rad (m of a slide).
         """
 
-    def feel(self, follower: Angles) -> None:  # noqa: B027 - optional for leaders
-        """Receive the present values of the follower, for force feedback."""
-
     def recover(self, timeout: float) -> None:  # noqa: B027 - optional for leaders
         """Connect the leader again after it was lost.
 

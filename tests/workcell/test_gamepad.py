@@ -1,4 +1,4 @@
-"""A gamepad leads an arm: a stand-in for its state, and a virtual gamepad of SDL's for the device."""
+"""A gamepad leads an arm. The device is a virtual gamepad of SDL."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from robot_ik.geometry import Pose
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
-from robot_ik.jobs.jog import KeyboardJog
-from robot_ik.jobs.teleop import teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot import load_robot
-from tests.jobs.test_teleop import arm_file, each_tick, home
+from robot_ik.workcell.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
+from robot_ik.workcell.jog import KeyboardJog
+from robot_ik.workcell.teleop import teleoperate
+from tests.workcell.test_teleop import arm_file, each_tick, home
 
 
 def led(
-    read: Callable[[], PadState], *, hand: bool = True, seconds: float = 1.5
+    read: Callable[[], PadState], *, moves_tool: bool = True, seconds: float = 1.5
 ) -> tuple[Array, Array, dict[str, float], ArmConfig]:
-    """Where the follower was, (n,), where it is after some seconds, that by joint, and its arm file."""
+    """Return the joints (n,) of the follower before and after, the latter by name, and its file."""
     begin = home("tabletop_puma")
     follower = open_arm(arm_file("tabletop_puma"), "sim", on_exit="hold", start=begin)
-    pad = Gamepad(follower.config, read, stop=follower.request_stop, hand=hand)
+    pad = Gamepad(follower.config, read, stop=follower.request_stop, moves_tool=moves_tool)
     with follower:
         teleoperate(pad, follower, seconds=seconds, over=lambda: pad.over)
         return begin, follower.read().q[:6], follower.positions(), follower.config
@@ -40,42 +40,47 @@ def test_sticks_move_the_hand_along_the_axes_of_the_world() -> None:
     begin, q, _, config = led(lambda: next(states, PadState()))
     robot = load_robot("tabletop_puma")
     moved = robot.forward(q).position - robot.forward(begin).position
-    assert moved == pytest.approx([0.12 * 20 / config.rate_hz, 0.0, 0.12 * 20 / config.rate_hz], abs=3e-3)
+    assert moved == pytest.approx(
+        [0.12 * 20 / config.rate_hz, 0.0, 0.12 * 20 / config.rate_hz], abs=3e-3
+    )
     assert robot.forward(q).distance(robot.forward(begin))[1] < 0.02
 
 
 def test_a_hand_at_the_end_of_its_reach_stops_there_as_it_is_and_comes_back_without_drift() -> None:
-    config, robot = arm_file("tabletop_puma"), load_robot("tabletop_puma")
-    jog = KeyboardJog(config, str, hand=True)
+    config = arm_file("tabletop_puma")
+    robot = load_robot("tabletop_puma")
+    jog = KeyboardJog(config, str, moves_tool=True)
     begin = dict(zip(config.chain.names, home("tabletop_puma").tolist(), strict=True))
     jog.engage(begin | {joint.name: joint.limits[0] for joint in config.group("gripper")})
 
-    def hand() -> Pose:
+    def tool() -> Pose:
         return robot.forward(np.array([jog.angles[name] for name in robot.joints]))
 
-    first, there = hand(), 0
+    first = tool()
+    there = 0
     for _ in range(100):
-        before = hand()
-        jog.move_hand(np.array((0.002, 0.0, 0.0)), np.zeros(3))
-        there += hand().distance(before)[0] > 1e-3
+        before = tool()
+        jog.move_tool(np.array((0.002, 0.0, 0.0)), np.zeros(3))
+        there += tool().distance(before)[0] > 1e-3
     assert 20 < there < 80, "it was to come to the end of its reach on the way"
-    assert hand().distance(first)[1] < 0.01 and hand().position[2] == pytest.approx(
+    assert tool().distance(first)[1] < 0.01 and tool().position[2] == pytest.approx(
         first.position[2], abs=1e-3
     )
     for _ in range(there):
-        jog.move_hand(np.array((-0.002, 0.0, 0.0)), np.zeros(3))
-    assert hand().distance(first)[0] < 5e-4
+        jog.move_tool(np.array((-0.002, 0.0, 0.0)), np.zeros(3))
+    assert tool().distance(first)[0] < 5e-4
 
 
 def test_in_joints_the_same_six_move_one_each_within_its_limits() -> None:
-    begin, q, _, config = led(lambda: PadState(left=(0.0, 1.0)), hand=False, seconds=8.0)
+    begin, q, _, config = led(lambda: PadState(left=(0.0, 1.0)), moves_tool=False, seconds=8.0)
     assert q[0] == pytest.approx(config.upper[0], abs=0.005)
     assert q[1:] == pytest.approx(begin[1:], abs=0.005)
 
 
 def test_a_button_changes_between_hand_and_joints_and_another_moves_the_gripper() -> None:
     states = iter(
-        [PadState(pressed=frozenset({"y"}))] * 2 + [PadState((0.0, 1.0), pressed=frozenset({"up"}))] * 20
+        [PadState(pressed=frozenset({"y"}))] * 2
+        + [PadState((0.0, 1.0), pressed=frozenset({"up"}))] * 20
     )
     begin, q, angles, config = led(lambda: next(states, PadState()))
     assert q[0] > begin[0] + 0.05 and q[1:] == pytest.approx(begin[1:], abs=0.005)
@@ -99,7 +104,7 @@ def test_one_button_stops_and_another_ends() -> None:
 
 @pytest.fixture
 def virtual_pad(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
-    """A gamepad that SDL makes up, in the library that pygame has loaded; called it changes its state."""
+    """Return a function that sets the state of a virtual gamepad in the SDL of pygame."""
     pygame = pytest.importorskip("pygame", reason="needs the extra gamepad")
     libraries = list(Path(pygame.__file__).parents[1].glob("pygame_ce.libs/libSDL2-2*"))
     if not libraries:

@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import hand_guiding
 from robot_ik.motion import Trajectory
-from robot_ik.workcell import guided_motion
+from robot_ik.workcell import guided_motion, guided_recording
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -44,18 +43,21 @@ def true_degrees(desk: Any) -> list[float]:
 
 
 def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
-    file, done = tmp_path / "wave.csv", threading.Event()
+    file = tmp_path / "wave.csv"
+    done = threading.Event()
     hand = guide(desk, 0.15, done)
-    run = robot_ik("servo", "teach", file, *desk.at, "--seconds", 0.4, "--rate", 100)
+    run = robot_ik("servo", "record", file, *desk.at, "--seconds", 0.4, "--rate", 100)
     hand.join()
     assert run.code == 0 and done.is_set(), run.err
-    motion = hand_guiding.load_motion(file, JOINTS)
+    motion = guided_recording.load_motion(file, JOINTS)
     assert np.degrees(motion.q[0] - motion.q[-1])[1] == pytest.approx(0.0, abs=0.1)
     assert np.degrees(motion.q[-1]) == pytest.approx([30.0, 0.0, -15.0], abs=0.3)
     assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
-    for joint, degrees in zip(JOINTS, (-26.0, 4.0, 11.0), strict=True):  # somewhere else, as after a pause
+    for joint, degrees in zip(
+        JOINTS, (-26.0, 4.0, 11.0), strict=True
+    ):  # somewhere else, as after a pause
         desk.turn(joint, degrees)
-    run = robot_ik("servo", "play", file, *desk.at, "--on-exit", "hold")
+    run = robot_ik("servo", "replay", file, *desk.at, "--on-exit", "hold")
     assert run.code == 0, run.err
     assert true_degrees(desk) == pytest.approx([30.0, 0.0, -15.0], abs=0.4)
     assert desk.torque() == [True] * 3
@@ -69,14 +71,14 @@ def record(path: Path, degrees: list[list[float]], seconds: float) -> Path:
 
 def test_what_is_too_fast_is_played_slower(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     file = record(tmp_path / "fast.csv", [[0, 0, 0], [90, 0, 0]], 0.1)  # 900 deg/s; the cap is 300
-    run = robot_ik("servo", "play", file, *desk.at)
+    run = robot_ik("servo", "replay", file, *desk.at)
     assert run.code == 0 and "3.00 x" in run.out, run.err
     assert true_degrees(desk)[0] == pytest.approx(90.0, abs=0.4) and desk.torque() == [False] * 3
 
 
 def test_what_leaves_the_limits_is_refused(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     file = record(tmp_path / "far.csv", [[0, 0, 0], [0, 105, 0]], 2.0)
-    run = robot_ik("servo", "play", file, *desk.at)
+    run = robot_ik("servo", "replay", file, *desk.at)
     run.assert_one_screen_error()
     assert "joint2" in run.err and "5.0 deg" in run.err and "-100.0 to 100.0" in run.err
     assert true_degrees(desk)[1] == pytest.approx(0.0, abs=0.1)
@@ -90,23 +92,30 @@ def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
     assert np.degrees(played.q.max()) == pytest.approx(100.0)
 
 
-@pytest.mark.parametrize("name", ["puma560", "tabletop_puma", "omx_f", "wx250s", "vx300s", "koch_v11"])
+@pytest.mark.parametrize(
+    "name", ["puma560", "tabletop_puma", "omx_f", "wx250s", "vx300s", "koch_v11"]
+)
 def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path: Path) -> None:
     arm = ArmConfig.load(name)
     config = arm
     ticks = 3.0 * np.array([abs(joint.value(1) - joint.value(0)) for joint in config.joints])
     middle = 0.5 * (config.lower + config.upper)
-    for start in (config.lower - ticks, config.upper + ticks):  # as servos measure it where an arm rests
+    for start in (
+        config.lower - ticks,
+        config.upper + ticks,
+    ):  # as servos measure it where an arm rests
         file = tmp_path / "motion.csv"
         Trajectory([0.0, 5.0], [start, middle], config.names).save_csv(file)
-        _, motion, _ = hand_guiding.load_playable(file, arm, 1.0)
+        _, motion, _ = guided_recording.load_playable(file, arm, 1.0)
         assert (config.lower <= motion.q).all() and (motion.q <= config.upper).all()
 
 
 def test_steps_that_no_hand_has_made_do_not_slow_it_down(desk: Any) -> None:
     """Ticks read twice within a millisecond: a degree in no time."""
     times = np.sort(np.concatenate([np.arange(0.0, 2.0, 0.02), np.arange(0.0, 2.0, 0.02) + 0.0005]))
-    degrees = np.outer(np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0])  # 50 deg/s in steps of a degree
+    degrees = np.outer(
+        np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0]
+    )  # 50 deg/s in steps of a degree
     motion = Trajectory(times, np.radians(degrees), JOINTS)
     assert motion.peak_velocity.max() > 4.0 * desk.config.velocity.max()
     played, stretch = guided_motion.playable(motion, desk.config, 1.0)
@@ -126,21 +135,23 @@ def test_the_way_to_the_beginning_keeps_its_share_of_the_caps(desk: Any) -> None
 def test_a_joint_that_does_not_follow_is_reported(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     desk.servo(3).stuck = True
     file = record(tmp_path / "m.csv", [[0, 0, 0], [0, 0, 5]], 0.1)
-    run = robot_ik("servo", "play", file, *desk.at)
+    run = robot_ik("servo", "replay", file, *desk.at)
     assert run.code == 1 and "joint3" in run.err and desk.torque() == [False] * 3
 
 
 def test_torque_must_be_off_to_be_guided(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     desk.servo(1).memory.set("torque_enable", 1)
     desk.servo(1).memory.set("return_delay_time", 0)
-    run = robot_ik("servo", "teach", tmp_path / "m.csv", *desk.at, "--seconds", 0.1)
+    run = robot_ik("servo", "record", tmp_path / "m.csv", *desk.at, "--seconds", 0.1)
     run.assert_one_screen_error()
     assert "joint1" in run.err and not (tmp_path / "m.csv").exists()
 
 
-def test_a_recording_beyond_the_limits_says_so_at_once(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+def test_a_recording_beyond_the_limits_says_so_at_once(
+    robot_ik: Any, desk: Any, tmp_path: Path
+) -> None:
     desk.turn("joint2", 108.0)
-    run = robot_ik("servo", "teach", tmp_path / "m.csv", *desk.at, "--seconds", 0.05)
+    run = robot_ik("servo", "record", tmp_path / "m.csv", *desk.at, "--seconds", 0.05)
     assert run.code == 0 and "joint2 was 8.0 deg beyond" in run.err
 
 
@@ -177,37 +188,42 @@ def test_wrong_input(
         ("time_s,joint1\n0.0,1.0\n0.0,1.0\n", "increase"),
     ],
 )
-def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tmp_path: Path) -> None:
+def test_wrong_recordings(
+    content: str, named: str, robot_ik: Any, desk: Any, tmp_path: Path
+) -> None:
     file = tmp_path / "m.csv"
     file.write_text(content)
-    run = robot_ik("servo", "play", file, *desk.at)
+    run = robot_ik("servo", "replay", file, *desk.at)
     assert run.code in (1, 2) and named in run.err and "Traceback" not in run.err
     assert desk.torque() == [False] * 3
 
 
 def test_a_recording_without_the_gripper_moves_the_arm_alone(robot_ik: Any, tmp_path: Path) -> None:
     arm = ArmConfig.load("tabletop_puma")
-    file, record = tmp_path / "reach.csv", tmp_path / "played.csv"
+    file = tmp_path / "reach.csv"
+    record = tmp_path / "played.csv"
     chain = arm.chain
     home = np.clip(np.zeros(len(chain.joints)), chain.lower, chain.upper)
     Trajectory([0.0, 1.0], [home, home + 0.1 * (chain.upper - home)], chain.names).save_csv(file)
-    run = robot_ik("servo", "play", file, "--bus", "sim", "--record", record)
-    assert run.code == 0 and "finger_left: held where it stands" in run.err, run.err
+    run = robot_ik("servo", "replay", file, "--bus", "sim", "--record", record)
+    assert run.code == 0 and "finger_left: held at the present value" in run.err, run.err
     assert "finger_left" not in Trajectory.load_csv(record).joints
-    config, motion, _ = hand_guiding.load_playable(file, arm, 1.0)
+    config, motion, _ = guided_recording.load_playable(file, arm, 1.0)
     assert config == chain and motion.joints == chain.names
 
 
 def test_joints_in_another_order_are_put_right(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     Trajectory([0.0, 0.2], np.radians([[0, 0, 0], [5, 10, 15]]), JOINTS[::-1]).save_csv(file)
-    assert np.degrees(hand_guiding.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
+    assert np.degrees(guided_recording.load_motion(file, JOINTS).q[-1]) == pytest.approx(
+        [15, 10, 5]
+    )
 
 
 def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     child = subprocess.Popen(
-        [sys.executable, "-m", "robot_ik", "servo", "teach", str(file), *desk.at],
+        [sys.executable, "-m", "robot_ik", "servo", "record", str(file), *desk.at],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -221,22 +237,24 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
     finally:
         child.kill()
     assert child.returncode == 130 and "Traceback" not in err
-    assert len(hand_guiding.load_motion(file, JOINTS)) > 2
+    assert len(guided_recording.load_motion(file, JOINTS)) > 2
 
 
-def test_where_nobody_can_press_enter_nothing_is_recorded(robot_ik_child: Any, tmp_path: Path) -> None:
-    run = robot_ik_child("servo", "teach", tmp_path / "m.csv", "--bus", "sim")
+def test_where_nobody_can_press_enter_nothing_is_recorded(
+    robot_ik_child: Any, tmp_path: Path
+) -> None:
+    run = robot_ik_child("servo", "record", tmp_path / "m.csv", "--bus", "sim")
     run.assert_one_screen_error()
     assert "--seconds S" in run.err and "recording" not in run.err and not list(tmp_path.iterdir())
 
 
 def test_in_process(robot_ik: Any, tmp_path: Path) -> None:
-    run = robot_ik("servo", "teach", tmp_path / "m.csv", "--bus", "sim", "--seconds", 1)
+    run = robot_ik("servo", "record", tmp_path / "m.csv", "--bus", "sim", "--seconds", 1)
     assert run.code == 0, run.err
     assert len((tmp_path / "m.csv").read_text().splitlines()) == 1 + 51
     kept = tmp_path / "kept.csv"
     kept.write_text("mine")
-    play = ("servo", "play", tmp_path / "m.csv", "--bus", "sim", "--record", kept)
+    play = ("servo", "replay", tmp_path / "m.csv", "--bus", "sim", "--record", kept)
     run = robot_ik(*play)
     assert run.code == 2 and "--overwrite" in run.err and kept.read_text() == "mine"
     assert robot_ik(*play, "--overwrite").code == 0 and kept.read_text().startswith("time_s")

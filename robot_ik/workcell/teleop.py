@@ -19,11 +19,11 @@ from robot_ik.hardware import bus_row, open_arm, simulated_servos
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.watchdogs import stale_time
-from robot_ik.jobs.operator import Angles, Operator
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Clock, RealClock, VirtualClock
 from robot_ik.workcell.arm_guard import ArmGuard
 from robot_ik.workcell.guided_motion import approach_profile
+from robot_ik.workcell.operator import Angles, Operator
 
 log = logging.getLogger(__name__)
 
@@ -155,7 +155,6 @@ def teleoperate(
                 _send_guarded(follower, blend(command, now), guard, operator, report)
             if len(delays) < DELAYS:
                 delays.append(time.perf_counter() - read)
-            operator.feel(follower.positions())
         report.end = "ended by the operator" if over() else "end of the given time"
     finally:
         report.seconds = clock.now() - begin

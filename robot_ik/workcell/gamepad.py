@@ -1,4 +1,4 @@
-"""A gamepad leads an arm: the deflection of a stick is the speed of joints or of the hand.
+"""A gamepad leads an arm: the deflection of a stick is the speed of joints or of the tool.
 
 SDL reads it (pygame-ce, extra ``gamepad``), with the layouts of some hundred gamepads.
 """
@@ -16,9 +16,9 @@ import numpy as np
 from robot_ik.errors import HardwareError, MissingExtraError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.servo import GRIPPER
-from robot_ik.jobs.jog import Jog
-from robot_ik.jobs.operator import Angles
 from robot_ik.ports import Array, Closing
+from robot_ik.workcell.jog import Jog
+from robot_ik.workcell.operator import Angles
 
 DEAD_ZONE = 0.15
 """Share of a stick's range in which a released stick may rest."""
@@ -82,16 +82,16 @@ class PadState:
 
 
 class Gamepad(Jog):
-    """Sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
+    """Sticks, triggers and shoulders jog the tool in the axes of the world, or joints.
 
-    B stops and holds, Y changes between joints and hand, up and down move the gripper, Start ends.
+    B stops and holds, Y changes between joints and tool, up and down move the gripper, Start ends.
 
     Args:
         config: Arm file of the follower.
         read: Gives the state of the gamepad.  Raises ``HardwareError`` if it is disconnected.
         recover: Waits for the gamepad, s.
         stop: Makes the follower hold.
-        hand: Move the hand instead of joints.
+        moves_tool: Move the tool instead of joints.
     """
 
     def __init__(
@@ -101,9 +101,9 @@ class Gamepad(Jog):
         *,
         recover: Callable[[float], None] = lambda _timeout: None,
         stop: Callable[[], object] = lambda: None,
-        hand: bool = True,
+        moves_tool: bool = True,
     ) -> None:
-        super().__init__(config, read, stop=stop, hand=hand)
+        super().__init__(config, read, stop=stop, moves_tool=moves_tool)
         self._wait = recover
         self._grippers = [k for k, joint in enumerate(self.joints) if joint.group == GRIPPER]
         self._down: frozenset[str] = frozenset()
@@ -125,12 +125,12 @@ class Gamepad(Jog):
         passed = 0.0 if self._last is None else min(now - self._last, LONGEST_STEP)
         self._last = now
         axes = passed * state.axes()
-        if not self.hand:
+        if not self.moves_tool:
             for number, share in enumerate(axes.tolist()):
                 if number not in self._grippers:
                     self.move_joint(number, share * ANGULAR_SPEED, share * SPEED)
         elif axes.any():
-            self.move_hand(SPEED * axes[:3], ANGULAR_SPEED * axes[3:])
+            self.move_tool(SPEED * axes[:3], ANGULAR_SPEED * axes[3:])
         grip = passed * (("up" in state.pressed) - ("down" in state.pressed))
         for number in self._grippers[:1]:
             if self.joints[number].open_end == "lower":
