@@ -49,7 +49,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "poses export": ("key_poses", "a motion as frames: CSV or BVH"),
     "poses import": ("key_poses", "motion capture (BVH) onto a figure"),
     "servo": ("", "servos by hand: find, set up, calibrate, watch, move, record, save"),
-    "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
     "figure": ("figure", "a humanoid sees a ball and reaches, bends, jumps or walks"),
     "video": ("view", "a film of the testbed without a screen, from its command log"),
 }  # fmt: skip

@@ -229,7 +229,7 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "Measure how far the arm is from where its joints say.",
             "camera_verify:CameraVerify",
         ),
-        Row("ar", "Draw the robot into the pictures of a camera, on a printed board."),
+        Row("ar", "Draw the robot into the pictures of a camera, on a printed board.", "ar:Ar"),
     ),
     "Figure": (Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk."),),
     "Information": (

@@ -24,6 +24,7 @@ from robot_ik.commands.options import (
     NO_BUS,
     ArmName,
     BaseName,
+    CameraSource,
     ExtrinsicsFile,
     FolderOption,
     FrameName,
@@ -108,10 +109,7 @@ class Reach(FolderOption, JsonOption):
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """What to do if the marker is lost for 2 s while following."""
 
-    camera: Annotated[str, Parameter(metavar="synthetic|INDEX|FILE|FOLDER|URL", group=_CAMERA)] = (
-        "synthetic"
-    )
-    """Image source."""
+    camera: Annotated[CameraSource, Parameter(group=_CAMERA)] = "synthetic"
     intrinsics: Annotated[IntrinsicsFile, Parameter(group=_CAMERA)] = None
     extrinsics: Annotated[ExtrinsicsFile, Parameter(group=_CAMERA)] = None
     marker: Annotated[int | None, Parameter(metavar="ID", group=_CAMERA)] = None

@@ -47,6 +47,7 @@ LINES = {
     "servo calibrate": "mine.toml --bus sim --arm one.toml --from-lerobot one.json",
     "servo monitor": "--bus sim --count 1",
     "servo move": "joint1=5 --bus sim",
+    "ar": "--seconds 0.05 --size 640 480",
     "servo torque": "off --bus sim",
     "servo reset-fault": "--bus sim",
     "servo record": "wave.csv --bus sim --seconds 0.02",
