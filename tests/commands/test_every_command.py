@@ -63,6 +63,8 @@ LINES = {
     "camera calibrate": "synthetic:charuco?frames=19&seed=7 --views 6",
     "camera detect": "photo.png",
     "camera locate": "photo.png --intrinsics lens.yaml --board marker:7:50",
+    "camera handeye": "--views 4",
+    "camera verify": "--views 4",
     "doctor": "",
     "completion": "bash",
 }
@@ -137,8 +139,8 @@ def photo() -> bytes:
 
 
 @pytest.fixture(autouse=True)
-def _folder(tmp_path: Path, photo: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run each test in a folder with a photograph, on a machine with one camera."""
+def _camera(tmp_path: Path, photo: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a photograph and its calibration into the folder, and a camera on the machine."""
     monkeypatch.chdir(tmp_path)
     Path("photo.png").write_bytes(photo)
     STANDARD_CAMERA.save("lens.yaml")
