@@ -204,7 +204,7 @@ RecordFile = Annotated[
     Parameter(
         metavar="FILE.csv|.mcap",
         group=OUTPUT_GROUP,
-        help="Record every command and measurement (.mcap needs the extra `record`).",
+        help="Record every command and measurement. A .mcap file needs the extra `record`.",
     ),
     OUTPUT,
 ]
