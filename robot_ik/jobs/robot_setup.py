@@ -1,4 +1,4 @@
-"""The arm's side of a job: robot, servos, clock, and the joint angles read back."""
+"""Robot, servos and clock of a job."""
 
 from __future__ import annotations
 
@@ -31,20 +31,26 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _RATE_HZ = 100.0
-# A generic servo is this much faster than the plan, so that what fell behind on a busy machine catches up.
+"""Control cycles per second without servos, Hz."""
+
 _HEADROOM = 1.3
+"""Limits of a generic servo per limit of the plan.
+
+A servo that fell behind on a busy machine must be faster than the plan to catch up.
+"""
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
+    """Faults to inject into simulated servos and the synthetic camera, to test their detection.
 
     Attributes:
-        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
+        zero_offset_deg: Angle by which the shaft is ahead of the servo's registers, degrees, by
+            joint name.
         stuck: Joints whose shaft does not move.
-        cover_gripper: Hide the gripper's markers in the second picture.
-        blank_marker: Leave the target's paper white.
-        marker_at: As for ``Scene.with_marker_at``; None: the scene's own.
+        cover_gripper: Whether the gripper's markers are hidden in the second picture.
+        blank_marker: Whether the target's paper is left white.
+        marker_at: Pose of the target as in ``Scene.with_marker_at``. None: the pose of the scene.
     """
 
     zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
@@ -56,17 +62,18 @@ class Rehearsal:
 
 @dataclass(frozen=True)
 class ArmRequest:
-    """An arm on a bus.
+    """Options that select a robot, its arm file and its bus.
 
     Attributes:
         robot: Catalogue name, or path of an MJCF or URDF file.
-        frame: What shall be moved; None: the tool, or what carries the scene's markers.
+        frame: Frame to move. None: the tool, or the frame that carries the scene's markers.
         bus: ``pty``, ``sim``, ``none`` or a serial port.
-        arm_file: As for ``ArmConfig.load``; None: the one beside the model, else a generic one; without a
-            bus none.
-        speed: Share of the joints' speed limits.
-        seed: Of planning, restarts and simulated noise.
-        view: Mirror the motion in a window.
+        arm_file: Arm file as in ``ArmConfig.load``. None: the file beside the model, else a generic
+            arm; without a bus, no arm file.
+        speed: Share of the joints' speed limits, from 0 to 1.
+        seed: Seed of planning, restarts and simulated noise.
+        view: Whether a window mirrors the motion.
+        rehearsal: Faults to inject.
     """
 
     robot: str = "puma560"
@@ -81,11 +88,15 @@ class ArmRequest:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Where the limits of one joint come from: rad (m for slides).
+    """Position limits of one joint by their origin, each (lower, upper).
 
     Attributes:
-        servo: What the servo's mode and the arm file leave together; None without servos.
-        arm_file: What the arm file alone says; None without one.
+        joint: Name of the joint.
+        unit: Unit of all limits: ``rad``, or ``m`` for slides.
+        model: Limits of the model.
+        servo: Intersection of the limits of servo mode and arm file. None without servos.
+        arm_file: Limits of the arm file. None without an arm file.
+        used: Limits that apply.
     """
 
     joint: str
@@ -98,20 +109,20 @@ class JointLimits:
 
 @dataclass(eq=False)
 class RobotSetup:
-    """A robot and, with a bus, its servos.
+    """A robot, and its servos if there is a bus.
 
     Attributes:
-        robot: Inside the intersection of model, servo mode and joint map.
-        frame: What shall be moved.
-        limits: How that intersection came about.
-        guard: Checks the motions of the arm; None if its file has no table ``[collisions]``.
-        collisions: The condition of that table, for solutions; None without the table.
-        opened: Robot and arm; None without a bus.
-        clock: Of the run; virtual where nothing real waits.
-        dof: How many joints move the frame.
-        shown: (nq,) what was read back last (what was commanded, without a bus): for pictures and windows.
-        recorder: Writes what is commanded and measured; empty: nothing does.
-        commanded: (nq,) what was sent last.
+        robot: Robot with the intersection of the limits of model, servo mode and arm file.
+        frame: Frame to move.
+        limits: Limits of each joint by their origin.
+        opened: Robot and arm. None without a bus.
+        clock: Clock of the run. It is virtual if neither real servos nor a window need real time.
+        guard: Collision check for motions. None if the arm file has no table ``[collisions]``.
+        collisions: Collision condition for solutions. None without that table.
+        dof: Number of joints that move the frame.
+        recorder: Sinks that record commands and measurements. Empty if there is no recording.
+        commanded: Last command (nq,).
+        shown: Last measurement (nq,), for pictures and windows. Without a bus: the last command.
     """
 
     robot: Robot
@@ -140,18 +151,20 @@ class RobotSetup:
 
     @property
     def has_real_servos(self) -> bool:
-        """Whether metal moves."""
+        """Whether the servos are real."""
         return self.opened is not None and self.opened.arm.bus.real
 
     def record(self, recording: Recording) -> None:
-        """From here on every command is written, with what the servos measured last."""
+        """Record every further command with the last measurement of the servos."""
         measured = None if self.arm is None else self.arm.positions
         self.recorder = [RecordingSink(recording, self.robot.joints, measured)]
 
     @property
     def sinks(self) -> list[JointSink]:
-        """Who takes commands; the setup itself keeps the last one."""
-        return [*([] if self.opened is None else [self.opened]), self, *self.recorder]
+        """Sinks for commands, in this order: the arm, the setup itself, the recorder."""
+        if self.opened is None:
+            return [self, *self.recorder]
+        return [self.opened, self, *self.recorder]
 
     def begin_stream(self) -> list[JointSink]:
         """Return sinks for a stream of commands, which stop the arm before parts touch."""
@@ -160,13 +173,13 @@ class RobotSetup:
         self.guard.begin(self.arm.positions())
         return [_GuardedSink(self, self.guard, self.arm)]
 
-    def send(self, q: Array, now: float) -> None:
-        """Keeps ``q`` (nq,) as what was sent last."""
+    def send(self, q: Array, _now: float) -> None:
+        """Store ``q`` (nq,) as the last command."""
         self.commanded = np.array(q, dtype=float)
 
     @property
     def q(self) -> Array:
-        """(nq,) where the joints are: measured, or as commanded without a bus."""
+        """Measured joint positions (nq,). Without a connected bus: the last command."""
         if self.opened is None:
             return self.commanded
         from robot_ik.hardware.arm import ArmState
@@ -177,17 +190,26 @@ class RobotSetup:
         return self.shown
 
     def true_q(self) -> Array:
-        """(nq,) where a camera would see the joints: with virtual servos their shafts, faults included."""
+        """Return the joint positions (nq,) that a camera would see.
+
+        With simulated servos these are the positions of the shafts, including faults.
+        """
         true_q = None if self.opened is None else self.opened.true_q()
         return self.shown if true_q is None else true_q
 
     @property
     def resolution(self) -> Array:
-        """(nv,) rad per servo tick; zeros without servos."""
-        return np.zeros(self.robot.nv) if self.config is None else np.asarray(self.config.resolution)
+        """Angle per servo tick (nv,), rad. Zeros without servos."""
+        if self.config is None:
+            return np.zeros(self.robot.nv)
+        return np.asarray(self.config.resolution)
 
     def caps(self, speed: float) -> dict[str, Any]:
-        """Speed limits, as ``joint_move`` and ``line_move`` take them: a share of the arm file's."""
+        """Return the keyword arguments of ``joint_move`` and ``line_move`` that limit the speed.
+
+        Args:
+            speed: Share of the speed limits of the arm file, from 0 to 1.
+        """
         shared = {"rate": self.rate, "speed": speed}
         if self.config is None:
             return shared
@@ -198,12 +220,15 @@ class RobotSetup:
         }
 
     def checked(self, trajectory: Trajectory) -> Trajectory:
-        """Return a trajectory that the arm may play.
+        """Check a trajectory for collisions.
 
-        Without the table ``[collisions]`` of an arm file each one is allowed.
+        Without the table ``[collisions]`` of an arm file every trajectory is allowed.
+
+        Returns:
+            A trajectory that the arm may execute.
 
         Raises:
-            MotionBlockedError: It would bring parts nearer than the margin.
+            MotionBlockedError: Parts would come closer than the margin.
         """
         if self.guard is None:
             return trajectory
@@ -214,12 +239,15 @@ class RobotSetup:
 
     @property
     def rate(self) -> float:
-        """Control cycles a second, Hz."""
+        """Control cycles per second, Hz."""
         return _RATE_HZ if self.config is None else self.config.rate_hz
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[None]:
-        """Checks and sets up the servos; leaves them as the exit policy says, and logs how after an error."""
+        """Check and configure the servos, and apply the exit policy after the block.
+
+        After an error the result of the exit policy is logged.
+        """
         if self.arm is None:
             yield
             return
@@ -233,21 +261,28 @@ class RobotSetup:
             raise
 
     def stand(self) -> None:
-        """From here on the arm counts as sent to where it is."""
+        """Set the last command to the measured position."""
         self.commanded = self.q.copy()
 
     def enable_torque(self) -> None:
-        """Torque on, where the arm stands."""
+        """Enable the torque, and set the last command to the measured position."""
         if self.arm is not None:
             self.arm.enable()
             self.stand()
 
     def repeat(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Sends the last command again and again, for ``seconds`` or ``until`` it says so."""
+        """Send the last command in every control cycle. Return at once without servos.
+
+        Args:
+            seconds: Duration, seconds.
+            until: Condition that ends the repetition earlier. It is checked after each cycle.
+        """
         if self.arm is None:
             return
-        clock, period = self.clock, 1.0 / self.rate
-        begin, tick = clock.now(), 1
+        clock = self.clock
+        period = 1.0 / self.rate
+        begin = clock.now()
+        tick = 1
         while tick * period <= seconds + 1e-9:
             clock.sleep_until(begin + tick * period)
             now = clock.now()
@@ -255,20 +290,21 @@ class RobotSetup:
                 sink.send(self.commanded, now)
             if until():
                 return
+            # Skip the cycles that a busy machine has missed.
             tick = max(tick + 1, int((now - begin) / period))
         clock.sleep_until(begin + seconds)
 
     def counters(self) -> dict[str, int]:
-        """Totals of the bus; empty without one."""
+        """Return the counters of the bus by name. Empty without a bus."""
         if self.arm is None:
             return {}
-        found: dict[str, int] = asdict(self.arm.bus.counters)
-        return found
+        counters: dict[str, int] = asdict(self.arm.bus.counters)
+        return counters
 
 
 @dataclass(frozen=True)
 class _GuardedSink:
-    """Sends the commands that the guard allows, and gives them to setup and recorder."""
+    """A sink that sends the commands that the guard allows, also to setup and recorder."""
 
     setup: RobotSetup
     guard: ArmGuard
@@ -284,22 +320,27 @@ class _GuardedSink:
 
 
 def prepare_robot(request: ArmRequest) -> RobotSetup:
-    """Robot and arm of a request; nothing is opened yet.
+    """Return robot and arm of a request. The bus is not opened.
 
     Raises:
-        ModelError, ConfigError: Robot or arm file is wrong, or they do not belong together.
+        ModelError: The robot cannot be loaded.
+        ConfigError: The arm file is not valid, or it does not fit the robot.
+        OptionError: Faults are requested for servos that are not simulated.
+        UnsupportedJointError: No joint that moves the frame can be planned or driven.
     """
-    robot, rehearsal = load_robot(request.robot), request.rehearsal
+    robot = load_robot(request.robot)
+    rehearsal = request.rehearsal
     frame = robot.frame(request.frame).name
     without_bus = request.bus == "none"
-    virtual = not without_bus and bus_row(request.bus).virtual
-    if not virtual and (rehearsal.zero_offset_deg or rehearsal.stuck):
+    is_simulated = not without_bus and bus_row(request.bus).virtual
+    if not is_simulated and (rehearsal.zero_offset_deg or rehearsal.stuck):
         problem = "faults of servos are injected into simulated servos only"
         raise OptionError("--fault", problem, SIMULATED)
     clock: Clock = RealClock() if request.view else VirtualClock()
     if without_bus and request.arm_file is None:
-        robot = _only_what_moves(robot, request.robot, frame)
+        robot = _reduced_to_moving_joints(robot, request.robot, frame)
         return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, clock)
+
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
     if without_bus:
         chain = config.only(robot.joints)
@@ -313,6 +354,7 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
             guard=guard_of(chain, request.robot),
             collisions=arm_collisions(chain, limited),
         )
+
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     opened = open_robot(robot, config, request.bus)
@@ -335,64 +377,117 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
 
 
 def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:
-    joints = () if config is None else config.joints
-    servos = {joint.name: joint.limits for joint in joints}
-    file = {j.name: (j.lower, j.upper) for j in joints if config is not None and config.file is not None}
+    """Return the limits of each joint by their origin.
+
+    Args:
+        robot: Robot with the limits of the model.
+        limited: Robot with the limits that apply.
+        config: Servos of the joints. None without servos.
+    """
+    servo_limits: dict[str, tuple[float, float]] = {}
+    file_limits: dict[str, tuple[float, float]] = {}
+    if config is not None:
+        servo_limits = {joint.name: joint.limits for joint in config.joints}
+        if config.file is not None:
+            file_limits = {joint.name: (joint.lower, joint.upper) for joint in config.joints}
     return [
         JointLimits(
-            joint, "m" if kind == SLIDE else "rad", (float(robot.lower[k]), float(robot.upper[k])),
-            servos.get(joint), file.get(joint), (float(limited.lower[k]), float(limited.upper[k])),
+            joint=joint,
+            unit="m" if kind == SLIDE else "rad",
+            model=(float(robot.lower[k]), float(robot.upper[k])),
+            servo=servo_limits.get(joint),
+            arm_file=file_limits.get(joint),
+            used=(float(limited.lower[k]), float(limited.upper[k])),
         )
         for joint, kind, k in zip(robot.joints, robot.tree.kind, robot.tree.vadr, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def joints_that_move(robot: Robot, frame: str) -> tuple[str, ...]:
-    """The active joints between the world and ``frame``: fingers beside it are none of them."""
-    model, body, found = robot.model, robot.frame(frame).body, set()
+    """Return the active joints between the world and a frame, in the order of the robot.
+
+    Joints beside that chain are left out, for example the fingers of a gripper for the tool.
+    """
+    model = robot.model
+    body = robot.frame(frame).body
+    moving_ids: set[int] = set()
     while body > 0:
-        found |= {int(model.body_jntadr[body]) + k for k in range(int(model.body_jntnum[body]))}
+        first_joint = int(model.body_jntadr[body])
+        moving_ids |= {first_joint + k for k in range(int(model.body_jntnum[body]))}
         body = int(model.body_parentid[body])
     ids = robot.tree.joint_ids
-    return tuple(joint for joint, id in zip(robot.joints, ids, strict=True) if int(id) in found)
+    return tuple(
+        joint for joint, id in zip(robot.joints, ids, strict=True) if int(id) in moving_ids
+    )
 
 
-def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
-    """The robot without the joints that do not move ``frame``: they stay at home and need no servo.
+def _reduced_to_moving_joints(robot: Robot, name: str, frame: str) -> Robot:
+    """Return the robot with only the hinges and slides that move a frame.
 
-    Ball and free joints stay there too: moves are planned for hinges and slides.
+    The other joints stay at home and need no servo. Ball and free joints stay at home too, because
+    moves are planned only for hinges and slides.
+
+    Args:
+        robot: The robot.
+        name: Name with which the robot is loaded again.
+        frame: The frame.
+
+    Raises:
+        UnsupportedJointError: Only ball and free joints move the frame.
     """
-    planned = {
-        joint for joint, kind in zip(robot.joints, robot.tree.kind, strict=True) if kind in (HINGE, SLIDE)
-    }
-    chain = tuple(joint for joint in joints_that_move(robot, frame) if joint in planned)
-    if not chain and len(planned) < len(robot.joints):
+    kinds = zip(robot.joints, robot.tree.kind, strict=True)
+    plannable = {joint for joint, kind in kinds if kind in (HINGE, SLIDE)}
+    moving = joints_that_move(robot, frame)
+    chain = tuple(joint for joint in moving if joint in plannable)
+    if not chain and len(plannable) < len(robot.joints):
         raise UnsupportedJointError(
-            f"no hinge or slide moves {frame!r} of {robot.name}, and moves are planned for these alone",
+            f"no hinge or slide moves {frame!r} of {robot.name}, and moves are planned for these "
+            "alone",
             hint="robot-ik solve takes ball and free joints too",
         )
-    held = [joint for joint in joints_that_move(robot, frame) if joint not in planned]
+    held = [joint for joint in moving if joint not in plannable]
     if held:
-        _log.warning("%s stays as at home: moves are planned for hinges and slides", ", ".join(held))
-    return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
+        _log.warning(
+            "%s stays as at home: moves are planned for hinges and slides", ", ".join(held)
+        )
+    if not chain or chain == robot.joints:
+        return robot
+    return load_robot(name, joints=chain)
 
 
 def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, ArmConfig]:
-    """The robot with only the joints of its arm that carry the tool, and the arm."""
+    """Return the arm, and the robot with only the joints of the arm that move the frame.
+
+    Args:
+        robot: The robot.
+        name: Name with which the robot is loaded again.
+        frame: Frame to move.
+        file: Arm file. None: the robot's own, else a generic arm.
+
+    Raises:
+        ConfigError: The arm file is not valid, or it does not fit the robot.
+        UnsupportedJointError: A generic arm would have to drive a joint that is no hinge.
+    """
     from robot_ik.hardware.config import ArmConfig
 
     path = file or robot.arm_file
     if path is None:
-        robot = _only_what_moves(robot, name, frame)
+        robot = _reduced_to_moving_joints(robot, name, frame)
         for k, joint in enumerate(robot.joints):
             if robot.tree.kind[k] != HINGE:
                 raise UnsupportedJointError(
                     f"joint {joint!r} is no hinge, and a generic servo arm turns hinges only",
-                    hint="give an arm file (--arm) for the joints with servos; reach needs none: --bus none",
+                    hint="give an arm file (--arm) for the joints with servos; "
+                    "reach needs none: --bus none",
                 )
-        return robot, ArmConfig.generic(
-            robot.name, robot.joints, robot.lower, robot.upper,
-            _HEADROOM * robot.velocity_limits, _HEADROOM * robot.acceleration_limits,
-        )  # fmt: skip
+        generic = ArmConfig.generic(
+            robot.name,
+            robot.joints,
+            robot.lower,
+            robot.upper,
+            _HEADROOM * robot.velocity_limits,
+            _HEADROOM * robot.acceleration_limits,
+        )
+        return robot, generic
     config = ArmConfig.load(path)
     return robot_of_arm(robot, config, name), config

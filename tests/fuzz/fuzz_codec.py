@@ -1,9 +1,9 @@
-"""Coverage-guided fuzzing of the laws in ``laws.py``; `make fuzz` runs it.
+"""Fuzz the laws of ``laws.py``, guided by coverage. `make fuzz` runs this script.
 
     python tests/fuzz/fuzz_codec.py [--minutes 10] [--law NAME …] [--corpus FOLDER]
 
-Needs atheris, which has wheels for Linux only: `make fuzz` installs it beside the other tools.  Found inputs
-are printed as a line for ``inputs.txt``, which the tests repeat.
+It needs atheris, which has wheels for Linux only. `make fuzz` installs it into its own folder. An
+input that breaks a law is printed as a line for ``inputs.txt``. The tests repeat those inputs.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ with atheris.instrument_imports(include=["robot_ik.hardware", "dynamixel_sdk"]):
     import laws
 
 LONGEST = 512
+"""Length of the longest input, bytes."""
+
 HANG = 60
-"""s of one input that are a hang; of the wall clock, so that a busy machine takes long for little."""
+"""Time for one input that counts as a hang, s of the wall clock. A busy machine needs a margin."""
 
 SEEDS = 40
-"""Made-up stories for every law to begin with: packets of all kinds between noise."""
+"""Number of random inputs per law in the initial corpus."""
 
 SHARES = {
     "codec": 1,
@@ -36,22 +38,25 @@ SHARES = {
     "servos": 2,
     "arm": 1,
 }
-"""How often the laws are tried: one trial of an arm takes as long as a hundred of a parser."""
+"""Relative frequency of each law. One input of an arm takes as long as 100 of a parser."""
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    """Run the command."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--law", nargs="+", choices=list(laws.LAWS), default=list(laws.LAWS))
     parser.add_argument("--corpus", type=Path, default=Path("build/fuzz"))
     options = parser.parse_args()
     names = [name for name in options.law for _ in range(SHARES[name])]
-    logging.disable(logging.CRITICAL)  # servos are given up all the time
+    # The drivers log every servo that stops responding.
+    logging.disable(logging.CRITICAL)
     began = time.monotonic()
 
-    def one(data: bytes) -> None:
-        """The first byte chooses the law."""
+    def check_input(data: bytes) -> None:
+        """Check the law that the first byte selects with the other bytes."""
         if not data:
             return
         name = names[data[0] % len(names)]
@@ -61,23 +66,31 @@ def main() -> None:
             sys.stderr.write(f"\n{name} {data[1:].hex()}\n")
             raise
 
-    corpus = options.corpus / "-".join(options.law)  # the first byte means another law elsewhere
+    # With other laws the first byte would select another law, so each selection has its corpus.
+    corpus = options.corpus / "-".join(options.law)
     seed_corpus(corpus, names)
-    arguments = [f"-max_total_time={round(60 * options.minutes)}", f"-max_len={LONGEST}", f"-timeout={HANG}"]
-    arguments += [
+    arguments = [
+        f"-max_total_time={round(60 * options.minutes)}",
+        f"-max_len={LONGEST}",
+        f"-timeout={HANG}",
         "-len_control=0",
         "-print_final_stats=1",
         "-rss_limit_mb=4096",
         f"-artifact_prefix={corpus.parent}/",
         str(corpus),
     ]
-    atheris.Setup([sys.argv[0], *arguments], one)
+    atheris.Setup([sys.argv[0], *arguments], check_input)
     print(f"laws: {', '.join(options.law)}; set up in {time.monotonic() - began:.1f} s", flush=True)
     atheris.Fuzz()
 
 
 def seed_corpus(folder: Path, names: list[str]) -> None:
-    """What was found before, and random stories, as files."""
+    """Write the inputs of earlier failures and random inputs as files.
+
+    Args:
+        folder: Folder of the corpus.
+        names: Name of the law for each value of the first byte.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for k, (name, data) in enumerate(laws.known_inputs()):
         if name in names:
