@@ -1,4 +1,4 @@
-"""Pictures of cameras, films and folders, one after the other: markers in them, views to calibrate from."""
+"""Markers and calibration views in the pictures of cameras, films and folders."""
 
 from __future__ import annotations
 
@@ -40,27 +40,27 @@ from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError
 from robot_ik.files import make_folder
 from robot_ik.ports import Image
 
-#: More views than these make a calibration no better.
 MOST_VIEWS = 40
-#: Pictures of a live camera without the board before that is said.
+"""Largest number of views. More views do not improve a calibration."""
+
 UNSEEN = 60
+"""Number of successive pictures of a live camera without the board before a message appears."""
+
+GUESSED_FROM = 3
+"""Number of pictures without a marker in which other dictionaries are tried."""
+
+_AXES = 0.6
+"""Length of drawn axes in marker sizes."""
 
 
 def frames_of(source: FrameSource) -> Iterator[Frame | CameraNotFoundError]:
-    """Picture after picture to the end of the source; in place of a file that is no picture, its error."""
+    """Yield all pictures of a source. A file that is no picture yields its error instead."""
     while not source.exhausted:
         try:
             frame: Frame | CameraNotFoundError = source.read()
         except CameraNotFoundError as error:
             frame = error
         yield frame
-
-
-# ------------------------------------------------------------------------------------------ markers
-
-
-# Length of drawn axes in marker sizes.
-_AXES = 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +225,9 @@ def _pose_values(observation: Observation) -> dict[str, Any]:
     return {name: getattr(observation, name) for name in names}
 
 
-def draw_markers(image: Image, markers: Sequence[SeenMarker], intrinsics: CameraIntrinsics | None) -> Image:
+def draw_markers(
+    image: Image, markers: Sequence[SeenMarker], intrinsics: CameraIntrinsics | None
+) -> Image:
     """Return a picture with the outlines and ids of markers, and axes where poses are known."""
     drawn = np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image.copy()
     for seen in markers:
@@ -252,12 +254,16 @@ def draw_observations(
 
 @dataclass(frozen=True, eq=False)
 class PictureMarkers:
-    """One picture: its file, its number in the film or folder, and what is in it.
+    """One picture and its markers.
 
     Attributes:
-        size: Width and height, px; None where it could not be read.
-        values: Markers and bodies, by the names that JSON has for them.
-        image: The picture itself; None where it could not be searched, because of ``error``.
+        file: File of the picture, or name of the source.
+        frame: Index in the film or folder.
+        size: Width and height, px. None if the picture could not be read.
+        values: Markers and bodies by their JSON names.
+        image: The picture. None if it could not be searched.
+        error: Reason why the picture could not be searched. None if it was searched.
+        in_film: Whether the picture is a frame of a film.
     """
 
     file: str
@@ -269,22 +275,37 @@ class PictureMarkers:
     in_film: bool = False
 
     def as_values(self) -> dict[str, Any]:
-        found: dict[str, Any] = {"file": self.file, "frame": self.frame}
+        """Return the fields of this picture for JSON."""
+        values: dict[str, Any] = {"file": self.file, "frame": self.frame}
         if self.size is not None:
-            found |= {"width": self.size[0], "height": self.size[1]}
+            values |= {"width": self.size[0], "height": self.size[1]}
         if self.error is not None:
-            found["error"] = str(self.error.args[0])
-        return found | self.values
+            values["error"] = str(self.error.args[0])
+        return values | self.values
 
 
 class DrawingFolder:
-    """A folder of drawings, each under the name of its picture; ``names`` are those of this run."""
+    """A folder of drawings. Each drawing has the name of its picture.
+
+    Attributes:
+        names: Names of the drawings of this run, without suffix.
+
+    Args:
+        folder: The folder.
+    """
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self.names = folder, set[str]()
+        self._folder = folder
+        self.names: set[str] = set()
 
     def save(self, file: str, number: int | None, image: Any) -> None:
-        """Writes one; a name that this run has used gets a number behind it."""
+        """Write a drawing. If this run has already used its name, a number is appended.
+
+        Args:
+            file: File of the picture.
+            number: Index of the frame in a film. None for single pictures.
+            image: The drawing.
+        """
         stem = (Path(file).stem or "picture") + ("" if number is None else f"-{number:05d}")
         names = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
         name = next(name for name in names if name not in self.names)
@@ -295,11 +316,19 @@ class DrawingFolder:
 def find_markers(
     name: str, make_finder: Callable[..., MarkerFinder], drawings: DrawingFolder | None = None
 ) -> Iterator[PictureMarkers]:
-    """What is in the pictures of a file, folder, film or camera; a live camera gives one.
+    """Search the pictures of a file, folder, film or camera.
 
-    ``make_finder`` makes what searches single pictures or, with ``film=True``, those of a film.
-    A picture that cannot be read or searched has an ``error`` and nothing in it; of a film, where all
-    pictures have one size, it is the last.
+    A live camera gives one picture. A picture that cannot be read or searched has an ``error``. In
+    a film this picture is the last one, because all frames of a film have the same size.
+
+    Args:
+        name: Name of the source.
+        make_finder: Function that returns a finder for single pictures, or with ``film=True`` a
+            finder for successive frames.
+        drawings: Folder for pictures with drawn markers. None: no drawings.
+
+    Yields:
+        Each picture with its markers.
     """
     finder = make_finder()
     try:
@@ -307,7 +336,9 @@ def find_markers(
     except CameraNotFoundError as error:
         yield PictureMarkers(name, 0, error=error)
         return
-    if film := isinstance(source, VideoSource):
+
+    is_film = isinstance(source, VideoSource)
+    if is_film:
         finder = make_finder(film=True)
     files = source.files if isinstance(source, FolderSource) else itertools.repeat(name)
     count = None if isinstance(source, (FolderSource, ImageSource, VideoSource)) else 1
@@ -319,19 +350,19 @@ def find_markers(
                 continue
             try:
                 sighting = finder.observe(frame)
-            except CalibrationError as error:  # of another size
+            except (
+                CalibrationError
+            ) as error:  # the picture does not have the size of the intrinsics
                 yield PictureMarkers(str(file), number, frame.size, error=error)
-                if film:
+                if is_film:
                     return
                 continue
-            yield PictureMarkers(str(file), number, frame.size, _values(sighting), frame.image, in_film=film)
+            yield PictureMarkers(
+                str(file), number, frame.size, _values(sighting), frame.image, in_film=is_film
+            )
             if drawings is not None:
                 drawing = draw_markers(frame.image, sighting.markers, finder.intrinsics)
-                drawings.save(str(file), number if film else None, drawing)
-
-
-# Number of pictures without a marker in which other dictionaries are tried.
-GUESSED_FROM = 3
+                drawings.save(str(file), number if is_film else None, drawing)
 
 
 def hint_of_other_markers(dictionary: str, blank: Sequence[Image], others: str = "") -> str:
@@ -354,34 +385,48 @@ def hint_of_other_markers(dictionary: str, blank: Sequence[Image], others: str =
     return f"{ids_text(name, ids)}: --dictionary {name}"
 
 
-# ------------------------------------------------------------------------------- views to calibrate from
-
-
 class ViewFolder:
-    """Keeps the views of live cameras as pictures, so that nothing that was shown is lost.
+    """A folder that keeps the views of live cameras as pictures.
 
-    The folder is beside ``out``, the calibration file; one that is among the ``sources`` is added to.
+    The folder is beside the calibration file. If that folder is one of the sources, views are added
+    to it.
+
+    Attributes:
+        folder: The folder. It is chosen when the first view is kept.
+        count: Number of views that this run has kept.
+
+    Args:
+        out: The calibration file.
+        sources: Names of the sources of the calibration.
     """
 
     def __init__(self, out: Path, sources: Sequence[str]) -> None:
-        self._out, self._sources = out, sources
-        self.folder, self.count = Path(), 0
+        self._out = out
+        self._sources = sources
+        self.folder = Path()
+        self.count = 0
 
     def keep(self, frame: Frame) -> None:
+        """Write a view under the next free number."""
         if not self.count:
             self.folder = make_folder(self._free_folder())
-        numbers = [int(file.stem[4:]) for file in self.folder.glob("view*.png") if file.stem[4:].isdigit()]
+        suffixes = [file.stem.removeprefix("view") for file in self.folder.glob("view*.png")]
+        numbers = [int(suffix) for suffix in suffixes if suffix.isdigit()]
         write_image(self.folder / f"view{max(numbers, default=0) + 1:02d}.png", frame.image)
         self.count += 1
 
     def _free_folder(self) -> Path:
-        """A new or empty one, or one that is a source: views of another day may be of another focus."""
-        name, given = f"{self._out.stem}-views", [Path(text).resolve() for text in self._sources]
+        """Return a folder that is new, empty, or one of the sources.
+
+        Views of different runs are not mixed unless requested: the focus may have changed.
+        """
+        source_paths = [Path(source).resolve() for source in self._sources]
+        name = f"{self._out.stem}-views"
         names = itertools.chain([name], (f"{name}-{k}" for k in itertools.count(2)))
         return next(
             folder
             for folder in map(self._out.with_name, names)
-            if folder.resolve() in given or not folder.exists() or not any(folder.iterdir())
+            if folder.resolve() in source_paths or not folder.exists() or not any(folder.iterdir())
         )
 
 
@@ -392,12 +437,20 @@ def gather_views(
     count: int,
     *,
     size: tuple[int, int] | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda _text: None,
 ) -> None:
-    """Adds the views of a source: all of a picture or folder; of what moves, those that show something new.
+    """Add the views of a source to a calibration.
 
-    A moving source may end after ``count`` views where nothing is missing; ``folder`` keeps those of a live
-    camera, ``size`` is asked of it, and ``say`` is given what happens, for the person at it.
+    All pictures of a file or folder are offered. From a film or camera only views that show
+    something new are added, until there are ``count`` views and no part of the coverage is missing.
+
+    Args:
+        name: Name of the source.
+        gatherer: Receives the views.
+        folder: Keeps the views of a live camera.
+        count: Number of views after which a film or camera may end.
+        size: Requested picture size of a camera, px. None: the default of the camera.
+        say: Receives messages for the user at the camera.
     """
     with sources.open_source(name, size=size) as source:
         if isinstance(source, (FolderSource, ImageSource)):
@@ -413,7 +466,9 @@ def gather_views(
             say("show the board, hold it still, move it on; Ctrl-C when done")
         while not source.exhausted and len(gatherer.views) < MOST_VIEWS:
             frame = source.read()
-            taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", selective=True)
+            taken = gatherer.offer(
+                frame, f"{Path(name).name or name} {frame.sequence}", selective=True
+            )
             unseen = 0 if gatherer.in_view else unseen + 1
             if source.live and unseen == UNSEEN:
                 say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?")
