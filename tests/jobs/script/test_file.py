@@ -80,7 +80,7 @@ def error_of(text: str) -> ConfigError:
         (
             with_step("do = 'follow'", "path = 'marker'", "seconds = 1", "radius = 1"),
             "steps[0].radius",
-            "its own way",
+            "does not use radius",
         ),
         (with_step("do = 'expect'"), "steps[0]", "nothing is expected"),
         (with_step("do = 'expect'", "run_seconds = [2, 1]"), "steps[0].run_seconds", "[from, to]"),
