@@ -44,7 +44,6 @@ from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import make_motion, robot_of
 from robot_ik.jobs.ar.script_motion import is_script
 from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
-from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory
 from robot_ik.motion.key_poses import KeyPoses
@@ -231,7 +230,6 @@ ROWS = {
     ),
     "frames": Row(lambda p: Keyframes.load_csv(p, ROBOT), "frames.csv", _saved(_frames().save_csv)),
     "motion capture": Row(Bvh.load, "m.bvh", _saved(export_bvh(_frames(), 30.0).save)),
-    "balls": Row(read_balls, "balls.csv", lambda _: "x,y,z\n0.5,0.1,1.2\n"),
     "command log": Row(
         CommandLog.load, "log.jsonl", lambda _: CommandLog(Start("puma560"), ((3, Reset()),)).text()
     ),

@@ -227,7 +227,7 @@ def first_command(_effort: Effort) -> Iterator[Quantity]:
             if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")
         }
         bare["XDG_CACHE_HOME"] = folder
-        command = ["ar", "--seconds", "0.2", "--out", str(Path(folder) / "ar.png")]
+        command = ["ar", "--seconds", "0.2", "--video", str(Path(folder) / "ar.png")]
         began = time.monotonic()
         done = subprocess.run(
             [sys.executable, "-m", "robot_ik", *command],

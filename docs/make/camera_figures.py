@@ -48,12 +48,12 @@ Data = dict[str, Any]
 
 #: Azuma's remedies as the page names them, with their options.
 _LATENCY_CASES = {
-    "nothing": "`--sync latest`",
+    "nothing": '`"latest"`',
     "less delay (half)": "half of the delay, newest picture",
-    "image shifting": "`--shift`",
-    "prediction": "`--predict`",
-    "prediction and shifting": "`--predict --shift`",
-    "delayed video": "`--sync tracked`",
+    "image shifting": "`shift=True`",
+    "prediction": "`predict=True`",
+    "prediction and shifting": "`predict=True, shift=True`",
+    "delayed video": '`"tracked"`',
 }
 
 
@@ -140,7 +140,10 @@ def prediction(data: Data, _others: Data) -> str:
 
 def latency_options(data: Data, _others: Data) -> str:
     """Return a table of the errors that a delay of 66 ms causes, by remedy."""
-    lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
+    lines = [
+        "| what is done | `LatencyOptions` | RMS, px | worst, px |",
+        "| --- | --- | ---: | ---: |",
+    ]
     values = {one.quantity: one.value for one in figures(data["rows"]["latency"])}
     for name, options in _LATENCY_CASES.items():
         rms = values[f"{name}, RMS"]

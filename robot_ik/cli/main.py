@@ -49,11 +49,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "poses export": ("key_poses", "a motion as frames: CSV or BVH"),
     "poses import": ("key_poses", "motion capture (BVH) onto a figure"),
     "servo": ("", "servos by hand: find, set up, calibrate, watch, move, record, save"),
-    "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
-    "figure": ("figure", "a humanoid sees a ball and reaches, bends, jumps or walks"),
-    "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
-    "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
-    "camera verify": ("arm_camera", "how far the arm is from where its joints say"),
     "video": ("view", "a film of the testbed without a screen, from its command log"),
 }  # fmt: skip
 # They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded; but these of them do not.
@@ -74,7 +69,11 @@ def _row(name: str, file: str, about: str) -> CommandRow:
         about,
         "run" if own else "run_" + name.split()[-1].replace("-", "_"),
         name in _WITH_MUJOCO or name.split()[0] not in _WITHOUT_MUJOCO,
-        {inner.split()[1]: _row(inner, *row) for inner, row in ROWS.items() if inner.startswith(f"{name} ")},
+        {
+            inner.split()[1]: _row(inner, *row)
+            for inner, row in ROWS.items()
+            if inner.startswith(f"{name} ")
+        },
     )
 
 

@@ -219,11 +219,21 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "camera_locate:CameraLocate",
             mujoco=False,
         ),
-        Row("camera handeye", "Measure where the camera is mounted, by moving the arm."),
-        Row("camera verify", "Measure how far the arm is from where its joints say."),
-        Row("ar", "Draw the robot into the pictures of a camera, on a printed board."),
+        Row(
+            "camera handeye",
+            "Measure where the camera is mounted, by moving the arm.",
+            "camera_handeye:CameraHandeye",
+        ),
+        Row(
+            "camera verify",
+            "Measure how far the arm is from where its joints say.",
+            "camera_verify:CameraVerify",
+        ),
+        Row("ar", "Draw the robot into the pictures of a camera, on a printed board.", "ar:Ar"),
     ),
-    "Figure": (Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk."),),
+    "Figure": (
+        Row("figure", "Let a humanoid see a ball and reach, bend, jump or walk.", "figure:Figure"),
+    ),
     "Information": (
         Row("robots", "List the bundled robots, or describe one.", "robots:Robots", mujoco=False),
         Row("solvers", "List the solvers, or the options of one.", "solvers:Solvers"),
@@ -463,7 +473,12 @@ def reserved_outputs(command: Any, name: str, terminal: Terminal) -> Iterator[No
 
 
 def output_files(command: Any) -> list[Path]:
-    """Return the files that a command line names and that the command will write."""
+    """Return the files that a command line names and that the command will write.
+
+    A command whose files depend on several options returns them from ``written_files``.
+    """
+    if hasattr(command, "written_files"):
+        return list(command.written_files())
     hints = get_type_hints(type(command), include_extras=True)
     marked = [
         item.name

@@ -204,7 +204,7 @@ RecordFile = Annotated[
     Parameter(
         metavar="FILE.csv|.mcap",
         group=OUTPUT_GROUP,
-        help="Record every command and measurement (.mcap needs the extra `record`).",
+        help="Record every command and measurement. A .mcap file needs the extra `record`.",
     ),
     OUTPUT,
 ]
@@ -216,6 +216,44 @@ VideoFile = Annotated[
         help="Write a video of the motion (extra `video`).",
     ),
     OUTPUT,
+]
+
+CameraSource = Annotated[
+    str, Parameter(metavar="synthetic|INDEX|FILE|FOLDER|URL", help="Image source.")
+]
+ExtrinsicsFile = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE",
+        help="Pose of a real camera, from `robot-ik camera locate` or `camera handeye`.",
+    ),
+]
+TargetMarker = Annotated[int, Parameter(metavar="ID", help="Id of the target marker.")]
+RobotPose = Annotated[
+    tuple[float, ...],
+    Parameter(
+        metavar="X Y Z [YAW_DEG]",
+        consume_multiple=True,
+        help="Pose of the robot on the board or the floor. Metres; x right, y up, z out of the "
+        "print.",
+    ),
+]
+DrawnScale = Annotated[
+    float | None,
+    Parameter(
+        metavar="FACTOR",
+        validator=Number(gt=0, lt=math.inf),
+        help="Scale factor. Drawn size over true size. Default: 1; synthetic: as large as fits.",
+    ),
+]
+DrawnVideo = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE.mp4|FILE.png|FOLDER",
+        group=OUTPUT_GROUP,
+        help="Write a video of the motion (extra `video`). Or the last picture, or a folder of "
+        "pictures. Default: ar.mp4, or the folder ar.",
+    ),
 ]
 
 

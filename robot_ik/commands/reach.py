@@ -24,6 +24,8 @@ from robot_ik.commands.options import (
     NO_BUS,
     ArmName,
     BaseName,
+    CameraSource,
+    ExtrinsicsFile,
     FolderOption,
     FrameName,
     GoalNumbers,
@@ -107,13 +109,9 @@ class Reach(FolderOption, JsonOption):
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """What to do if the marker is lost for 2 s while following."""
 
-    camera: Annotated[str, Parameter(metavar="synthetic|INDEX|FILE|FOLDER|URL", group=_CAMERA)] = (
-        "synthetic"
-    )
-    """Image source."""
+    camera: Annotated[CameraSource, Parameter(group=_CAMERA)] = "synthetic"
     intrinsics: Annotated[IntrinsicsFile, Parameter(group=_CAMERA)] = None
-    extrinsics: Annotated[Path | None, Parameter(metavar="FILE", group=_CAMERA)] = None
-    """Pose of a real camera, from `robot-ik camera locate` or `camera handeye`."""
+    extrinsics: Annotated[ExtrinsicsFile, Parameter(group=_CAMERA)] = None
     marker: Annotated[int | None, Parameter(metavar="ID", group=_CAMERA)] = None
     """Id of the target marker. All others are ignored. Default: the scene's."""
     marker_size: Annotated[MarkerSize, Parameter(group=_CAMERA)] = None

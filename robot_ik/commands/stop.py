@@ -31,7 +31,7 @@ class Stop(JsonOption):
     torque_off: bool = False
     """Switch torque off instead, after a confirmation: the arm may fall."""
     yes: bool = False
-    """With --torque-off: skip the confirmation."""
+    """Skip the confirmation. Only with --torque-off."""
 
     def run(self, terminal: Terminal = QUIET) -> StopReport:
         """Send the request to each arm and wait for its answer."""

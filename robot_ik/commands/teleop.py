@@ -72,7 +72,7 @@ class Teleop(JsonOption):
     scale: Annotated[
         float, Parameter(metavar="FACTOR", validator=Number(gte=MIN_SCALE, lte=MAX_SCALE))
     ] = 1.0
-    """With --mode tool: metres of the follower for one metre of the leader."""
+    """Scale factor. With --mode tool: metres of the follower for one metre of the leader."""
     seconds: Seconds | None = None
     """Duration, in s. Default: until Ctrl-C."""
     on_exit: ExitPolicy = None

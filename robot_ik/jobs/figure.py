@@ -17,8 +17,6 @@ from robot_ik.camera.drawing.overlay import put_label
 from robot_ik.camera.drawing.studio import Body, ball_model, photograph, tiled_room
 from robot_ik.camera.drawing.text import text_size
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.config import is_number, read_csv, shown
-from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import RATE, SIDES, Figure
@@ -95,28 +93,6 @@ class FigureReport:
     def arrived(self) -> bool:
         """Whether every hand that went to a ball came near enough to it."""
         return all(error <= NEAR_ENOUGH for _, error in self.errors)
-
-
-def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
-    """Balls of a CSV file: x, y, z in each row, m; a first row of names may be there.
-
-    Raises:
-        ConfigError: No row, or not three finite numbers in one.
-    """
-    rows = [row for row in read_csv(file, "table of balls") if row]
-    if rows and not is_number(rows[0][0]):
-        rows = rows[1:]
-    found = []
-    for number, row in enumerate(rows, start=1):
-        if len(row) != 3 or not all(is_number(cell) and math.isfinite(float(cell)) for cell in row):
-            raise ConfigError(
-                f"row {number} is {shown(', '.join(row))}",
-                file=file, key="x, y, z", allowed="three finite numbers, metres",
-            )  # fmt: skip
-        found.append((float(row[0]), float(row[1]), float(row[2])))
-    if not found:
-        raise ConfigError("has no balls", file=file, allowed="x, y, z in each row, metres")
-    return tuple(found)
 
 
 def moving_ball(

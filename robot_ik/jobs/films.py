@@ -1,6 +1,7 @@
-"""Where the pictures of jobs go: a film, one picture, or a folder of pictures.
+"""Outputs for the pictures of jobs: a film, a single picture, or a folder of pictures.
 
-They appear when complete; a run that is interrupted leaves what it has, playable.
+A file appears under its name when it is complete. An interrupted run leaves a playable film of the
+pictures so far.
 """
 
 from __future__ import annotations
@@ -23,28 +24,46 @@ from robot_ik.ports import Image
 from robot_ik.signals import deferred_signals
 
 FILMS = (".mp4", ".mkv", ".mov", ".gif")
+"""Suffixes of films."""
+
 PICTURES = (".png", ".jpg", ".jpeg")
-# Quality of H.264: 18 is nearly free of visible loss.
+"""Suffixes of single pictures."""
+
 _CRF = "20"
+"""Constant rate factor of H.264. At 18 there is hardly any visible loss; larger is coarser."""
+
 _TICKS = 90_000
-# Names of a folder's pictures.
+"""Time stamps per second. 90 kHz is the usual clock of video."""
+
 _NUMBERED = "[0-9]" * 6 + ".png"
+"""Pattern of the file names in a folder of pictures."""
 
 
 class PictureSink(ABC):
-    """Takes pictures one by one, and is closed at the end."""
+    """An output that takes pictures one by one until it is closed."""
 
     @abstractmethod
     def write(self, image: Image, time: float) -> None:
-        """Adds a picture (height, width, 3) taken at ``time``, seconds."""
+        """Add a BGR picture (height, width, 3) taken at ``time``, seconds."""
 
     @abstractmethod
     def close(self) -> Path | None:
-        """Ends the file; gives what was written, None for nothing."""
+        """Complete the output.
+
+        Returns:
+            The file or folder. None if no picture was written.
+        """
 
 
 class Film(PictureSink):
-    """A film, H.264, or a GIF, each picture in 256 colours of its own; shown at the time it was taken."""
+    """A film in H.264, or a GIF. Each picture is shown at the time it was taken.
+
+    Each picture of a GIF has its own palette of 256 colours.
+
+    Args:
+        path: The film. Its suffix selects the format.
+        rate_hz: Nominal number of pictures per second.
+    """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         self._path = path
@@ -53,25 +72,29 @@ class Film(PictureSink):
         self._container: Any = None
         self._stream: Any = None
         self._palettes: Any = None
-        self._first = self._last = 0
+        # Time stamps in ticks: of the first picture, and of the last one relative to the first.
+        self._first = 0
+        self._last = -1
         self._written = False
 
     def write(self, image: Image, time: float) -> None:
         import av
 
-        with deferred_signals():  # half a picture would spoil those after it
+        # A signal in the middle of a picture would damage the pictures after it.
+        with deferred_signals():
             if self._container is None:
                 self._open(image)
-                self._first, self._last = round(time * _TICKS), -1
-            frame = av.VideoFrame.from_ndarray(_even(image), format="bgr24")
-            # two pictures of one time would be refused
+                self._first = round(time * _TICKS)
+                self._last = -1
+            frame = av.VideoFrame.from_ndarray(_cropped_to_even(image), format="bgr24")
+            # The encoder rejects two pictures with the same time stamp.
             self._last = max(round(time * _TICKS) - self._first, self._last + 1)
             frame.pts = self._last
             frame.time_base = Fraction(1, _TICKS)
             self._encode(frame)
 
     def _encode(self, frame: Any) -> None:
-        """Adds one to the file; None: what is left is written."""
+        """Add a frame to the file. None: write the frames that the encoder still holds."""
         import av
 
         if self._palettes is None:
@@ -87,21 +110,22 @@ class Film(PictureSink):
     def _open(self, image: Image) -> None:
         import av
 
-        gif = self._path.suffix.lower() == ".gif"
+        is_gif = self._path.suffix.lower() == ".gif"
+        codec = "gif" if is_gif else "libx264"
+        rate = Fraction(self._rate).limit_denominator(1000)
         try:
             self._container = av.open(str(self._part), "w")
-            self._stream = self._container.add_stream(
-                "gif" if gif else "libx264", rate=Fraction(self._rate).limit_denominator(1000)
-            )
+            self._stream = self._container.add_stream(codec, rate=rate)
         except (OSError, ValueError) as error:
             raise OutputError(
                 f"cannot write {self._path}: {error}", hint="give another name or folder"
             ) from error
-        height, width = _even(image).shape[:2]
-        self._stream.width, self._stream.height = width, height
-        self._stream.pix_fmt = "pal8" if gif else "yuv420p"
-        self._palettes = _palettes(width, height) if gif else None
-        self._stream.options = {} if gif else {"crf": _CRF, "preset": "veryfast"}
+        height, width = _cropped_to_even(image).shape[:2]
+        self._stream.width = width
+        self._stream.height = height
+        self._stream.pix_fmt = "pal8" if is_gif else "yuv420p"
+        self._stream.options = {} if is_gif else {"crf": _CRF, "preset": "veryfast"}
+        self._palettes = _palette_filter(width, height) if is_gif else None
         self._stream.codec_context.time_base = Fraction(1, _TICKS)
 
     def close(self) -> Path | None:
@@ -114,32 +138,40 @@ class Film(PictureSink):
         return self._path if self._written else None
 
 
-def _palettes(width: int, height: int) -> Any:
-    """What gives each BGR picture the 256 colours that suit it best."""
+def _palette_filter(width: int, height: int) -> Any:
+    """Return a filter graph that reduces each BGR picture to its own best 256 colours."""
     import av
 
     graph = av.filter.Graph()
     pictures = graph.add_buffer(
         width=width, height=height, format=av.VideoFormat("bgr24"), time_base=Fraction(1, _TICKS)
     )
-    split, chosen = graph.add("split"), graph.add("palettegen", "stats_mode=single")
-    used = graph.add("paletteuse", "new=1:dither=none")
+    split = graph.add("split")
+    make_palette = graph.add("palettegen", "stats_mode=single")
+    apply_palette = graph.add("paletteuse", "new=1:dither=none")
     pictures.link_to(split)
-    split.link_to(chosen, 0, 0)
-    split.link_to(used, 1, 0)
-    chosen.link_to(used, 0, 1)
-    used.link_to(graph.add("buffersink"))
+    split.link_to(make_palette, 0, 0)
+    split.link_to(apply_palette, 1, 0)
+    make_palette.link_to(apply_palette, 0, 1)
+    apply_palette.link_to(graph.add("buffersink"))
     graph.configure()
     return graph
 
 
 class Pictures(PictureSink):
-    """A folder of numbered PNG files, which take the place of ``older`` ones."""
+    """A folder of numbered PNG files.
+
+    Args:
+        folder: The folder.
+        older: Files of an earlier run. They are removed before the first picture is written.
+    """
 
     def __init__(self, folder: Path, older: Sequence[Path]) -> None:
-        self._folder, self._older, self._count = folder, older, 0
+        self._folder = folder
+        self._older = older
+        self._count = 0
 
-    def write(self, image: Image, time: float) -> None:
+    def write(self, image: Image, _time: float) -> None:
         if not self._count:
             for path in self._older:
                 path.unlink(missing_ok=True)
@@ -151,13 +183,13 @@ class Pictures(PictureSink):
 
 
 class LastPicture(PictureSink):
-    """One file that holds the last picture."""
+    """A single picture file, which holds the last picture."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._image: Image | None = None
 
-    def write(self, image: Image, time: float) -> None:
+    def write(self, image: Image, _time: float) -> None:
         self._image = image
 
     def close(self) -> Path | None:
@@ -168,46 +200,62 @@ class LastPicture(PictureSink):
 
 
 def films_can_be_written() -> bool:
-    """Whether the extra ``video`` is installed."""
+    """Return whether the extra ``video`` is installed."""
     return importlib.util.find_spec("av") is not None
 
 
 def require_films(purpose: str = "writing a film") -> None:
-    """Raises ``MissingExtraError`` where no film can be written."""
+    """Check that films can be written.
+
+    Args:
+        purpose: Use of the extra, for the message.
+
+    Raises:
+        MissingExtraError: The extra ``video`` is not installed.
+    """
     if not films_can_be_written():
         raise MissingExtraError("av", "video", purpose)
 
 
 @contextlib.contextmanager
 def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator[PictureSink]:
-    """What the name asks for: a film of ``rate_hz``, a picture or, without a suffix, a folder.
+    """Open the output that fits the name: a film, a picture, or without a suffix a folder.
 
-    It keeps what it got however the block ends.
+    The pictures written so far are kept even if the block ends with an error.
+
+    Args:
+        out: The file or folder.
+        rate_hz: Nominal number of pictures per second of a film.
+        overwrite: Whether existing results may be replaced.
+
+    Yields:
+        The output. It is closed after the block.
 
     Raises:
-        MissingExtraError: A film without the extra ``video``.
-        OutputError: Nothing of this kind is written, it is there already and not to be overwritten, or it
-            cannot be written.
+        MissingExtraError: ``out`` is a film, but the extra ``video`` is not installed.
+        OutputError: The suffix is not supported, the output exists and ``overwrite`` is False, or
+            it cannot be written.
     """
-    kind = out.suffix.lower()
-    if kind in FILMS:
+    suffix = out.suffix.lower()
+    if suffix in FILMS:
         require_films()
-    if kind not in (*FILMS, *PICTURES):
-        if kind and not out.is_dir():
+    if suffix not in (*FILMS, *PICTURES):
+        if suffix and not out.is_dir():
             raise OutputError(
                 f"cannot write {out}: neither films nor pictures of this kind are made",
-                hint=f"films: {', '.join(FILMS)}; pictures: {', '.join(PICTURES)}; a folder has no suffix",
+                hint=f"films: {', '.join(FILMS)}; pictures: {', '.join(PICTURES)}; "
+                "a folder has no suffix",
             )
         folder = claimed_folder(out, _NUMBERED, overwrite=overwrite)
         with folder as older, contextlib.closing(Pictures(out, older)) as pictures:
             yield pictures
         return
-    kept: PictureSink = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
-    with claimed(out, overwrite=overwrite), contextlib.closing(kept) as sink:
+    file: PictureSink = Film(out, rate_hz) if suffix in FILMS else LastPicture(out)
+    with claimed(out, overwrite=overwrite), contextlib.closing(file) as sink:
         yield sink
 
 
-def _even(image: Image) -> Image:
-    """H.264 with colours at half the resolution wants even sides."""
+def _cropped_to_even(image: Image) -> Image:
+    """Return the picture with even width and height, which H.264 in yuv420p needs."""
     height, width = image.shape[:2]
     return np.ascontiguousarray(image[: height - height % 2, : width - width % 2])

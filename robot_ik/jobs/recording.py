@@ -1,7 +1,7 @@
-"""What was commanded and measured, written while it happens: a table (CSV), or MCAP for other people's tools.
+"""Recordings of commanded and measured joint positions as CSV tables or MCAP files.
 
-MCAP files hold ROS 2 messages (profile ``ros2``, CDR): ``ros2 bag``, Foxglove, PlotJuggler and Rerun open
-them.  A file that was cut off is mended by ``mcap recover``.
+Rows are written during the run. MCAP files contain ROS 2 messages (profile ``ros2``, encoding CDR).
+``ros2 bag``, Foxglove, PlotJuggler and Rerun open them. ``mcap recover`` repairs a truncated file.
 """
 
 from __future__ import annotations
@@ -21,16 +21,26 @@ from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Closing
 
 SUFFIXES = (".csv", ".mcap")
+"""Suffixes of the supported formats."""
+
 FRAME = "world"
-"""Of goals in an MCAP file."""
+"""Frame of the goals in an MCAP file."""
+
 _GOAL = ("goal_x", "goal_y", "goal_z", "goal_qw", "goal_qx", "goal_qy", "goal_qz")
+"""Columns of the goal: position in metres, then the quaternion."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One row of a recording: s since it began, (n,) rad (m of slides), a goal in the world, what happened.
+    """One row of a recording.
 
-    ``robot``: of several side by side, which.
+    Attributes:
+        now: Time since the start of the recording, seconds.
+        commanded: Commanded positions (n,), rad for hinges and metres for slides.
+        measured: Measured positions (n,), in the same units.
+        goal: Goal in the world.
+        text: Event at this time. Empty if there is none.
+        robot: Index of the robot, if several stand side by side.
     """
 
     now: float
@@ -43,33 +53,36 @@ class Moment:
 
 
 class Recording(Closing):
-    """Takes moments as they come, and is closed at the end.
+    """A file that takes moments until it is closed.
 
-    Where the file cannot be written any more, as on a full disk, it is removed: a part of it would be torn.
+    If the file cannot be written any more, as on a full disk, it is removed. A partial file would
+    be damaged.
 
     Args:
         path: The file.
-        mode: As of ``open``.
+        mode: Mode of ``open``.
 
     Raises:
-        OutputError: It cannot be written; all methods raise it.
+        OutputError: The file cannot be written. All methods raise it.
     """
 
     def __init__(self, path: Path, mode: str) -> None:
         self._path = path
+        newline = "" if mode == "w" else None
         try:
-            self._file: Any = open(path, mode, newline="" if mode == "w" else None)  # noqa: SIM115
+            self._file: Any = open(path, mode, newline=newline)  # noqa: SIM115
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise self._write_error(error) from error
 
     def write(self, moment: Moment) -> None:
-        """One more."""
-        with self._whole_or_removed():
+        """Append one moment."""
+        with self._removed_on_error():
             self._write(moment)
 
     def close(self) -> None:
+        """Complete the file and close it."""
         if not self._file.closed:
-            with self._whole_or_removed():
+            with self._removed_on_error():
                 self._finish()
                 self._file.close()
 
@@ -77,39 +90,45 @@ class Recording(Closing):
         raise NotImplementedError
 
     def _finish(self) -> None:
-        """Writes what belongs at the end of the file."""
+        """Write the end of the file."""
 
     @contextlib.contextmanager
-    def _whole_or_removed(self) -> Iterator[None]:
+    def _removed_on_error(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            with contextlib.suppress(OSError):  # it tries to write the rest once more
+            with contextlib.suppress(OSError):  # close tries to flush the buffer again
                 self._file.close()
             with contextlib.suppress(OSError):
                 self._path.unlink()
-            raise self._unwritable(error) from error
+            raise self._write_error(error) from error
 
-    def _unwritable(self, error: OSError) -> OutputError:
+    def _write_error(self, error: OSError) -> OutputError:
         return OutputError(f"{self._path} cannot be written: {error.strerror or error}")
 
 
 class TableRecording(Recording):
-    """A CSV file: a row a moment; what is not known stays empty."""
+    """A CSV file with one row per moment. Cells of unknown values are empty."""
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
         super().__init__(path, "w")
         self._blank = [""] * len(joints)
         self._rows = csv.writer(self._file, lineterminator="\n")
         names = [f"{kind}.{joint}" for kind in ("commanded", "measured") for joint in joints]
-        with self._whole_or_removed():
+        with self._removed_on_error():
             self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
 
     def _write(self, moment: Moment) -> None:
-        both, goal = (moment.commanded, moment.measured), moment.goal
-        sides = [self._blank if q is None else q.tolist() for q in both]
-        aim = [""] * len(_GOAL) if goal is None else [*goal.position.tolist(), *goal.wxyz.tolist()]
-        self._rows.writerow([float(moment.now), moment.robot, *sides[0], *sides[1], *aim, moment.text])
+        commanded = self._cells(moment.commanded)
+        measured = self._cells(moment.measured)
+        goal = [""] * len(_GOAL)
+        if moment.goal is not None:
+            goal = [*moment.goal.position.tolist(), *moment.goal.wxyz.tolist()]
+        start = [float(moment.now), moment.robot]
+        self._rows.writerow([*start, *commanded, *measured, *goal, moment.text])
+
+    def _cells(self, positions: Array | None) -> list[Any]:
+        return self._blank if positions is None else positions.tolist()
 
 
 _PARTS = {
@@ -119,84 +138,117 @@ _PARTS = {
     "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
 }
+"""Definitions of the messages that other messages contain."""
 
 
 def _schema(text: str, *contained: str) -> str:
-    """A message with the messages that it contains, as MCAP keeps ROS 2's."""
-    parts = (f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in ("builtin_interfaces/Time", *contained))
+    """Return a ROS 2 message definition with the contained messages, as MCAP stores it."""
+    names = ("builtin_interfaces/Time", *contained)
+    parts = (f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in names)
     return "\n".join([text, *parts])
 
 
 MESSAGES: Mapping[str, str] = {
     "sensor_msgs/msg/JointState": _schema(
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
+        "std_msgs/Header header\nstring[] name\n"
+        "float64[] position\nfloat64[] velocity\nfloat64[] effort",
         "std_msgs/Header",
     ),
     "geometry_msgs/msg/PoseStamped": _schema(
-        "std_msgs/Header header\ngeometry_msgs/Pose pose", *list(_PARTS)[1:]
+        "std_msgs/Header header\ngeometry_msgs/Pose pose",
+        "std_msgs/Header",
+        "geometry_msgs/Pose",
+        "geometry_msgs/Point",
+        "geometry_msgs/Quaternion",
     ),
     "rcl_interfaces/msg/Log": _schema(
-        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
-        "uint32 line"
+        "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\n"
+        "string function\nuint32 line"
     ),
 }
-"""Message type -> its definition, as ROS 2 has it."""
-_INFO = 20  # of rcl_interfaces/msg/Log
+"""ROS 2 message definition by message type."""
+
+_INFO = 20
+"""Level INFO of ``rcl_interfaces/msg/Log``."""
 
 
 class McapRecording(Recording):
-    """An MCAP file: ``/joint_commands``, ``/joint_states``, ``/goal`` and ``/rosout``.
+    """An MCAP file with the topics ``/joint_commands``, ``/joint_states``, ``/goal``, ``/rosout``.
 
-    Of several robots side by side each has its topics below ``/robot_1`` and so on.
+    If several robots stand side by side, the topics of robot 1 are below ``/robot_1``, and so on.
     """
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
-        from mcap_ros2.writer import Writer
+        from mcap_ros2.writer import Writer  # of the extra `record`
 
         super().__init__(path, "wb")
-        self._joints, self._begin = list(joints), time.time_ns()
-        with self._whole_or_removed():
+        self._joints = list(joints)
+        self._begin = time.time_ns()
+        with self._removed_on_error():
             self._writer: Any = Writer(self._file)
             self._schemas = {
                 name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()
             }
 
     def _write(self, moment: Moment) -> None:
-        stamp = self._begin + round(1e9 * moment.now)
-        when = {"sec": stamp // 1_000_000_000, "nanosec": stamp % 1_000_000_000}
-        head = {"stamp": when, "frame_id": FRAME}
-        place = f"/robot_{moment.robot}" if moment.robot else ""
-        for topic, q in (("joint_commands", moment.commanded), ("joint_states", moment.measured)):
-            if q is not None:
-                state = {"name": self._joints, "position": q.tolist(), "velocity": [], "effort": []}
-                self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", {"header": head, **state}, stamp)
-        if (goal := moment.goal) is not None:
-            position = dict(zip("xyz", goal.position.tolist(), strict=True))
-            orientation = dict(zip("wxyz", goal.wxyz.tolist(), strict=True))
-            pose = {"position": position, "orientation": orientation}
-            self._put(f"{place}/goal", "geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}, stamp)
-        if moment.text:
-            empty = {"file": "", "function": "", "line": 0}
-            row = {"stamp": when, "level": _INFO, "name": "robot_ik", "msg": moment.text, **empty}
-            self._put("/rosout", "rcl_interfaces/msg/Log", row, stamp)
+        time_ns = self._begin + round(1e9 * moment.now)
+        stamp = {"sec": time_ns // 1_000_000_000, "nanosec": time_ns % 1_000_000_000}
+        header = {"stamp": stamp, "frame_id": FRAME}
+        namespace = f"/robot_{moment.robot}" if moment.robot else ""
 
-    def _put(self, topic: str, kind: str, message: dict[str, Any], stamp: int) -> None:
-        self._writer.write_message(topic, self._schemas[kind], message, log_time=stamp, publish_time=stamp)
+        topics = (("joint_commands", moment.commanded), ("joint_states", moment.measured))
+        for topic, positions in topics:
+            if positions is not None:
+                state = {
+                    "header": header,
+                    "name": self._joints,
+                    "position": positions.tolist(),
+                    "velocity": [],
+                    "effort": [],
+                }
+                self._put(f"{namespace}/{topic}", "sensor_msgs/msg/JointState", state, time_ns)
+
+        if moment.goal is not None:
+            pose = {
+                "position": dict(zip("xyz", moment.goal.position.tolist(), strict=True)),
+                "orientation": dict(zip("wxyz", moment.goal.wxyz.tolist(), strict=True)),
+            }
+            stamped = {"header": header, "pose": pose}
+            self._put(f"{namespace}/goal", "geometry_msgs/msg/PoseStamped", stamped, time_ns)
+
+        if moment.text:
+            log = {
+                "stamp": stamp,
+                "level": _INFO,
+                "name": "robot_ik",
+                "msg": moment.text,
+                "file": "",
+                "function": "",
+                "line": 0,
+            }
+            self._put("/rosout", "rcl_interfaces/msg/Log", log, time_ns)
+
+    def _put(self, topic: str, kind: str, message: dict[str, Any], time_ns: int) -> None:
+        schema = self._schemas[kind]
+        self._writer.write_message(topic, schema, message, log_time=time_ns, publish_time=time_ns)
 
     def _finish(self) -> None:
         self._writer.finish()
 
 
 def require_recording(path: Path) -> None:
-    """Whether recordings of this name can be made at all, asked before anything else is.
+    """Check that a recording of this name can be written.
+
+    Call it before the work begins.
 
     Raises:
-        ConfigError: Another ending.
-        MissingExtraError: ``.mcap`` without the extra ``record``.
+        ConfigError: The suffix belongs to no supported format.
+        MissingExtraError: The suffix is ``.mcap``, but the extra ``record`` is not installed.
     """
     if path.suffix not in SUFFIXES:
         problem = f"the format is not clear from the name {path.name!r}"
-        raise ConfigError(problem, file="command line", key="--record", allowed=" or ".join(SUFFIXES))
+        allowed = " or ".join(SUFFIXES)
+        raise ConfigError(problem, file="command line", key="--record", allowed=allowed)
     if path.suffix == ".mcap":
         try:
             import mcap_ros2  # noqa: F401
@@ -205,28 +257,49 @@ def require_recording(path: Path) -> None:
 
 
 def open_recording(path: Path, joints: Sequence[str]) -> Recording:
-    """A recording by the ending of its name; a context manager.
+    """Return a recording in the format of the file's suffix.
 
-    Raises as ``require_recording``, and ``OutputError`` where it cannot be written.
+    The recording is a context manager, which closes the file.
+
+    Args:
+        path: The file, ``.csv`` or ``.mcap``.
+        joints: Names of the joints, in the order of the positions.
+
+    Raises:
+        ConfigError: The suffix belongs to no supported format.
+        MissingExtraError: The suffix is ``.mcap``, but the extra ``record`` is not installed.
+        OutputError: The file cannot be written.
     """
     require_recording(path)
-    return TableRecording(path, joints) if path.suffix == ".csv" else McapRecording(path, joints)
+    kind = TableRecording if path.suffix == ".csv" else McapRecording
+    return kind(path, joints)
 
 
 class RecordingSink:
-    """A ``JointSink`` that writes what was commanded, and what an arm ``measured`` last, joint -> rad.
+    """A ``JointSink`` that records each command and the last measurement.
 
-    Put it behind the arm among the sinks: then the measurement is that of the same cycle.
+    Put it behind the arm among the sinks. Then command and measurement are of the same cycle.
+
+    Args:
+        recording: The open recording.
+        joints: Names of the joints, in the order of the commands.
+        measured: Function that returns the last measured angles, rad, by joint name. None: only
+            commands are recorded.
     """
 
     def __init__(self, recording: Recording, joints: Sequence[str], measured: Any = None) -> None:
-        self._recording, self._joints, self._measured = recording, tuple(joints), measured
+        self._recording = recording
+        self._joints = tuple(joints)
+        self._measured = measured
         self._begin: float | None = None
 
     def send(self, q: Array, now: float) -> None:
-        self._begin = now if self._begin is None else self._begin
-        here = None
+        """Record the command ``q`` (n,) and the measurement at the time ``now``, seconds."""
+        if self._begin is None:
+            self._begin = now
+        measured = None
         if self._measured is not None:
             angles = self._measured()
-            here = np.array([angles[name] for name in self._joints])
-        self._recording.write(Moment(now - self._begin, commanded=np.asarray(q), measured=here))
+            measured = np.array([angles[name] for name in self._joints])
+        moment = Moment(now - self._begin, commanded=np.asarray(q), measured=measured)
+        self._recording.write(moment)

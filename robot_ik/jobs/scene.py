@@ -1,11 +1,12 @@
-"""What stands round the robot in `robot-ik reach`: table, printed markers, camera.
+"""Scene of `robot-ik reach`: table, printed markers and camera.
 
-From ``[reach]`` of a ``robot.toml``, else generated: a goal within reach, a marker before it, a camera for
-both.
+The scene is read from ``[reach]`` of a ``robot.toml``. Without that table it is generated: a goal
+within reach, a marker in front of the tool at the goal, and a camera that sees both.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,23 +25,62 @@ from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
-# The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
+"""``pose_marker_tool`` of a tool that faces the marker: z into the paper, x along the marker's."""
 
-# Proportions of a generated scene, in reaches of the robot.
-_MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.25
-_CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
+_MARKER_SIDE = 0.09
+"""Side of the printed marker of a generated scene, in reaches of the robot."""
+
+_TOOL_MARKER_SIDE = 0.07
+"""Side of the tool's markers of a generated scene, in reaches of the robot."""
+
+_HOVER = 0.15
+"""Distance of the tool from the paper in a generated scene, in reaches of the robot."""
+
+_CAMERA_DISTANCE = 1.25
+"""Distance of the camera in a generated scene, in reaches of the robot."""
+
+_CUBE_PER_MARKER = 1.35
+"""Edge of the cube per side of its markers. It leaves a white margin of more than one cell."""
+
 _TOOL_IDS = (20, 21, 22, 23)
+"""Ids of the tool's markers in a generated scene."""
+
 _TRIES = 60
-# Cosine of the view on the worse-seen target with which the search for a camera's pose is content.
-_GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
-# A view in which the tool's markers lie on the target's is worth so much of one that keeps them apart, and
-# ends the search after so many goals.
-_ONE_ON_THE_OTHER, _PATIENCE = 0.5, 4
+"""Number of goals that are tried for a generated scene."""
+
+_GOOD_VIEW = 0.45
+"""Score at which the search for a camera pose ends: a cosine between view and paper."""
+
+_WORST_VIEW = 0.25
+"""Smallest cosine between view and paper at which a marker counts as visible."""
+
+_OVERLAP_FACTOR = 0.5
+"""Factor on the score of a view in which the cube overlaps the printed marker."""
+
+_PATIENCE = 4
+"""Number of goals after which the search also ends with a good view that has an overlap."""
+
+_BORDER = 20
+"""Smallest distance of a marker from the border of the picture, px."""
+
+_PAPER_PER_MARKER = 1.2
+"""Side of the paper that must be visible, per side of the marker: about one white cell more."""
+
+_RAY_SLACK = 1e-4
+"""Distance before a marker within which a geom does not hide it, metres."""
 
 
 class Marker(Table):
-    """A printed marker lying in the world, z up out of the paper."""
+    """``[reach.marker]``: the printed marker. Its z axis points up, out of the paper.
+
+    Attributes:
+        id: Id in the dictionary.
+        dictionary: OpenCV's name of the dictionary.
+        size: Side of the black square, metres.
+        position: Centre in the world, metres.
+        yaw_deg: Rotation about the vertical, degrees.
+    """
 
     id: int
     dictionary: str = "DICT_5X5_50"
@@ -50,7 +90,7 @@ class Marker(Table):
 
 
 class TableTop(Table):
-    """A table top: its height and extent in the world, metres."""
+    """``[reach.table]``: height and extent of a table top in the world, metres."""
 
     height: float
     x: Pair
@@ -58,7 +98,16 @@ class TableTop(Table):
 
 
 class SceneCamera(Table):
-    """A camera: where it stands, the point that it is aimed at, and its optics (pixels)."""
+    """``[reach.camera]``: the camera.
+
+    Attributes:
+        position: Optical centre in the world, metres.
+        look_at: Point in the world at which the camera is aimed, metres.
+        width: Width of the picture, px.
+        height: Height of the picture, px.
+        focal: Focal length, px.
+        distortion: Distortion coefficients of OpenCV: k1, k2, p1, p2, k3.
+    """
 
     position: Position
     look_at: Position
@@ -69,7 +118,14 @@ class SceneCamera(Table):
 
 
 class ToolMarker(Table):
-    """Four markers on the sides of a cube that the gripper carries."""
+    """``[reach.tool_marker]``: four markers on the sides of a cube that the gripper carries.
+
+    Attributes:
+        ids: Ids of the markers.
+        size: Side of the black squares, metres.
+        cube: Edge of the cube, metres.
+        site: Site of the model at the centre of the cube.
+    """
 
     ids: Several[int]
     size: float
@@ -93,19 +149,23 @@ class _ReachFile(Table):
 
 @dataclass(frozen=True)
 class Scene:
-    """What stands round the robot.
+    """Camera, markers and table around a robot.
 
     Attributes:
-        intrinsics, pose_world_camera: The camera.
-        marker_id, dictionary, marker_size: The printed marker to reach.
-        pose_world_marker: Where it lies at first.
-        hover: How far from the paper the tool stops, metres.
-        cube_frame: Robot frame that carries the tool's markers.
-        cube_offset: The cube seen from that frame.
-        cube: Marker id -> (side, ``pose_cube_marker``).
-        cube_margin: White paper round each of them, metres: as much as the cube's side leaves.
-        table: Where the marker lies, or None.
-        generated: True when no ``robot.toml`` describes it.
+        intrinsics: Intrinsics of the camera.
+        pose_world_camera: Pose of the camera.
+        marker_id: Id of the printed marker to reach.
+        dictionary: OpenCV's name of the dictionary of all markers.
+        marker_size: Side of the printed marker, metres.
+        pose_world_marker: Initial pose of the printed marker.
+        hover: Distance between tool and paper at the goal, metres.
+        cube_frame: Robot frame that carries the cube with the tool's markers.
+        cube_offset: Pose of the cube in that frame.
+        cube: (side in metres, ``pose_cube_marker``) by marker id.
+        cube_margin: Width of the white paper around each marker of the cube, metres. The paper
+            covers the whole side of the cube.
+        table: Table top under the marker, or None.
+        generated: Whether the scene was generated, not read from a ``robot.toml``.
     """
 
     intrinsics: CameraIntrinsics
@@ -124,42 +184,62 @@ class Scene:
 
     @property
     def pose_marker_tool(self) -> Pose:
-        """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
+        """Goal pose of the tool in the marker frame: ``hover`` above the paper, facing it."""
         return Pose((0.0, 0.0, self.hover)).compose(FACING)
 
     def with_marker_at(self, x: float, y: float, z: float, yaw_deg: float = 0.0) -> Scene:
-        """The same with the printed marker elsewhere: metres in the world, degrees about the vertical."""
+        """Return a copy of the scene with the printed marker at another place.
+
+        Args:
+            x: Position in the world, metres.
+            y: Position in the world, metres.
+            z: Position in the world, metres.
+            yaw_deg: Rotation about the vertical, degrees.
+        """
         pose = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw_deg)]))
         return replace(self, pose_world_marker=pose)
 
     def synthetic(self, robot: Robot) -> SyntheticScene:
-        """The same for the synthetic camera."""
+        """Return the scene for the synthetic camera."""
         marker = partial(SyntheticMarker, dictionary=self.dictionary)
-        # Wider paper would stick out and hide the edge of the marker round the corner.
-        carried = partial(marker, frame=self.cube_frame, margin=self.cube_margin)
-        markers = (
-            marker(self.marker_id, self.marker_size, self.pose_world_marker),
-            *(carried(id, side, self.cube_offset.compose(pose)) for id, (side, pose) in self.cube.items()),
+        # Wider paper would protrude and hide the edge of the marker on the next side.
+        cube_marker = partial(marker, frame=self.cube_frame, margin=self.cube_margin)
+        markers = [marker(self.marker_id, self.marker_size, self.pose_world_marker)]
+        for id, (side, pose) in self.cube.items():
+            markers.append(cube_marker(id, side, self.cube_offset.compose(pose)))
+        return SyntheticScene(
+            robot, self.intrinsics, self.pose_world_camera, tuple(markers), table=self.table
         )
-        return SyntheticScene(robot, self.intrinsics, self.pose_world_camera, markers, table=self.table)
 
 
 def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Scene:
-    """The scene of ``robot.toml``, or one generated from the kinematics of ``frame`` (default: the tool).
+    """Return the scene of the robot's ``robot.toml``, or a generated scene.
 
-    Generated and ``upright``, the marker lies flat below the goal, however the tool is turned there: for arms
-    that are asked for a position alone.
+    Args:
+        robot: The robot.
+        frame: Frame that reaches the goal of a generated scene. None: the tool.
+        upright: Whether the marker of a generated scene lies flat below the goal for any
+            orientation of the tool. Use it if only the position of the tool is controlled.
+
+    Returns:
+        The scene.
 
     Raises:
         CameraError: No camera pose shows a goal.
-        ConfigError: ``[reach]`` of the robot's ``robot.toml`` is wrong.
+        ConfigError: ``[reach]`` of the robot's ``robot.toml`` is not valid.
     """
     reach = reach_table(robot)
-    return _generated(robot, frame or robot.tool, upright) if reach is None else _described(robot, reach)
+    if reach is None:
+        return _generated(robot, frame or robot.tool, upright)
+    return _described(robot, reach)
 
 
 def reach_table(robot: Robot) -> ReachTable | None:
-    """``[reach]`` of the robot's ``robot.toml``, if it has one; raises ``ConfigError`` where it is wrong."""
+    """Return ``[reach]`` of the robot's ``robot.toml``, or None if the table is missing.
+
+    Raises:
+        ConfigError: The table is not valid.
+    """
     file = robot.file
     if file.reach is None:
         return None
@@ -167,19 +247,30 @@ def reach_table(robot: Robot) -> ReachTable | None:
 
 
 def _described(robot: Robot, reach: ReachTable) -> Scene:
-    camera, marker, tool = reach.camera, reach.marker, reach.tool_marker
-    centre = ((camera.width - 1) / 2, (camera.height - 1) / 2)
+    """Return the scene that a ``robot.toml`` describes."""
+    camera = reach.camera
+    marker = reach.marker
+    tool = reach.tool_marker
     intrinsics = CameraIntrinsics(
-        camera.width, camera.height, camera.focal, camera.focal, *centre, distortion=camera.distortion
+        camera.width,
+        camera.height,
+        camera.focal,
+        camera.focal,
+        (camera.width - 1) / 2,
+        (camera.height - 1) / 2,
+        distortion=camera.distortion,
     )
     yaw = rotation_exp([0.0, 0.0, np.deg2rad(marker.yaw_deg)])
-    cube_pose = robot.forward(robot.home, tool.site)
-    cube = {
-        id: (tool.size, cube_pose.inverse().compose(robot.forward(robot.home, f"marker_{id}")))
-        if f"marker_{id}" in robot.frames
-        else (tool.size, _cube_side(k, tool.cube))
-        for k, id in enumerate(tool.ids)
-    }
+
+    # A site of the model named marker_<id> overrides the computed pose on the cube.
+    pose_world_cube = robot.forward(robot.home, tool.site)
+    cube = {}
+    for k, id in enumerate(tool.ids):
+        pose = _cube_side(k, tool.cube)
+        if f"marker_{id}" in robot.frames:
+            pose_world_side = robot.forward(robot.home, f"marker_{id}")
+            pose = pose_world_cube.inverse().compose(pose_world_side)
+        cube[id] = (tool.size, pose)
     return Scene(
         intrinsics=intrinsics,
         pose_world_camera=Pose.look_at(camera.position, camera.look_at),
@@ -197,14 +288,21 @@ def _described(robot: Robot, reach: ReachTable) -> Scene:
 
 
 def _cube_side(k: int, edge: float) -> Pose:
-    """``pose_cube_marker`` of the k-th side (+x, +y, -x, -y): z outwards, y along the cube's z."""
+    """Return ``pose_cube_marker`` of a side of a cube: z outwards, y along the cube's z.
+
+    Args:
+        k: Index of the side, in the order +x, +y, -x, -y.
+        edge: Edge of the cube, metres.
+    """
     angle = k * np.pi / 2
-    out = np.array([np.cos(angle), np.sin(angle), 0.0])
+    normal = np.array([np.cos(angle), np.sin(angle), 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    return Pose.from_rotation(np.column_stack([np.cross(up, out), up, out]), out * edge / 2)
+    rotation = np.column_stack([np.cross(up, normal), up, normal])
+    return Pose.from_rotation(rotation, normal * edge / 2)
 
 
 def _generated(robot: Robot, frame: str, upright: bool) -> Scene:
+    """Return a scene in proportion to the robot's reach, with the best view that is found."""
     ball = robot.reach(frame)
     reach = 1.0 if ball is None else max(ball[1], 1e-3)
     side = _TOOL_MARKER_SIDE * reach
@@ -221,7 +319,7 @@ def _generated(robot: Robot, frame: str, upright: bool) -> Scene:
         pose_world_marker=Pose(),
         hover=_HOVER * reach,
         cube_frame=frame,
-        # Held in front of the tool, so that whatever the tool is made of does not hide it.
+        # The cube is in front of the tool, so that the geoms of the tool do not hide it.
         cube_offset=Pose((0.0, 0.0, 0.6 * side * _CUBE_PER_MARKER)),
         cube=cube,
         cube_margin=0.5 * (_CUBE_PER_MARKER - 1.0) * side,
@@ -231,37 +329,63 @@ def _generated(robot: Robot, frame: str, upright: bool) -> Scene:
 
 
 def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bool) -> Scene:
-    """Tries goals near home and cameras round them; keeps the pair that shows marker and cube best."""
+    """Return the scene with the goal and camera that show marker and cube best.
+
+    Goals near home and cameras around each goal are tried.
+
+    Args:
+        robot: The robot.
+        frame: Frame that reaches the goal.
+        scene: Scene whose marker, camera and table are replaced.
+        reach: Reach of the frame, metres.
+        upright: Whether the marker lies flat below the goal.
+
+    Raises:
+        CameraError: No camera pose shows a goal.
+    """
     rng = np.random.default_rng(0)
-    best, best_score = None, 0.0
-    home, at_home = robot.forward(robot.home, frame), _posed(robot, scene, robot.home)
+    best = None
+    best_score = 0.0
+    home = robot.forward(robot.home, frame)
+    at_home = _posed(robot, scene, robot.home)
     for attempt in range(_TRIES):
-        # From a quarter of the range towards all of it, should nothing near home do.
+        # The goals begin within a quarter of the joint ranges and spread to all of them.
         share = 0.25 + 0.75 * attempt / _TRIES
         q = robot.sample(rng)
-        if robot.nq == robot.nv:  # else no vector space: ball and free joints go all of the way
+        # Coordinates of ball and free joints are no vector space and cannot be scaled.
+        if robot.nq == robot.nv:
             q = robot.home + share * (q - robot.home)
         q = robot.clip(q)
         tool = robot.forward(q, frame)
         if not 0.05 * reach < tool.distance(home)[0]:
             continue
-        below = Pose(tool.position - [0.0, 0.0, scene.hover])  # enough where the position is
-        marker = below if upright else tool.compose(scene.pose_marker_tool.inverse())
-        placed, at_goal = replace(scene, pose_world_marker=marker), _posed(robot, scene, q)
+        if upright:
+            marker = Pose(tool.position - [0.0, 0.0, scene.hover])
+        else:
+            marker = tool.compose(scene.pose_marker_tool.inverse())
+        at_goal = _posed(robot, scene, q)
+        placed = replace(scene, pose_world_marker=marker)
         placed = replace(placed, table=_ground(placed, at_goal[1], reach))
         ground = 0.0 if placed.table is None else placed.table.height
         for pose in _cameras(marker.position, tool.position, reach):
             if pose.position[2] < ground + 0.1 * reach:
                 continue
-            score = _visibility(robot, replace(placed, pose_world_camera=pose), at_home, at_goal)
-            if score > best_score * (1.0 + 1e-6):  # by rounding errors alone no other one is chosen
-                best, best_score = replace(placed, pose_world_camera=pose), score
-        enough = _GOOD_VIEW if attempt < _PATIENCE else _ONE_ON_THE_OTHER * _GOOD_VIEW
-        if best_score > enough:
+            candidate = replace(placed, pose_world_camera=pose)
+            score = _visibility(robot, candidate, at_home, at_goal)
+            # Rounding errors must not decide between equally good views.
+            if score > best_score * (1.0 + 1e-6):
+                best = candidate
+                best_score = score
+
+        sufficient_score = _GOOD_VIEW
+        if attempt >= _PATIENCE:
+            sufficient_score *= _OVERLAP_FACTOR
+        if best_score > sufficient_score:
             break
     if best is None:
         raise CameraError(
-            f"no camera pose shows a goal of frame {frame!r} of {robot.name}: the robot hides it everywhere",
+            f"no camera pose shows a goal of frame {frame!r} of {robot.name}: "
+            "the robot hides it everywhere",
             hint="give a goal yourself (--goal X Y Z), or another frame (--frame), "
             "or describe the scene in a robot.toml beside the model ([reach])",
         )
@@ -269,27 +393,41 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
 
 
 def _ground(scene: Scene, cube: Pose, reach: float) -> SceneTable | None:
-    """A table top below marker and tool where the floor, at height 0, would hide them."""
-    side = next(side for side, _ in scene.cube.values())
-    lowest = min(scene.pose_world_marker.position[2] - scene.marker_size, cube.position[2] - 1.2 * side)
-    height = float(lowest) - 0.02 * reach
+    """Return a table top below marker and cube, or None if both are above the floor at height 0.
+
+    Args:
+        scene: Scene with the marker in place.
+        cube: Pose of the cube in the world, at the goal.
+        reach: Reach of the robot, metres.
+    """
+    side = _cube_marker_side(scene)
+    marker_bottom = scene.pose_world_marker.position[2] - scene.marker_size
+    cube_bottom = cube.position[2] - 1.2 * side
+    height = float(min(marker_bottom, cube_bottom)) - 0.02 * reach
     return None if height > 0.0 else SceneTable(height, (-reach, reach), (-reach, reach))
 
 
+def _cube_marker_side(scene: Scene) -> float:
+    """Return the side of the cube's markers, metres. All have the same side."""
+    return next(side for side, _ in scene.cube.values())
+
+
 def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
+    """Return camera poses on a sphere, aimed at the midpoint of marker and tool (3,)."""
     middle = 0.5 * (marker + tool)
-    found = []
+    distance = _CAMERA_DISTANCE * reach
+    poses = []
     for elevation in np.deg2rad([20.0, 40.0, 60.0, -15.0, -35.0]):
         for azimuth in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False):
-            direction = np.array(
-                [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-            )
-            found.append(Pose.look_at(middle + _CAMERA_DISTANCE * reach * direction, middle))
-    return found
+            x = np.cos(elevation) * np.cos(azimuth)
+            y = np.cos(elevation) * np.sin(azimuth)
+            direction = np.array([x, y, np.sin(elevation)])
+            poses.append(Pose.look_at(middle + distance * direction, middle))
+    return poses
 
 
 def _posed(robot: Robot, scene: Scene, q: Array) -> tuple[mujoco.MjData, Pose]:
-    """The model at ``q`` (nq,), for rays, and where the cube is."""
+    """Return the MuJoCo data at ``q`` (nq,), for rays, and the pose of the cube in the world."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_kinematics(robot.model, data)
@@ -297,60 +435,108 @@ def _posed(robot: Robot, scene: Scene, q: Array) -> tuple[mujoco.MjData, Pose]:
 
 
 def _visibility(
-    robot: Robot, scene: Scene, at_home: tuple[mujoco.MjData, Pose], at_goal: tuple[mujoco.MjData, Pose]
+    robot: Robot,
+    scene: Scene,
+    at_home: tuple[mujoco.MjData, Pose],
+    at_goal: tuple[mujoco.MjData, Pose],
 ) -> float:
-    """0 when marker or cube cannot be seen, towards 1 when all that counts faces the camera."""
-    (home, cube_at_home), (goal, cube) = at_home, at_goal
-    marker = _facing(robot, scene, home, [(scene.marker_size, scene.pose_world_marker)])
-    if not marker or not _apart(scene, cube_at_home):
+    """Return the score of a view: 0 if marker or cube is hidden, towards 1 if both face the camera.
+
+    Args:
+        robot: The robot.
+        scene: Scene with the camera in place.
+        at_home: MuJoCo data and pose of the cube at home, where the marker must be visible.
+        at_goal: MuJoCo data and pose of the cube at the goal, where the cube must be visible.
+    """
+    data_at_home, cube_at_home = at_home
+    data_at_goal, cube_at_goal = at_goal
+    marker = [(scene.marker_size, scene.pose_world_marker)]
+    marker_cosines = _facing(robot, scene, data_at_home, marker)
+    if not marker_cosines or not _apart(scene, cube_at_home):
         return 0.0
-    seen = _facing(robot, scene, goal, [(side, cube.compose(pose)) for side, pose in scene.cube.values()])
-    # Two sides at once tell how the cube is turned far better than one seen squarely.
-    score = min(marker[0], float(sum(seen[:2]) / np.sqrt(2.0)))
-    return score if not score or _apart(scene, cube) else _ONE_ON_THE_OTHER * score
+
+    sides = [(side, cube_at_goal.compose(pose)) for side, pose in scene.cube.values()]
+    side_cosines = _facing(robot, scene, data_at_goal, sides)
+    # Two visible sides determine the orientation of the cube better than a single frontal side.
+    score = min(marker_cosines[0], float(sum(side_cosines[:2]) / np.sqrt(2.0)))
+    if score and not _apart(scene, cube_at_goal):
+        score *= _OVERLAP_FACTOR
+    return score
 
 
 def _apart(scene: Scene, cube: Pose) -> bool:
-    """Whether the picture shows the target, and a cell of white round it, beside the whole cube there."""
+    """Return whether printed marker and cube do not overlap in the picture.
+
+    One white cell around the printed marker counts as part of it.
+
+    Args:
+        scene: Scene with the camera in place.
+        cube: Pose of the cube in the world.
+    """
     to_camera = scene.pose_world_camera.inverse()
 
     def outline(pose: Pose, points: Array) -> NDArray[np.float32]:
         pixels = scene.intrinsics.project(to_camera.apply(pose.apply(points)))
         return np.asarray(cv2.convexHull(pixels.astype(np.float32)))
 
-    h = 0.6 * scene.marker_size
-    paper = np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-    side = next(side for side, _ in scene.cube.values())
-    c = 0.5 * side + scene.cube_margin
-    corners = c * np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    overlap, _ = cv2.intersectConvexConvex(outline(scene.pose_world_marker, paper), outline(cube, corners))
+    half_edge = 0.5 * _cube_marker_side(scene) + scene.cube_margin
+    corners = half_edge * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    marker_outline = outline(scene.pose_world_marker, _paper_corners(scene.marker_size))
+    overlap, _ = cv2.intersectConvexConvex(marker_outline, outline(cube, corners))
     return not overlap > 0.0
+
+
+def _paper_corners(side: float) -> Array:
+    """Return the corners (4, 3) of a marker's paper in the marker frame, metres."""
+    h = 0.5 * _PAPER_PER_MARKER * side
+    return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
 
 
 def _facing(
     robot: Robot, scene: Scene, data: mujoco.MjData, markers: list[tuple[float, Pose]]
 ) -> list[float]:
-    """Cosines between view and paper of the markers (side, pose) that are seen whole, the best first."""
+    """Return the cosines between view and paper normal of the markers that are not hidden.
+
+    Args:
+        robot: The robot.
+        scene: Scene with the camera in place.
+        data: MuJoCo data of the robot's configuration.
+        markers: (side in metres, pose in the world) of each marker.
+
+    Returns:
+        Cosines in descending order, without the markers that are hidden in part.
+    """
     eye = scene.pose_world_camera.position
-    width, height = scene.intrinsics.size
-    found = []
+    to_camera = scene.pose_world_camera.inverse()
+    low = np.array([_BORDER, _BORDER])
+    high = np.array(scene.intrinsics.size) - _BORDER
+    cosines = []
     for side, pose in markers:
-        h = 0.6 * side
-        points = pose.apply(np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0], [0, 0, 0]]))
+        points = pose.apply(np.vstack([_paper_corners(side), np.zeros(3)]))
         view = eye - pose.position
         cosine = float(pose.rotation[:, 2] @ view / np.linalg.norm(view))
         if cosine <= _WORST_VIEW:
             continue
-        pixels = scene.intrinsics.project(scene.pose_world_camera.inverse().apply(points))
-        if not ((pixels > 20).all() and (pixels < [width - 20, height - 20]).all()):
+        pixels = scene.intrinsics.project(to_camera.apply(points))
+        if not ((pixels > low).all() and (pixels < high).all()):
             continue
-        if in_view(robot.model, data, eye, points, 1e-4):
-            found.append(cosine)
-    return sorted(found, reverse=True)
+        if in_view(robot.model, data, eye, points, _RAY_SLACK):
+            cosines.append(cosine)
+    return sorted(cosines, reverse=True)
 
 
-def in_view(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, points: Array, slack: float) -> bool:
-    """Whether no geom stands between ``eye`` and points (n, 3), up to ``slack`` metres before them."""
+def in_view(
+    model: mujoco.MjModel, data: mujoco.MjData, eye: Array, points: Array, slack: float
+) -> bool:
+    """Return whether no geom hides any of several points from an eye.
+
+    Args:
+        model: MuJoCo model.
+        data: MuJoCo data with the poses of the geoms.
+        eye: Position of the eye (3,) in the world, metres.
+        points: Points (n, 3) in the world, metres.
+        slack: Distance before a point within which a geom does not hide it, metres.
+    """
     geom = np.zeros(1, dtype=np.int32)
     for ray in points - eye:
         length = float(np.linalg.norm(ray))

@@ -51,7 +51,7 @@ COMMANDS: list[tuple[str, str, dict[str, str]]] = [
     ("servo replay FILE --bus /dev/null", "motion.csv", CSV),
     ("camera handeye --samples FILE", "samples.json", JSON),
     ("camera verify --samples FILE", "samples.json", JSON),
-    ("camera detect picture.png --size 0.05 --intrinsics FILE", "camera.yaml", YAML),
+    ("camera detect picture.png --marker-size 0.05 --intrinsics FILE", "camera.yaml", YAML),
     ("camera detect picture.png --intrinsics camera.yaml --bodies FILE", "bodies.toml", TOML),
     ("solve --goal 0.3 0 0.3 --robot FILE", "robot.xml", XML),
 ]

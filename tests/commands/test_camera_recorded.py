@@ -91,7 +91,7 @@ def test_a_recording_is_refused_while_the_bus_stays_silent(
         "2026-01-01",
         STANDARD_CAMERA.digest,
     ).save(place)
-    rest = ["--camera-extrinsics", place] if command == "verify" else []
+    rest = ["--extrinsics", place] if command == "verify" else []
     run = robot_ik(
         "camera",
         command,

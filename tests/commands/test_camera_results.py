@@ -31,7 +31,7 @@ COMMANDS = [
     (("camera", "print", "board", "--out", "other.pdf"), "--body", "mine.toml", ()),
     (("camera", "handeye"), "--out", "mine.toml", ("mine.samples.json",)),
     (("camera", "verify"), "--out", "mine.json", ()),
-    (("camera", "verify", "--out", "other.json"), "--picture", "mine.png", ()),
+    (("camera", "verify", "--out", "other.json"), "--plot", "mine.png", ()),
     (("ar",), "--out", "mine.png", ()),
 ]
 RESULTS = [

@@ -47,12 +47,14 @@ LINES = {
     "servo calibrate": "mine.toml --bus sim --arm one.toml --from-lerobot one.json",
     "servo monitor": "--bus sim --count 1",
     "servo move": "joint1=5 --bus sim",
+    "ar": "--seconds 0.05 --size 640 480",
     "servo torque": "off --bus sim",
     "servo reset-fault": "--bus sim",
     "servo record": "wave.csv --bus sim --seconds 0.02",
     "servo replay": "motion.csv --bus sim --arm one.toml",
     "teleop": "--leader so101 --leader-bus sim --follower so101 --follower-bus sim --seconds 0.1",
     "stop": "",
+    "figure": "--ball 0.45 -0.25 1.3",
     "robots": "puma560",
     "bench": "--solver lm --robot puma560 --problems cold --count 5",
     "solvers": "dls",
@@ -61,6 +63,8 @@ LINES = {
     "camera calibrate": "synthetic:charuco?frames=19&seed=7 --views 6",
     "camera detect": "photo.png",
     "camera locate": "photo.png --intrinsics lens.yaml --board marker:7:50",
+    "camera handeye": "--views 4",
+    "camera verify": "--views 4",
     "doctor": "",
     "completion": "bash",
 }
@@ -135,8 +139,8 @@ def photo() -> bytes:
 
 
 @pytest.fixture(autouse=True)
-def _folder(tmp_path: Path, photo: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run each test in a folder with a photograph, on a machine with one camera."""
+def _camera(tmp_path: Path, photo: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a photograph and its calibration into the folder, and a camera on the machine."""
     monkeypatch.chdir(tmp_path)
     Path("photo.png").write_bytes(photo)
     STANDARD_CAMERA.save("lens.yaml")

@@ -14,10 +14,10 @@ from PIL import Image as Pictures
 
 from benchmarks.figure.motion import MotionMeasure, measure_motion
 from robot_ik.commands.main import main
-from robot_ik.errors import ConfigError, InvalidGoalError, OutputError
+from robot_ik.errors import InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import FigureFrame, FigureSession
-from robot_ik.jobs.figure import FilmMaker, frames_table, read_balls, record
+from robot_ik.jobs.figure import FilmMaker, frames_table, record
 
 
 def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
@@ -189,34 +189,16 @@ def test_the_table_of_frames_reads_back_and_claims_true_contacts(abilities: Abil
 def test_the_command_prints_decisions_and_writes_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    balls = tmp_path / "balls.csv"
-    balls.write_text("x,y,z\n0.45,-0.25,1.2\n0.5,-0.2,0.3\n0.5,0.5,3.2\n")
-    assert main(["figure", "--balls", str(balls)]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [row["action"] for row in rows] == ["reach", "bend", "nothing"]
-    assert rows[2]["ball"] == [0.5, 0.5, 3.2]
-
-    film = str(tmp_path / "film.mp4")
-    assert main(["figure", "--balls", str(balls), "--record", film]) == 2
-    assert "with --balls nothing moves" in capsys.readouterr().err
     assert main(["figure", "--ball", "0.5", "0.5", "3.2", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["errors"] == []
 
     out = tmp_path / "frames.csv"
-    argv = ["figure", "--ball", "0.45", "0.25", "1.1", "--frames", str(out), "--json"]
+    argv = ["figure", "--ball", "0.45", "0.25", "1.1", "--record", str(out), "--json"]
     assert main(argv) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["decisions"][0]["arm"] == "left"
     assert report["errors"][0]["error_m"] < 0.005
     assert len(out.read_text().splitlines()) == report["frames"] + 3
-
-
-@pytest.mark.parametrize("row", ["1,2", "nan,0,1", "0.5,0,inf"])
-def test_a_wrong_table_of_balls_is_refused(tmp_path: Path, row: str) -> None:
-    balls = tmp_path / "balls.csv"
-    balls.write_text(f"{row}\n")
-    with pytest.raises(ConfigError, match="row 1"):
-        read_balls(balls)
 
 
 def test_a_ball_is_three_finite_numbers(abilities: Abilities) -> None:
@@ -259,7 +241,7 @@ def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
     """The marker of the synthetic camera is 0.87 m in front of the figure, 0.44 m to its left."""
     frames = tmp_path / "frames.csv"
     argv = ["figure", "--camera", "synthetic", "--seconds", "0.1", "--json"]
-    assert main([*argv, "--frames", str(frames)]) == 0
+    assert main([*argv, "--record", str(frames)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["decisions"][-1]["action"] in ("reach", "walk")
     with frames.open() as file:
@@ -268,7 +250,7 @@ def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
     scale = 0.40 / 1.75
     # The board, on which the figure stands, moves by some centimetres.
     assert np.abs(np.array(ball) - np.array([0.20, 0.10, 0.28]) / scale).max() < 0.35, ball
-    assert main([*argv, "--ar", "--record", str(tmp_path / "ar")]) == 0
+    assert main([*argv, "--video", str(tmp_path / "ar")]) == 0
     assert len(list((tmp_path / "ar").glob("*.png"))) == 3
 
 
@@ -276,8 +258,8 @@ def test_the_lion_is_a_figure_of_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "lion.csv"
-    argv = ["figure", "--model", "lion", "--ball", "0.9", "-0.2", "0.6", "--json"]
-    assert main([*argv, "--frames", str(out)]) == 0
+    argv = ["figure", "--robot", "lion", "--ball", "0.9", "-0.2", "0.6", "--json"]
+    assert main([*argv, "--record", str(out)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["decisions"][0]["arm"].endswith("_paw")
     assert report["errors"][0]["error_m"] < 0.005
@@ -287,22 +269,20 @@ def test_the_lion_is_a_figure_of_the_command(
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        ("--ball 1 2 3 --path circle", "--path: --ball"),
+        ("--ball 1 2 3 --path circle", "--path: --ball is given, too"),
         ("--ball nan 0 0", "--ball"),
         ("--ball 0 inf 0", "--ball"),
-        ("--camera synthetic --path circle", "--camera: --path is circle"),
-        ("--ar --path circle", "--ar: --path is circle"),
-        ("--place nan 0 0", "--place"),
-        ("--ar --ball 0.5 0 1", "--ar: --ball is given, too"),
-        ("--camera 0 --balls x", "--balls is"),
+        ("--camera synthetic --path circle", "--camera: --path is given, too"),
+        ("--camera synthetic --ball 0.5 0 1", "--camera: --ball is given, too"),
+        ("--robot-pose nan 0 0", "--robot-pose"),
+        ("--robot-pose 0 0 1", "--robot-pose"),
         ("--seconds 0", "--seconds"),
         ("--path circle --seconds nan", "--seconds"),
-        ("--model puma560", ""),
-        ("--model lion --path circle", "--model"),
-        ("--balls missing.csv", "missing.csv"),
-        ("--ar --viewer", "--viewer"),
-        ("--camera missing.mp4 --ar", "missing.mp4"),
-        ("--ar --scale -1", ""),
+        ("--robot puma560", ""),
+        ("--robot lion --path circle", "--path: lion stands where it is"),
+        ("--camera synthetic --video a.mp4 --viewer", "--viewer"),
+        ("--camera missing.mp4 --video a.mp4", "missing.mp4"),
+        ("--camera synthetic --scale -1", "--scale"),
     ],
 )
 def test_wrong_input_is_refused(

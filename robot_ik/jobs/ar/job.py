@@ -53,7 +53,7 @@ _MOMENTS = 24
 # partly outside the picture.
 _LEAST_SHARE = 0.05
 _OUT_OF_VIEW = (
-    "nothing of the robot is in view, its board is: try a smaller --scale, or another --base"
+    "nothing of the robot is in view, its board is: try a smaller --scale, or another --robot-pose"
 )
 
 
@@ -355,7 +355,7 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
             raise ConfigError(
                 f"{robot.name} has no geom {name!r}",
                 file="command line",
-                key="--occluder-geoms",
+                key="--occluders",
                 allowed=", ".join(sorted(filter(None, known))) or "none: its geoms have no names",
             )
     return np.array([name in names for name in known]) if names else None

@@ -205,7 +205,7 @@ def run_verify(
         raise ConfigError(
             "a zero offset can be rehearsed before the synthetic camera only",
             file="command line",
-            key="--rehearse-zero-offset",
+            key="--fault",
             allowed=f"--camera synthetic, {SIMULATED}",
         )
     with contextlib.ExitStack() as stack:
@@ -215,7 +215,7 @@ def run_verify(
                 f"the pose of the camera {request.camera!r} is unknown, so it cannot measure the "
                 "arm",
                 hint="lay a board on the table, find it (robot-ik camera locate), give "
-                "--camera-extrinsics",
+                "--extrinsics",
             )
         scene = open_camera_and_board(request, setup, stack)
         extrinsics = _load_extrinsics(request, scene.task.intrinsics)
@@ -235,16 +235,13 @@ def run_verify(
     return report
 
 
-def verify_from_samples(
-    samples: VerifySamples, request: VerifyRequest, *, board_sigma: bool
-) -> VerifyReport:
+def verify_from_samples(samples: VerifySamples, request: VerifyRequest) -> VerifyReport:
     """Compare earlier measurements again. Nothing moves.
 
     Args:
         samples: The measurements.
         request: Its ``fit`` and ``arm_file`` are used. Its ``intrinsics``, ``extrinsics`` and
             ``pose_other_board`` replace those of the samples if they are given.
-        board_sigma: Whether its ``board_sigma`` replaces the one of the samples.
 
     Raises:
         ConfigError: The joints were read with another arm file.
@@ -256,15 +253,13 @@ def verify_from_samples(
         if intrinsics.digest != samples.intrinsics.digest and request.extrinsics is None:
             raise CalibrationError(
                 "the camera's pose on file was found with another calibration",
-                hint="give the extrinsics that were found with this one: --camera-extrinsics FILE",
+                hint="give the extrinsics that were found with this one: --extrinsics FILE",
             )
         samples = replace(samples, intrinsics=intrinsics)
     extrinsics = _load_extrinsics(request, samples.intrinsics)
     if extrinsics is not None:
         samples = replace(samples, **_camera_knowledge(extrinsics))
     board = replace(samples.board, pose=request.pose_other_board or samples.board.pose)
-    if board_sigma:
-        board = KnownPose.within(board.pose, *request.board_sigma)
     config = None if request.arm_file is None else samples.arm(request.arm_file)
     samples = replace(samples, board=board)
     report = VerifyReport(
@@ -324,7 +319,7 @@ def _locate(setup: RobotSetup, scene: CameraAndBoard) -> CameraExtrinsics:
     if not views:
         raise MarkerNotFoundError(
             "the marker on the table is hidden, so the pose of the simulated camera is unknown",
-            hint="give its pose: --camera-extrinsics FILE",
+            hint="give its pose: --extrinsics FILE",
         )
     return locate_camera(views, surroundings.pose_world_marker, intrinsics)
 

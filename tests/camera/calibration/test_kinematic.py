@@ -21,7 +21,7 @@ from robot_ik.camera.calibration.kinematic import (
 )
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import Observation
-from robot_ik.cli.arm_camera import unobservable_text
+from robot_ik.commands.camera_verify import unobservable_text
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot, load_robot

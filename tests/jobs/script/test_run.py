@@ -314,7 +314,7 @@ tolerance_deg = 5.0
 def test_a_script_sends_the_same_commands_in_process_and_on_a_pty(
     play: Run, monkeypatch: pytest.MonkeyPatch, real_time: None
 ) -> None:
-    """Plans are equal to the bit. So are the commands that the limiter does not change."""
+    """Plans are equal to the bit, and commands that the limiter does not change to 1e-9 rad."""
     # Limited joint values and whether the limiter changed them, by the commanded joint values.
     ticks: dict[bytes, tuple[np.ndarray, bool]] = {}
     step = SafetyLimiter.step

@@ -22,9 +22,15 @@ def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixt
     image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, np.random.default_rng(0))
     cv2.imwrite(str(tmp_path / "photo.png"), image)
     STANDARD_CAMERA.save(tmp_path / "camera.yaml")
-    words = ["ar", "--camera", str(tmp_path / "photo.png"), "--intrinsics", str(tmp_path / "camera.yaml")]
+    words = [
+        "ar",
+        "--camera",
+        str(tmp_path / "photo.png"),
+        "--intrinsics",
+        str(tmp_path / "camera.yaml"),
+    ]
     words += ["--board", "marker:7:50", "--dictionary", "DICT_4X4_50", "--scale", "0.15", "--json"]
-    assert main([*words, "--out", str(tmp_path / "a.png")]) == 0
+    assert main([*words, "--video", str(tmp_path / "a.png")]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["pictures"] == said["drawn"] == 1
     assert said["reprojection_px"] < 0.3
@@ -37,16 +43,18 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
     monkeypatch.chdir(tmp_path)
     real = films.importlib.util.find_spec
     monkeypatch.setattr(
-        films.importlib.util, "find_spec", lambda name, *more: None if name == "av" else real(name, *more)
+        films.importlib.util,
+        "find_spec",
+        lambda name, *more: None if name == "av" else real(name, *more),
     )
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
     assert 'pip install "robot-ik-testbed[video]"' in capsys.readouterr().err
     assert sorted(f.name for f in (tmp_path / "ar").iterdir()) == ["000000.png", "000001.png"]
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 2
     assert "it holds 000000.png" in capsys.readouterr().err
-    assert main(["ar", "--seconds", "0", "--out", "b"]) == 2
-    assert "--seconds: 0; allowed: above 0" in capsys.readouterr().err
-    assert main(["ar", "--out", "a.mp4", "--robot", "nowhere"]) == 2
+    assert main(["ar", "--seconds", "0", "--video", "b"]) == 2
+    assert "--seconds: 0.0 is out of range" in capsys.readouterr().err
+    assert main(["ar", "--video", "a.mp4", "--robot", "nowhere"]) == 2
     assert 'pip install "robot-ik-testbed[video]"' in capsys.readouterr().err
 
 
@@ -59,7 +67,7 @@ def test_ctrl_c_before_the_first_picture(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Registrar, "track", interrupted)
-    assert main(["ar", "--size", "64", "48", "--out", "a.png"]) == 130
+    assert main(["ar", "--size", "64", "48", "--video", "a.png"]) == 130
     said = capsys.readouterr()
     assert "nothing is written" in said.err and "None" not in said.out + said.err
     assert not list(tmp_path.iterdir())
@@ -68,14 +76,15 @@ def test_ctrl_c_before_the_first_picture(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--base", "1", "2"], "--base"),
-        (["--base", "nan", "0", "0"], "--base"),
+        (["--robot-pose", "1", "2"], "--robot-pose"),
+        (["--robot-pose", "nan", "0", "0"], "--robot-pose"),
         (["--size", "640"], "--size"),
-        (["--size", "100000", "100000"], "16 to 16384"),
-        (["--out", "a.webm"], ".mp4"),
+        (["--size", "100000", "100000"], "at least 16, at most 16384"),
+        (["--video", "a.webm"], ".mp4"),
         (["--alpha", "2"], "--alpha"),
         (["--scale", "-1"], "--scale"),
-        (["--predict"], "--sync latest"),
+        (["--occluders", "a.toml", "b.toml"], "one file"),
+        (["--occluders", "no_such_geom"], "--occluders"),
         (["--camera", "nowhere.png", "--intrinsics", "none.yaml"], "none.yaml"),
         (["--board", "plate:3"], "plate:3"),
         (["--occluders", "none.toml"], "none.toml"),
@@ -92,7 +101,7 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    out = [] if "--out" in words else ["--out", "a.png"]
+    out = [] if "--video" in words else ["--video", "a.png"]
     assert main(["ar", *out, *words]) == 2
     errors = capsys.readouterr().err
     assert said in errors

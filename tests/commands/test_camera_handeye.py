@@ -71,13 +71,13 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
     for words in (
         "camera seen from gripper",
         "board seen from world",
-        "stated uncertainty",
+        "uncertainty",
         "left out",
     ):
         assert words in run.out
     # The true error of real samples is unknown.
     assert "true error" not in run.out
-    place = CameraExtrinsics.load("place.toml", STANDARD_CAMERA)
+    place = CameraExtrinsics.load("extrinsics.toml", STANDARD_CAMERA)
     assert place.parent == "gripper"
     position, angle = place.pose_parent_camera.distance(CAMERA)
     assert position < 2e-3 and angle < np.deg2rad(0.25)
@@ -106,8 +106,8 @@ def test_an_arm_whose_zero_is_off_is_reported(
     assert "robot-ik camera verify --fit" in doubt
     # Loading the file logs the doubt.
     with caplog.at_level("WARNING", "robot_ik.camera"):
-        assert CameraExtrinsics.load("place.toml").doubt == doubt
-    assert f"place.toml: {doubt}" in caplog.text
+        assert CameraExtrinsics.load("extrinsics.toml").doubt == doubt
+    assert f"extrinsics.toml: {doubt}" in caplog.text
 
 
 def test_a_zero_that_is_off_by_half_a_degree_is_named() -> None:
@@ -138,8 +138,8 @@ def test_ctrl_c_says_how_to_go_on(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--views", "3"], "allowed: 4 to 100"),
-        (["--speed", "0"], "share of the speed limits"),
+        (["--views", "3"], "--views: 3 is out of range"),
+        (["--speed", "0"], "--speed: 0.0 is out of range"),
         (["--bus", "none"], "without servos"),
         (["--board", "plank"], "is not a board"),
         (["--camera-guess", "1", "2"], "--camera-guess"),
