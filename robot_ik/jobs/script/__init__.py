@@ -1,4 +1,4 @@
-"""Scripted test runs: a TOML file lists the moves of an arm, the faults, and the conditions.
+"""Scripted test runs: a TOML file lists moves of an arm, faults and conditions.
 
 ``load_script`` reads a script, and ``ScriptRun`` runs it. ``shipped`` lists the bundled scripts.
 """

@@ -1,4 +1,4 @@
-"""The kinds of steps of a script: one class for each, with its keys, its check and its action.
+"""The kinds of steps of a script, one class each.
 
 Importing this package fills ``STEPS``. Each subclass of ``ScriptStep`` with a key ``do`` registers
 itself.

@@ -71,7 +71,7 @@ class ScriptStep(Table):
     title_keys: ClassVar[tuple[str, ...]] = ()
     """Keys whose values follow ``do`` in the title of a step without a name."""
     simulated_only: ClassVar[bool] = False
-    """Whether the step is rejected on a real port, because it injects faults or restarts servos."""
+    """Whether the step is rejected on a real port. It injects faults or restarts servos."""
 
     do: str
     name: str = ""
