@@ -141,7 +141,7 @@ class ReachabilityReport(Report):
         return ('no slices: they need matplotlib (the extra "plots")',)
 
     def facts(self) -> dict[str, Any]:
-        """Return the JSON object. docs/how-to/reachability.md describes it."""
+        """Return the values for programs, in SI units."""
         return {**self.map, "seconds": self.seconds, "files": [str(file) for file in self.files]}
 
     def tables(self) -> Iterable[Table]:
