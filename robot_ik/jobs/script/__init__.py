@@ -1,6 +1,6 @@
-"""Scripted test runs: a TOML file says what an arm shall do, what goes wrong, and what must be true.
+"""Scripted test runs: a TOML file lists moves of an arm, faults and conditions.
 
-``load_script`` reads one, ``ScriptRun`` runs it; ``shipped`` names those that come along.
+``load_script`` reads a script, and ``ScriptRun`` runs it. ``shipped`` lists the bundled scripts.
 """
 
 from robot_ik.jobs.script.file import Script, load_script, parse_script, shipped

@@ -1,4 +1,4 @@
-"""What a script says, and reading one."""
+"""The content of a script file, and functions that read it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,15 @@ from robot_ik.robot_file import catalogue
 
 
 class ObjectTable(Table):
-    """A box that lies about and can be gripped, in a world with ``physics``; ``position``: its centre."""
+    """A box that the gripper can grip. It needs ``physics``.
+
+    Attributes:
+        name: Name of the object, unique in the script.
+        position: Centre of the box in the world frame, metres.
+        yaw_deg: Rotation about the world's z axis, degrees.
+        size_mm: Edge lengths along x, y and z, millimetres.
+        mass_g: Mass, grams.
+    """
 
     name: Word
     position: Position
@@ -39,15 +47,21 @@ class ObjectTable(Table):
 
 
 class Script(Table):
-    """A whole script; ``file`` is where it came from, for errors.
+    """A script.
 
     Attributes:
-        version: ``schema`` in the file (the name is taken in pydantic's base class).
-        robot: Catalogue name, or a path seen from the script; ``arm``: path of an arm file, likewise.
-        seed: Of random faults, restarts and the synthetic camera's noise.
-        speed: Share of the speed limits of all moves that do not say it themselves.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker; by default the scene's own.
-        physics: The robot's MuJoCo model moves the simulated shafts; ``objects`` lie on its plane z = 0.
+        version: Key ``schema`` of the file. Pydantic's base class reserves that name.
+        name: Name of the script in the report.
+        about: One line about the purpose of the script.
+        robot: Name in the catalogue, or a path relative to the script.
+        arm: Path of an arm file, relative to the script.
+        seed: Random seed of the faults, the restarts and the noise of the synthetic camera.
+        speed: Default speed of the moves, as a share of the speed limits.
+        marker_at: Position x, y, z in metres and yaw in degrees of the printed marker. The default
+            is the pose in the scene.
+        physics: Whether the robot's MuJoCo model moves the simulated shafts.
+        objects: Boxes on the plane z = 0. They need ``physics``.
+        steps: The steps in the order of the run.
     """
 
     version: SchemaVersion
@@ -65,68 +79,86 @@ class Script(Table):
     _folder: Path | None
 
     @model_validator(mode="after")
-    def _known_objects(self) -> Script:
-        names = [one.name for one in self.objects]
+    def _check_objects(self) -> Script:
+        names = [box.name for box in self.objects]
         if names and not self.physics:
-            raise KeyProblem("objects fall and are gripped in a world with physics only", "physics", "true")
-        for k, name in enumerate(names):
-            if name in names[:k]:
-                problem = f"there is an object {shown(name)} already"
-                raise KeyProblem(problem, f"objects[{k}].name", "every name once")
-        for k, step in enumerate(self.steps):
-            if isinstance(step, ExpectStep) and step.object is not None and step.object not in names:
-                raise KeyProblem.unknown("object", step.object, names, f"steps[{k}].object")
+            raise KeyProblem("objects need a world with physics", "physics", "true")
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                problem = f"the name {shown(name)} is used twice"
+                raise KeyProblem(problem, f"objects[{index}].name", "a unique name for each object")
+        for index, step in enumerate(self.steps):
+            if not isinstance(step, ExpectStep) or step.object is None:
+                continue
+            if step.object not in names:
+                raise KeyProblem.unknown("object", step.object, names, f"steps[{index}].object")
         return self
 
     @property
     def file(self) -> str:
+        """File of the script. Errors name it."""
         return self._file
 
     def resolved(self, name: str) -> str:
-        """A robot of the catalogue, or a path as seen from the script's folder."""
+        """Return a catalogue name unchanged, and a path relative to the script's folder."""
         if name in catalogue() or self._folder is None:
             return name
         return str(self._folder / Path(name).expanduser())
 
     def wrong(self, problem: str, key: str, allowed: str = "") -> ConfigError:
-        """The error for something in this script."""
+        """Return the error for a problem at a key of this script."""
         return ConfigError(problem, file=self.file, key=key, allowed=allowed)
 
 
 def shipped() -> dict[str, Path]:
-    """Name -> file of the scripts that come along."""
+    """Return the files of the bundled scripts by name."""
     folder = Path(str(resources.files("robot_ik.jobs.script") / "shipped"))
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
-def _found(name: str) -> Path:
+def _script_path(name: str) -> Path:
+    """Return the file of a bundled script's name or of a path."""
     path = Path(name).expanduser()
-    known = shipped()
-    if path.is_dir() and name not in known:
-        own = next(iter(sorted(path.glob("*.toml"))), None)
-        hint = "" if own is None else f"a script in it: robot-ik run {own}"
+    bundled = shipped()
+    if path.is_dir() and name not in bundled:
+        example = next(iter(sorted(path.glob("*.toml"))), None)
+        hint = "" if example is None else f"a script in it: robot-ik run {example}"
         raise ConfigError("this is a folder", file=name, allowed="one script", hint=hint)
     if path.is_file() or path.suffix or path.name != name:
         return path
-    if name not in known:
-        hint = did_you_mean(name, known)
-        raise ConfigError("there is no such script", file=name, allowed=", ".join(known), hint=hint)
-    return known[name]
+    if name not in bundled:
+        hint = did_you_mean(name, bundled)
+        allowed = ", ".join(bundled)
+        raise ConfigError("there is no such script", file=name, allowed=allowed, hint=hint)
+    return bundled[name]
 
 
 def load_script(path: Path | str) -> Script:
-    """Reads a script: the file of that path, or the one of that name that comes along.
+    """Read a script.
+
+    Args:
+        path: Path of a TOML file, or name of a bundled script.
 
     Raises:
-        ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
+        ConfigError: The file cannot be read or is not TOML, or a key is unknown, missing or out of
+            range.
     """
-    path = _found(str(path))
-    hint = f"scripts that come along: {', '.join(shipped())}"
+    path = _script_path(str(path))
+    hint = f"bundled scripts: {', '.join(shipped())}"
     return parse_script(read_text(path, "the script", hint), path)
 
 
 def parse_script(text: str, file: Path | str = "<text>") -> Script:
-    """The same from text; ``file`` appears in errors, and its folder is where paths are seen from."""
+    """Read a script from text.
+
+    Args:
+        text: The script as TOML.
+        file: File that errors name. Paths in the script are relative to the folder of a ``Path``.
+
+    Raises:
+        ConfigError: The text is not TOML, or a key is unknown, missing or out of range.
+    """
     script = check_table(Script, parse_toml(text, file), file)
-    script._file, script._folder = str(file), file.parent if isinstance(file, Path) else None
+    script._file = str(file)
+    script._folder = file.parent if isinstance(file, Path) else None
     return script

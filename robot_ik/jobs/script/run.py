@@ -1,17 +1,12 @@
-"""Runs a script: step after step on one arm, until one fails or all have passed."""
+"""Runs a script: one step after another on one arm, until a step fails or all have passed."""
 
 from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
-import numpy as np
-
-from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.config import KeyProblem
 from robot_ik.errors import OutputError, RobotIkError, distinct_texts
 from robot_ik.goals import PoseGoal
@@ -19,9 +14,9 @@ from robot_ik.hardware import SIMULATED, bus_row
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
 from robot_ik.jobs.recording import open_recording
-from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
-from robot_ik.jobs.scene import scene_for
-from robot_ik.jobs.script.file import ObjectTable, Script
+from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
+from robot_ik.jobs.script.environment import open_camera, with_objects
+from robot_ik.jobs.script.file import Script
 from robot_ik.jobs.script.report import ScriptReport
 from robot_ik.jobs.script.state import (
     FAILED,
@@ -32,60 +27,20 @@ from robot_ik.jobs.script.state import (
     error_classes,
 )
 from robot_ik.jobs.script.steps import Action, ScriptStep
-from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.motion.keyframes import column_names
-from robot_ik.robot import Robot
 from robot_ik.solvers import solver_name
-
-# ------------------------------------------------------------------------------------------
-# The world of a script: its synthetic camera, and objects that lie about.
-
-
-SMALLER = 2
-"""A script looks often, and pictures take longer than all else: half the size is a quarter of the work."""
-
-
-def open_camera(
-    setup: RobotSetup, marker_at: Sequence[float] | None, seed: int, stack: contextlib.ExitStack
-) -> Vision:
-    """The camera of the robot's scene, ready: the first picture, which takes longest, has been taken.
-
-    ``marker_at``: as for ``Scene.with_marker_at``; None: the scene's own.
-
-    Raises:
-        CameraError: The robot's model has no scene, and none can be generated.
-    """
-    scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
-    width, height = scene.intrinsics.size
-    scene = replace(scene, intrinsics=scene.intrinsics.scaled(width // SMALLER, height // SMALLER))
-    if marker_at is not None:
-        scene = scene.with_marker_at(*marker_at)
-    synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
-    source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock)
-    stack.enter_context(source)
-    vision = Vision(scene, source, setup, synthetic=source)
-    vision.picture()
-    return vision
-
-
-def with_objects(robot: Robot, objects: Sequence[ObjectTable]) -> mujoco.MjModel:
-    """The robot's model with objects on the plane z = 0."""
-    from robot_ik.hardware.virtual.world import WorldObject, model_with
-
-    boxes = []
-    for one in objects:
-        (x, y, z), half = one.position, 0.5 * float(np.radians(one.yaw_deg))
-        wide, deep, high = (1e-3 * edge for edge in one.size_mm)
-        wxyz = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
-        boxes.append(WorldObject(one.name, (x, y, z), (wide, deep, high), 1e-3 * one.mass_g, wxyz))
-    return model_with(robot.path, boxes, floor=0.0)
 
 
 @dataclass(frozen=True)
 class ScriptRequest:
-    """On what a script shall run: ``sim``, ``pty`` or a serial port; the rest is instead of the script's own.
+    """The bus of a run, and values that replace those of the script.
 
-    ``record``: file of all commands and measurements, .csv or .mcap.
+    Attributes:
+        bus: ``sim``, ``pty`` or a serial port.
+        robot: Name in the catalogue or path of a model. Empty: the script's robot.
+        arm_file: Arm file. None: the script's arm file, unless ``robot`` is given.
+        seed: Random seed. None: the script's seed.
+        record: File of all commands and measurements, .csv or .mcap. None: no recording.
     """
 
     bus: str = "sim"
@@ -96,31 +51,42 @@ class ScriptRequest:
 
 
 def run_script(
-    script: Script, request: ScriptRequest | None = None, progress: Progress = lambda name, share: None
+    script: Script,
+    request: ScriptRequest | None = None,
+    progress: Progress = lambda _name, _share: None,
 ) -> ScriptReport:
-    """Runs a script; whether it passed is in the report, never an exception.
+    """Run a script and return its report. A failed step is no exception.
+
+    Args:
+        script: The script.
+        request: Bus and replaced values. None: the defaults.
+        progress: Called with the name of the next step and the share of finished steps.
 
     Raises:
-        RobotIkError: Wrong script or environment: no step was run.
+        RobotIkError: The script or the environment is wrong. No step was run.
     """
     return ScriptRun(script, request or ScriptRequest()).run(progress)
 
 
 class ScriptRun(RunState):
-    """One run of one script.
+    """One run of a script.
 
-    ``report`` is whole as far as it goes whenever the run ends; the clock of ``setup`` is the run's.
+    Attributes:
+        report: The report. However the run ends, it is complete up to the last step that ran. Its
+            seconds are those of the clock in ``setup``.
     """
 
     def __init__(self, script: Script, request: ScriptRequest) -> None:
-        """Loads robot and arm and checks every step against them; nothing is opened.
+        """Load robot and arm and check every step against them. Open nothing.
 
         Raises:
-            ConfigError, ModelError: The script asks for what is not there.
+            ConfigError: The script or the arm file is wrong, or does not fit the robot or the bus.
+            ModelError: The model of the robot cannot be loaded.
         """
         seed = script.seed if request.seed is None else request.seed
         if seed < 0:
             raise script.wrong(f"not {seed}", "seed", "0, 1, 2, …")
+
         robot = request.robot or script.resolved(script.robot)
         arm_file = request.arm_file
         if arm_file is None and script.arm is not None and not request.robot:
@@ -128,112 +94,158 @@ class ScriptRun(RunState):
         setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
         super().__init__(script, setup, solver_name("", setup.robot.file), seed)
         self._record = request.record
+
         if script.physics and not self.simulated:
-            problem = "servos on a real port move by themselves"
+            problem = "servos on a real port cannot be moved by a simulated world"
             raise script.wrong(problem, "physics", f"false, or {SIMULATED}")
-        for k, step in enumerate(script.steps):
+        for index, step in enumerate(script.steps):
             try:
                 step.check(self)
-            except KeyProblem as wrong:
-                raise wrong.within(("steps", k)).in_file(script.file) from None
-        rows = [StepResult(step.title, step.do) for step in script.steps]
-        virtual = bus_row(request.bus).virtual_time
-        self.report = ScriptReport(
-            script.name, script.file, self.robot.name, request.bus, seed, virtual,
-            [*rows, StepResult("leave the arm", "leave")],
-        )  # fmt: skip
+            except KeyProblem as error:
+                raise error.within(("steps", index)).in_file(script.file) from None
 
-    def run(self, progress: Progress = lambda name, share: None) -> ScriptReport:
-        """Runs all steps, or up to the first that fails, and leaves the arm as its file says.
+        rows = [StepResult(step.title, step.do) for step in script.steps]
+        rows.append(StepResult("leave the arm", "leave"))
+        self.report = ScriptReport(
+            script=script.name,
+            file=script.file,
+            robot=self.robot.name,
+            bus=request.bus,
+            seed=seed,
+            virtual_time=bus_row(request.bus).virtual_time,
+            steps=rows,
+        )
+
+    def run(self, progress: Progress = lambda _name, _share: None) -> ScriptReport:
+        """Run the steps up to the first that fails, and leave the arm by its exit policy.
+
+        Args:
+            progress: Called with the name of the next step and the share of finished steps.
 
         Raises:
-            RobotIkError: The arm cannot be connected or switched on: no step was run.
+            RobotIkError: The arm cannot be connected or enabled. No step was run.
+            OutputError: The recording cannot be written. The run ends at that step.
         """
-        setup, report = self.setup, self.report
         try:
             with contextlib.ExitStack() as stack:
                 self._prepare(stack, progress)
                 if self._record is not None:
-                    setup.record(stack.enter_context(open_recording(self._record, column_names(self.robot))))
-                stack.enter_context(setup.connected())
-                setup.enable_torque()
-                self.begin = setup.clock.now()
+                    recording = open_recording(self._record, column_names(self.robot))
+                    self.setup.record(stack.enter_context(recording))
+                stack.enter_context(self.setup.connected())
+                self.setup.enable_torque()
+                self.begin = self.setup.clock.now()
                 try:
-                    self._steps(progress)
+                    self._run_steps(progress)
                 except BaseException:
-                    report.interrupted = True
+                    self.report.interrupted = True
                     raise
                 finally:
-                    report.seconds = self.now()
+                    self.report.seconds = self.now()
         finally:
-            left, row = self.arm.exit_report, report.steps[-1]
-            if left is not None:  # it was connected
-                row.outcome = PASSED if left.ok else FAILED
-                row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'no servo'}"
-                row.found += f"; {left.doubt}" if left.unverified else ""
-        return report
+            self._report_exit()
+        return self.report
+
+    def _report_exit(self) -> None:
+        """Write into the last row of the report how the arm was left, if it was connected."""
+        exit_report = self.arm.exit_report
+        if exit_report is None:
+            return
+        row = self.report.steps[-1]
+        row.outcome = PASSED if exit_report.ok else FAILED
+        confirmed = ", ".join(exit_report.verified) or "no servo"
+        row.found = f"{exit_report.done}, confirmed by {confirmed}"
+        if exit_report.unverified:
+            row.found += f"; {exit_report.doubt}"
 
     def _prepare(self, stack: contextlib.ExitStack, progress: Progress) -> None:
-        """Does what takes long while no servo has torque: compiles the solver, paints the scene."""
-        setup, robot, script = self.setup, self.robot, self.script
+        """Compile the solver and render the scene. Both take long, so no servo has torque yet."""
         if self.simulated:
             self.servos.reseed(self.seed)
-            if script.physics:
-                from robot_ik.hardware.virtual.world import World
-
-                model = with_objects(robot, script.objects) if script.objects else robot.model
-                World(model, self.config, self.servos, contacts=bool(script.objects))
+            if self.script.physics:
+                self._add_world()
         progress("getting ready", 0.0)
-        solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=self.solver)
-        if any(step.needs_camera for step in script.steps):
-            self.vision = open_camera(setup, script.marker_at, self.seed, stack)
+        frame = self.setup.frame
+        home = self.robot.forward(self.robot.home, frame)
+        solve(self.robot, PoseGoal.at(frame, home), solver=self.solver)
+        if any(step.needs_camera for step in self.script.steps):
+            self.vision = open_camera(self.setup, self.script.marker_at, self.seed, stack)
 
-    def _steps(self, progress: Progress) -> None:
+    def _add_world(self) -> None:
+        """Let the robot's MuJoCo model move the simulated shafts."""
+        # Only scripts with physics need this import. It loads the simulated world.
+        from robot_ik.hardware.virtual.world import World
+
+        objects = self.script.objects
+        model = with_objects(self.robot, objects) if objects else self.robot.model
+        World(model, self.config, self.servos, contacts=bool(objects))
+
+    def _run_steps(self, progress: Progress) -> None:
+        """Run the steps up to the first that fails, and add up the counters of the bus."""
         steps = self.script.steps
         counters: Counter[str] = Counter()
-        for k, (step, result) in enumerate(zip(steps, self.report.steps, strict=False)):
-            progress(result.name, k / len(steps))
+        # The report has one more row, for leaving the arm.
+        for index, (step, result) in enumerate(zip(steps, self.report.steps, strict=False)):
+            progress(result.name, index / len(steps))
             before = Counter(self.setup.counters())
-            self._step(step, result)
-            counters.update({key: n - before[key] for key, n in self.setup.counters().items()})
+            self._run_step(step, result)
+            after = self.setup.counters()
+            counters.update({key: count - before[key] for key, count in after.items()})
             self.report.counters = dict(counters)
             if result.outcome == FAILED:
                 return
 
-    def _step(self, step: ScriptStep, result: StepResult) -> None:
-        """One step; how it went is in ``result``."""
+    def _run_step(self, step: ScriptStep, result: StepResult) -> None:
+        """Run one step and write its outcome, time and error into ``result``."""
+        expected = step.raises if isinstance(step, Action) else None
         begin = self.setup.clock.now()
-        wanted, limit = (step.raises, step.time_limit_s) if isinstance(step, Action) else (None, None)
         result.outcome = FAILED
         try:
             step.run(self, result)
-            if wanted is None:
+            if expected is None:
                 result.outcome = PASSED
             else:
-                result.found = f"no error came; {wanted} was expected"
+                result.found = f"no error came; {expected} was expected"
         except StepFailed as failure:
             result.found = str(failure)
-        except OutputError as error:  # of the recording: it says nothing of the arm
+        except OutputError as error:  # An error of the recording is no error of the arm.
             result.found = str(error.args[0])
             raise
         except RobotIkError as error:
-            self.error = error
-            name, text = type(error).__name__, str(error.args[0]) if error.args else ""
-            result.found = f"{name}: {text}".replace("\n", " ")
-            result.numbers["error"] = name
-            if wanted is not None and isinstance(error, error_classes()[wanted]):
-                result.outcome = PASSED
-            elif wanted is not None:
-                result.found += f" ({wanted} was expected)"
+            self._report_error(error, expected, result)
         except BaseException:
             result.found = "interrupted"
             raise
         finally:
             result.seconds = self.setup.clock.now() - begin
+
         if isinstance(step, Action):
             self.seconds = result.seconds
-        late = limit is not None and result.seconds > limit + 0.5 / self.config.rate_hz
-        if late and result.outcome == PASSED:
-            result.outcome = FAILED
-            took, permitted = distinct_texts(result.seconds, limit or 0.0, digits=2)
-            result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))
+            self._check_time_limit(step, result)
+
+    def _report_error(self, error: RobotIkError, expected: str | None, result: StepResult) -> None:
+        """Write an error of a step into ``result``. The step passes if the error was expected."""
+        self.error = error
+        name = type(error).__name__
+        message = str(error.args[0]) if error.args else ""
+        result.found = f"{name}: {message}".replace("\n", " ")
+        result.numbers["error"] = name
+        if expected is None:
+            return
+        if isinstance(error, error_classes()[expected]):
+            result.outcome = PASSED
+        else:
+            result.found += f" ({expected} was expected)"
+
+    def _check_time_limit(self, step: Action, result: StepResult) -> None:
+        """Write a failure into ``result`` if a step that passed took too long."""
+        limit = step.time_limit_s
+        if limit is None or result.outcome != PASSED:
+            return
+        # A step ends at a tick, so half a period is tolerated.
+        if result.seconds <= limit + 0.5 / self.config.rate_hz:
+            return
+        result.outcome = FAILED
+        taken, permitted = distinct_texts(result.seconds, limit, digits=2)
+        problem = f"took {taken} s, allowed {permitted} s"
+        result.found = f"{problem}; {result.found}" if result.found else problem

@@ -1,4 +1,4 @@
-"""Where a run stands: the arm, what was sent to it last, and what the last step left behind."""
+"""State of a run: the arm, the last command, and the values that the last step left."""
 
 from __future__ import annotations
 
@@ -24,36 +24,42 @@ if TYPE_CHECKING:
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
 
-
+#: Time after the planned end in which the servos must arrive if a step has no time limit, seconds.
 GRACE = 2.0
-"""s beyond the planned time in which servos must have arrived where a step names no time limit."""
 
-
-PASSED, FAILED, NOT_RUN = "passed", "failed", "not run"
+#: Outcome of a step that did what it should.
+PASSED = "passed"
+#: Outcome of a step that did not do what it should.
+FAILED = "failed"
+#: Outcome of the steps after a failed step.
+NOT_RUN = "not run"
 
 
 class StepFailed(Exception):
-    """A step did not do what it should; the message says what was found."""
+    """A step failed. The message describes what was measured."""
 
 
 def error_classes() -> Mapping[str, type[RobotIkError]]:
-    """Name -> class of every error that ``raises`` and ``error`` may name."""
+    """Return the errors that the keys ``raises`` and ``error`` may name, by name."""
     return {
-        name: kind
-        for name, kind in vars(errors).items()
-        if name[0] != "_" and isinstance(kind, type) and issubclass(kind, errors.RobotIkError)
+        name: value
+        for name, value in vars(errors).items()
+        if not name.startswith("_") and isinstance(value, type) and issubclass(value, RobotIkError)
     }
 
 
 @dataclass
 class StepResult:
-    """One step, as it went.
+    """The result of one step.
 
     Attributes:
+        name: Title of the step.
+        do: Kind of the step.
         outcome: ``passed``, ``failed`` or ``not run``.
-        seconds: On the run's clock.
-        found: One line: what was measured, or what went wrong; ``numbers``: the same for programs.
-        trajectory: What was planned; None where nothing was.
+        seconds: Duration on the run's clock.
+        found: One line with the measured values, or with the problem.
+        numbers: The measured values for programs.
+        trajectory: The planned trajectory. None if the step planned none.
     """
 
     name: str
@@ -67,12 +73,18 @@ class StepResult:
 
 @dataclass
 class RunState:
-    """Where a run stands.
+    """State of a run.
 
     Attributes:
-        vision: None where no step looks.
-        error: The last error of a step; ``status``: of the last solve; ``seconds``: of the last action.
-        begin: When the run began, on its clock.
+        script: The script.
+        setup: Robot, arm and clock.
+        solver: Name of the solver.
+        seed: Random seed of the run.
+        vision: The synthetic camera. None if no step needs it.
+        error: The last error of a step.
+        status: Status of the last solve. Empty before the first one.
+        seconds: Duration of the last action, seconds.
+        begin: Time on the run's clock at which the steps began, seconds.
     """
 
     script: Script
@@ -87,24 +99,24 @@ class RunState:
 
     @property
     def robot(self) -> Robot:
-        """Inside the limits of model and arm file together."""
+        """The robot, with the limits of the model and the arm file."""
         return self.setup.robot
 
     @property
     def arm(self) -> Arm:
-        """The servos; a script never runs without."""
+        """The arm. Every script has one."""
         if self.setup.arm is None:
-            raise RuntimeError("a script runs with an arm")
+            raise RuntimeError("a script needs an arm")
         return self.setup.arm
 
     @property
     def simulated(self) -> bool:
-        """Whether its servos are; else they are behind a real port."""
+        """Whether the servos are simulated. Otherwise they are on a real port."""
         return not self.arm.bus.real
 
     @property
     def servos(self) -> VirtualBus:
-        """The simulated servos; no step that wants them runs on a real port."""
+        """The simulated servos. Steps that need them do not run on a real port."""
         servos = virtual_servos(self.arm.bus)
         if servos is None:
             raise RuntimeError("this step needs simulated servos")
@@ -112,46 +124,66 @@ class RunState:
 
     @property
     def config(self) -> ArmConfig:
+        """The arm file."""
         return self.arm.config
 
     def now(self) -> float:
-        """Seconds since the run began."""
+        """Return the time since the steps began, seconds."""
         return self.setup.clock.now() - self.begin
 
     def start(self) -> Array:
-        """(nq,) where the next move begins: at the last command, or where the arm is if that is far off.
+        """Return the start of the next move, (nq,) joint values in rad and m.
 
-        From the last command, so that ticks of the servos and the time they take change no plan.
+        It is the last command if the arm is near it, and the measured position otherwise. With the
+        last command, the resolution and the delay of the servos do not change the plan.
         """
-        measured, commanded = self.setup.q, self.setup.commanded
-        near = np.abs(measured - commanded).max() <= START_TOLERANCE
-        return (commanded if near else measured).copy()
+        measured = self.setup.q
+        commanded = self.setup.commanded
+        is_near = np.abs(measured - commanded).max() <= START_TOLERANCE
+        return (commanded if is_near else measured).copy()
 
     def play(
-        self, trajectory: Trajectory, limit: float | None, arrived: Callable[[], bool], result: StepResult
+        self,
+        trajectory: Trajectory,
+        limit: float | None,
+        arrived: Callable[[], bool],
+        result: StepResult,
     ) -> None:
-        """Sends a trajectory, then waits at its end until ``arrived`` or the time is over.
+        """Send a trajectory and wait until the arm arrived. Write the trajectory into ``result``.
 
-        Both may take ``limit`` seconds; None: as planned and ``GRACE``.  ``result`` keeps the trajectory.
+        Args:
+            trajectory: The planned motion.
+            limit: Longest duration of motion and waiting, seconds. None: the planned duration and
+                ``GRACE``.
+            arrived: Return whether the arm is at the end of the trajectory.
+            result: Result of the step. Its trajectory and its planned duration are set.
 
         Raises:
-            StepFailed: Planned or took longer than ``limit``.
-            RobotIkError: Of the arm.
+            StepFailed: The plan or the motion took longer than ``limit``.
+            RobotIkError: The arm failed.
         """
         result.trajectory = trajectory
         result.numbers["planned_s"] = round(trajectory.duration, 6)
         if limit is not None and trajectory.duration > limit:
             planned, permitted = distinct_texts(trajectory.duration, limit, digits=2)
             raise StepFailed(f"planned {planned} s, allowed {permitted} s; nothing was sent")
-        allowed = trajectory.duration + GRACE if limit is None else limit
-        end = self.setup.clock.now() + allowed
 
-        def in_time(tick: object) -> None:
-            if self.setup.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
+        clock = self.setup.clock
+        allowed = trajectory.duration + GRACE if limit is None else limit
+        deadline = clock.now() + allowed
+        # A tick at the deadline may be late by rounding, so half a period is tolerated.
+        latest_tick = deadline + 0.5 / self.config.rate_hz
+
+        def check_deadline(_tick: object) -> None:
+            if clock.now() > latest_tick:
                 raise StepFailed(f"not there after {allowed:.2f} s")
 
         execute(
-            trajectory, self.setup.sinks, source=self.setup.opened, clock=self.setup.clock, on_tick=in_time
+            trajectory,
+            self.setup.sinks,
+            source=self.setup.opened,
+            clock=clock,
+            on_tick=check_deadline,
         )
         if not arrived():
-            self.setup.repeat(end - self.setup.clock.now(), arrived)
+            self.setup.repeat(deadline - clock.now(), arrived)

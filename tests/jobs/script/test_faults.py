@@ -1,4 +1,4 @@
-"""Scripts and faults: what slips, sticks, goes away and comes back."""
+"""Scripts that inject faults: their effect, their begin and their end, and the recovery."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from robot_ik.jobs.script import (
-    ScriptReport,
-)
+from robot_ik.jobs.script import ScriptReport
 
 Run = Callable[..., ScriptReport]
 
@@ -17,8 +15,8 @@ def outcomes(report: ScriptReport) -> list[str]:
     return [step.outcome for step in report.steps]
 
 
-def test_a_shaft_that_slips_is_seen_only_by_its_true_place(play: Run) -> None:
-    slipped = """
+def test_only_the_true_shaft_position_shows_a_slipped_shaft(play: Run) -> None:
+    steps = """
 [[steps]]
 do = "inject"
 kind = "zero_offset"
@@ -32,13 +30,13 @@ do = "expect"
 keyframe = "home"
 shafts = true
 """
-    report = play(slipped)
+    report = play(steps)
     assert outcomes(report)[:3] == ["passed", "passed", "failed"]
-    # 3 degrees of the servo are 2 of the joint, behind its belt of 1.5:1
+    # The belt of 1.5:1 turns the joint by 2 degrees for 3 degrees of the servo.
     assert report.steps[2].numbers["joint_off_deg"] == pytest.approx(2.0, abs=0.1)
 
 
-def test_a_stuck_joint_ends_the_move_in_time(play: Run) -> None:
+def test_a_move_with_a_stuck_joint_fails_at_its_time_limit(play: Run) -> None:
     report = play("""
 [[steps]]
 do = "inject"
@@ -54,7 +52,7 @@ time_limit_s = 1.5
     assert report.steps[1].seconds == pytest.approx(1.5, abs=0.011)
 
 
-def test_a_fault_comes_when_it_should_and_goes_when_it_should(play: Run) -> None:
+def test_a_fault_begins_after_in_s_and_ends_after_for_s(play: Run) -> None:
     report = play("""
 [[steps]]
 do = "inject"
@@ -85,10 +83,11 @@ kind = "silent"
 """)
     assert report.passed, report.steps
     assert report.counters["timeouts"] > 0
-    assert report.steps[5].numbers["cleared"] == 1  # the first has gone by itself
+    # The first fault ended by itself.
+    assert report.steps[5].numbers["cleared"] == 1
 
 
-def test_a_fault_that_is_cleared_before_its_time_does_not_come(play: Run) -> None:
+def test_a_fault_cleared_before_its_begin_has_no_effect(play: Run) -> None:
     report = play("""
 [[steps]]
 do = "inject"
@@ -106,11 +105,16 @@ seconds = 0.5
 def test_an_arm_that_cannot_be_left_safely_fails_the_run(play: Run) -> None:
     report = play('[[steps]]\ndo = "inject"\nkind = "port_unplugged"')
     assert outcomes(report) == ["passed", "failed"]
-    assert "torque may be ON" in report.steps[-1].found and not report.passed
+    assert "torque may be ON" in report.steps[-1].found
+    assert not report.passed
 
 
-def test_recovering_needs_a_fault_and_its_cause_gone(play: Run) -> None:
-    assert "there is no fault" in play('[[steps]]\ndo = "recover"').steps[0].found
+def test_recover_fails_without_a_fault(play: Run) -> None:
+    report = play('[[steps]]\ndo = "recover"')
+    assert "there is no fault" in report.steps[0].found
+
+
+def test_recover_fails_while_the_cause_persists(play: Run) -> None:
     report = play("""
 [[steps]]
 do = "inject"

@@ -1,4 +1,4 @@
-"""A script as it is written: what is taken, and mistakes with the place and the close names."""
+"""Reading a script: accepted keys, and errors with the place and similar names."""
 
 from __future__ import annotations
 
@@ -14,13 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError
-from robot_ik.jobs.script import (
-    ScriptRequest,
-    ScriptRun,
-    load_script,
-    parse_script,
-    shipped,
-)
+from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, parse_script, shipped
 from robot_ik.jobs.script.file import Script
 from robot_ik.jobs.script.state import RunState, StepResult
 from robot_ik.jobs.script.steps import STEPS, ScriptStep, base
@@ -28,11 +22,13 @@ from robot_ik.jobs.script.steps import STEPS, ScriptStep, base
 HEAD = 'schema = 1\nname = "trial"\n'
 
 
-def with_step(*rows: str, head: str = HEAD) -> str:
-    return head + "[[steps]]\n" + "\n".join(rows)
+def with_step(*rows: str) -> str:
+    """Return a script with one step."""
+    return HEAD + "[[steps]]\n" + "\n".join(rows)
 
 
 def error_of(text: str) -> ConfigError:
+    """Return the error of a script, which must name the file."""
     with pytest.raises(ConfigError) as caught:
         parse_script(text, "trial.toml")
     assert "trial.toml" in str(caught.value)
@@ -40,7 +36,7 @@ def error_of(text: str) -> ConfigError:
 
 
 @pytest.mark.parametrize(
-    ("text", "key", "said"),
+    ("text", "key", "message"),
     [
         ("schema = 1", "name", "missing"),
         ("schema = 2\nname = 'x'\n[[steps]]\ndo = 'hold'", "schema", "2"),
@@ -53,13 +49,21 @@ def error_of(text: str) -> ConfigError:
         (with_step("do = 'wait'", "seconds = -1"), "steps[0].seconds", "0..86400"),
         (with_step("do = 'wait'", "seconds = inf"), "steps[0].seconds", "finite"),
         (with_step("do = 'wait'", "second = 1"), "steps[0].second", "did you mean seconds"),
-        (with_step("do = 'hold'", "time_limt_s = 1"), "steps[0].time_limt_s", "did you mean time_limit_s"),
+        (
+            with_step("do = 'hold'", "time_limt_s = 1"),
+            "steps[0].time_limt_s",
+            "did you mean time_limit_s",
+        ),
         (
             with_step("do = 'hold'", "raises = 'MotorFault'"),
             "steps[0].raises",
             "did you mean MotorFaultError",
         ),
-        (with_step("do = 'hold'", "raises = '_UnknownName'"), "steps[0].raises", "UnknownRobotError"),
+        (
+            with_step("do = 'hold'", "raises = '_UnknownName'"),
+            "steps[0].raises",
+            "UnknownRobotError",
+        ),
         (
             with_step("do = 'pose'", "position = [1, 2]", "wxyz = [1, 0, 0, 0]"),
             "steps[0].position",
@@ -76,34 +80,41 @@ def error_of(text: str) -> ConfigError:
             "steps[0].position",
             "position or by",
         ),
-        (with_step("do = 'follow'", "path = 'circle'", "seconds = 1"), "steps[0].center", "missing"),
+        (
+            with_step("do = 'follow'", "path = 'circle'", "seconds = 1"),
+            "steps[0].center",
+            "missing",
+        ),
         (
             with_step("do = 'follow'", "path = 'marker'", "seconds = 1", "radius = 1"),
             "steps[0].radius",
-            "its own way",
+            "does not use radius",
         ),
         (with_step("do = 'expect'"), "steps[0]", "nothing is expected"),
         (with_step("do = 'expect'", "run_seconds = [2, 1]"), "steps[0].run_seconds", "[from, to]"),
         (with_step("do = 'expect'", "state = 'parked'"), "steps[0].state", "'fault'"),
     ],
 )
-def test_a_mistake_is_reported_with_its_place(text: str, key: str, said: str) -> None:
+def test_an_error_names_its_key(text: str, key: str, message: str) -> None:
     error = error_of(text)
     assert error.key == key
-    assert said in str(error)
+    assert message in str(error)
 
 
-def test_no_toml_and_no_file_are_reported(tmp_path: Path) -> None:
+def test_invalid_toml_and_missing_files_are_errors(tmp_path: Path) -> None:
     assert "not valid TOML" in str(error_of("schema = ="))
     with pytest.raises(ConfigError, match="cannot be read"):
         load_script(tmp_path / "missing.toml")
     with pytest.raises(ConfigError, match="did you mean overload"):
         load_script("overlaod")
+
+
+def test_a_bundled_script_loads_by_its_name() -> None:
     assert load_script("overload") == load_script(shipped()["overload"])
 
 
 @pytest.mark.parametrize(
-    ("rows", "key", "said"),
+    ("rows", "key", "message"),
     [
         (("do = 'joints'", "joints_deg = {jont2 = 3}"), "joints_deg.jont2", "did you mean joint2"),
         (("do = 'joints'", "joints_deg = {joint5 = 300}"), "joints_deg.joint5", "-110.0 … 110.0"),
@@ -120,16 +131,21 @@ def test_no_toml_and_no_file_are_reported(tmp_path: Path) -> None:
         (("do = 'inject'", "kind = 'corrupt'", "value = 2.0"), "value", "0..1"),
         (("do = 'inject'", "kind = 'corrupt'"), "value", "missing"),
         (("do = 'inject'", "kind = 'model'", "value = 3.5"), "value", "a whole number"),
-        (("do = 'inject'", "kind = 'drop'", "joint = 'joint2'", "value = 0.1"), "joint", "not of one servo"),
+        (
+            ("do = 'inject'", "kind = 'drop'", "joint = 'joint2'", "value = 0.1"),
+            "joint",
+            "not of one servo",
+        ),
     ],
 )
-def test_what_this_arm_has_not_is_reported_before_anything_moves(
-    rows: tuple[str, ...], key: str, said: str
+def test_a_step_that_does_not_fit_the_arm_is_an_error_before_the_run(
+    rows: tuple[str, ...], key: str, message: str
 ) -> None:
+    script = parse_script(with_step("do = 'hold'\n[[steps]]", *rows), "t.toml")
     with pytest.raises(ConfigError) as caught:
-        ScriptRun(parse_script(with_step("do = 'hold'\n[[steps]]", *rows), "t.toml"), ScriptRequest())
+        ScriptRun(script, ScriptRequest())
     assert caught.value.key == f"steps[1].{key}"
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).startswith("t.toml: steps[1]")
 
 
@@ -143,13 +159,16 @@ def test_what_this_arm_has_not_is_reported_before_anything_moves(
         ("do = 'expect'", "keyframe = 'home'", "shafts = true"),
     ],
 )
-def test_nothing_is_broken_on_a_real_port(rows: tuple[str, ...]) -> None:
-    with pytest.raises(ConfigError, match="steps\\[0\\]"):
+def test_steps_for_simulated_servos_are_rejected_on_a_real_port(rows: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError, match=r"steps\[0\]"):
         ScriptRun(parse_script(with_step(*rows)), ScriptRequest(bus="/dev/nowhere"))
-    ScriptRun(parse_script(with_step("do = 'hold'")), ScriptRequest(bus="/dev/nowhere"))  # this may
 
 
-def test_every_kind_of_step_is_known_everywhere() -> None:
+def test_hold_is_accepted_on_a_real_port() -> None:
+    ScriptRun(parse_script(with_step("do = 'hold'")), ScriptRequest(bus="/dev/nowhere"))
+
+
+def test_each_kind_of_step_has_a_name_and_runs() -> None:
     for name, kind in STEPS.items():
         assert typing.get_args(kind.model_fields["do"].annotation) == (name,)
         assert kind.run is not ScriptStep.run
@@ -163,31 +182,36 @@ def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> Non
         do: Literal["count"]
         number: int
 
-        def run(self, now: RunState, result: StepResult) -> None:
+        def run(self, _state: RunState, result: StepResult) -> None:
             result.numbers["count"] = self.number
 
     script = parse_script(with_step("do = 'count'", "number = 3"))
     row = ScriptRun(script, ScriptRequest()).report.steps[0]
-    state: Any = None  # this one asks nothing of an arm
+    # The step does not use the state.
+    state: Any = None
     script.steps[0].run(state, row)
     assert (row.name, row.numbers) == ("count 3", {"count": 3})
     error = error_of(with_step("do = 'count'", "number = true"))
     assert error.key == "steps[0].number"
 
 
-def test_the_page_tells_every_step_and_every_key() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "testing.md").read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", page[page.index("| `do` |") :], re.MULTILINE))
-    everywhere = {"do", "name", "time_limit_s", "raises", "speed", "tolerance_mm", "tolerance_deg"}
+def test_the_page_of_scripts_lists_each_step_and_each_key() -> None:
+    path = Path(__file__).parents[3] / "docs" / "how-to" / "testing.md"
+    page = path.read_text(encoding="utf-8")
+    table = page[page.index("| `do` |") :]
+    rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", table, re.MULTILINE))
+    common_keys = {"do", "name", "time_limit_s", "raises", "speed", "tolerance_mm", "tolerance_deg"}
     for name, kind in STEPS.items():
         assert name in rows, f"docs/how-to/testing.md has no row of the step {name}"
-        keys = set(kind.model_fields) - everywhere
+        keys = set(kind.model_fields) - common_keys
         assert set(re.findall(r"`(\w+)`", rows[name])) >= keys, name
-    for key in everywhere | set(Script.model_fields) - {"version", "about", "arm"}:
+    for key in common_keys | set(Script.model_fields) - {"version", "about", "arm"}:
         assert key in page, key
 
 
-WORDS = sorted({key for kind in STEPS.values() for key in kind.model_fields} | set(STEPS) | {"frmae"})
+WORDS = sorted(
+    {key for kind in STEPS.values() for key in kind.model_fields} | set(STEPS) | {"frmae"}
+)
 VALUES = st.one_of(
     st.booleans(),
     st.integers(-3, 3),
@@ -199,33 +223,53 @@ VALUES = st.one_of(
 
 
 def toml(value: object) -> str:
+    """Return a value as TOML."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
     return json.dumps(value)
 
 
 @settings(max_examples=60)
-@given(do=st.sampled_from(sorted(STEPS)), rest=st.dictionaries(st.sampled_from(WORDS), VALUES, max_size=6))
-def test_whatever_is_written_is_taken_or_reported_in_one_sentence(do: str, rest: dict[str, object]) -> None:
-    rows = [f"{key} = {toml(value)}" for key, value in ({"do": do} | rest).items()]
+@given(
+    do=st.sampled_from(sorted(STEPS)),
+    keys=st.dictionaries(st.sampled_from(WORDS), VALUES, max_size=6),
+)
+def test_any_step_is_accepted_or_a_config_error(do: str, keys: dict[str, object]) -> None:
+    rows = [f"{key} = {toml(value)}" for key, value in ({"do": do} | keys).items()]
     with contextlib.suppress(ConfigError):
         parse_script(with_step(*rows), "fuzz.toml")
 
 
 @pytest.mark.parametrize(
-    ("head", "rows", "key", "said"),
+    ("head", "rows", "key", "message"),
     [
         ("robot = 'puma560'", ("do = 'grip'", "opening = 0.5"), "steps[0].do", "has no gripper"),
         ("", ("do = 'grip'", "held = true"), "steps[0].opening", "opening or width_mm"),
-        ("", ("do = 'expect'", "object = 'cup'", "position = [0, 0, 0]"), "steps[0].object", "'cup'"),
-        ("[[objects]]\nname='a'\nposition=[0,0,0]\nsize_mm=[1,1,1]", ("do = 'hold'",), "physics", "true"),
-        ("[[objects]]\nname='a'\nsize=[1,1,1]", ("do = 'hold'",), "objects[0].size", "did you mean size_mm"),
+        (
+            "",
+            ("do = 'expect'", "object = 'cup'", "position = [0, 0, 0]"),
+            "steps[0].object",
+            "'cup'",
+        ),
+        (
+            "[[objects]]\nname='a'\nposition=[0,0,0]\nsize_mm=[1,1,1]",
+            ("do = 'hold'",),
+            "physics",
+            "true",
+        ),
+        (
+            "[[objects]]\nname='a'\nsize=[1,1,1]",
+            ("do = 'hold'",),
+            "objects[0].size",
+            "did you mean size_mm",
+        ),
     ],
 )
-def test_grippers_and_objects_that_are_not_there(
-    head: str, rows: tuple[str, ...], key: str, said: str
+def test_a_missing_gripper_or_object_is_an_error(
+    head: str, rows: tuple[str, ...], key: str, message: str
 ) -> None:
     text = f"schema = 1\nname = 't'\n{head}\n[[steps]]\n" + "\n".join(rows)
     with pytest.raises(ConfigError) as caught:
         ScriptRun(parse_script(text, "t.toml"), ScriptRequest())
-    assert caught.value.key == key and said in str(caught.value)
+    assert caught.value.key == key
+    assert message in str(caught.value)

@@ -1,4 +1,4 @@
-"""Scripts that run: those that come along, the ways in which a step can fail, and equal runs."""
+"""Runs of scripts: the bundled scripts, the failures of steps, and the equality of runs."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from robot_ik.errors import ConfigError
 from robot_ik.hardware.limiter import SafetyLimiter
 from robot_ik.jobs.script import (
     ScriptReport,
+    ScriptRequest,
+    ScriptRun,
     json_report,
     load_script,
     run_script,
     shipped,
 )
 from robot_ik.jobs.script.report import junit_report
-from robot_ik.jobs.script.run import ScriptRequest, ScriptRun
 
 Run = Callable[..., ScriptReport]
 
@@ -29,25 +30,27 @@ def outcomes(report: ScriptReport) -> list[str]:
     return [step.outcome for step in report.steps]
 
 
-def everything(report: ScriptReport) -> tuple[str, bytes, list[bytes]]:
-    """All that a run leaves, bit for bit."""
+def results(report: ScriptReport) -> tuple[str, bytes, list[bytes]]:
+    """Return the JSON report, the JUnit report and the planned joint values of a run."""
     plans = [step.trajectory.q.tobytes() for step in report.steps if step.trajectory is not None]
     return str(json_report(report)), junit_report(report), plans
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_scripts_that_come_along_pass_and_repeat_to_the_bit(name: str) -> None:
+def test_bundled_scripts_pass_and_repeat_to_the_bit(name: str) -> None:
     assert len(shipped()) == 7
     first = run_script(load_script(shipped()[name]))
     assert first.passed, [step for step in first.steps if step.outcome != "passed"]
     if name == "tracking_marker":
-        return  # seventy pictures: the next test repeats a few
-    assert everything(first) == everything(run_script(load_script(shipped()[name])))
+        # This script renders seventy pictures. Another test repeats a shorter one.
+        return
+    second = run_script(load_script(shipped()[name]))
+    assert results(first) == results(second)
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_which_scripts_a_real_arm_can_run(name: str) -> None:
-    """What breaks nothing on purpose and asks nothing that only a simulation knows; no port is opened."""
+def test_only_scripts_without_simulated_steps_are_accepted_on_a_real_port(name: str) -> None:
+    """The check opens no port."""
 
     def prepare() -> None:
         ScriptRun(load_script(shipped()[name]), ScriptRequest(bus="/dev/none"))
@@ -59,7 +62,7 @@ def test_which_scripts_a_real_arm_can_run(name: str) -> None:
             prepare()
 
 
-def test_looking_repeats_to_the_bit(play: Run) -> None:
+def test_a_script_with_a_camera_repeats_to_the_bit(play: Run) -> None:
     steps = """
 [[steps]]
 do = "marker"
@@ -67,25 +70,26 @@ tolerance_mm = 3.0
 tolerance_deg = 2.0
 """
     head = "marker_at = [0.17, -0.04, 0.0, 190.0]"
-    first, again = (play(steps, head, seed=3) for _ in range(2))
+    first = play(steps, head, seed=3)
+    second = play(steps, head, seed=3)
     assert first.passed, first.steps
-    assert everything(first) == everything(again)
+    assert results(first) == results(second)
     assert 0.0 < first.steps[0].numbers["seen_off_mm"] < 3.0
 
 
-def test_following_is_judged_by_the_marker_not_by_what_the_camera_made_of_it(
+def test_follow_measures_the_error_to_the_true_marker(
     play: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A camera that stopped: the arm is exactly at its goal, which is where the marker was."""
+    """With a camera that stopped, the arm is at its goal, but the marker has moved on."""
 
-    class Stopped(LatestGoals):
+    class StoppedCamera(LatestGoals):
         first: Any = None
 
         def poll(self, now: float) -> Any:
             self.first = self.first or super().poll(now)
             return self.first
 
-    monkeypatch.setattr("robot_ik.jobs.vision.LatestGoals", Stopped)
+    monkeypatch.setattr("robot_ik.jobs.vision.LatestGoals", StoppedCamera)
     steps = """
 [[steps]]
 do = "marker"
@@ -102,8 +106,8 @@ seconds = 4.0
     assert report.steps[1].numbers["behind_worst_mm"] > 15.0
 
 
-def test_the_seed_counts(play: Run) -> None:
-    noisy = """
+def test_the_seed_determines_the_random_faults(play: Run) -> None:
+    steps = """
 [[steps]]
 do = "inject"
 kind = "drop"
@@ -112,13 +116,13 @@ value = 0.05
 do = "wait"
 seconds = 0.5
 """
-    runs = [play(noisy, seed=seed).counters["retries"] for seed in (1, 1, 2, 3)]
-    assert runs[0] == runs[1] > 0
-    assert len(set(runs)) > 1
+    retries = [play(steps, seed=seed).counters["retries"] for seed in (1, 1, 2, 3)]
+    assert retries[0] == retries[1] > 0
+    assert len(set(retries)) > 1
 
 
 @pytest.mark.parametrize(
-    ("steps", "said"),
+    ("steps", "message"),
     [
         (
             'do = "expect"\nkeyframe = "home"\njoints_deg = {joint1 = 5.0}',
@@ -139,14 +143,17 @@ seconds = 0.5
         ),
     ],
 )
-def test_a_step_that_fails_says_why_and_ends_the_run(steps: str, said: str, play: Run) -> None:
+def test_a_failed_step_reports_the_reason_and_ends_the_run(
+    steps: str, message: str, play: Run
+) -> None:
     report = play(f'[[steps]]\n{steps}\n[[steps]]\ndo = "hold"')
     assert outcomes(report) == ["failed", "not run", "passed"]
-    assert said in report.steps[0].found and not report.steps[0].found.endswith("; ")
+    assert message in report.steps[0].found
+    assert not report.steps[0].found.endswith("; ")
     assert not report.passed
 
 
-def test_circle_and_hold(play: Run) -> None:
+def test_follow_a_circle_then_hold_then_move(play: Run) -> None:
     report = play("""
 [[steps]]
 do = "position"
@@ -183,19 +190,36 @@ GRIPPER = """
  <geom type="capsule" fromto="0 0 0 .05 0 0" size=".01"/></body>
 <site name="tip" pos=".25 0 0"/></body></worldbody></mujoco>
 """
+GRIPPER_ARM = """
+schema = 1
+name = "holder"
+robot = "holder.xml"
+[[joints]]
+name = "waist"
+id = 1
+model = "XM430-W350"
+lower_deg = -120.0
+upper_deg = 120.0
+velocity_deg = 90.0
+acceleration_deg = 360.0
+[[joints]]
+name = "jaw"
+id = 2
+model = "XM430-W350"
+lower_deg = -10.0
+upper_deg = 50.0
+velocity_deg = 90.0
+acceleration_deg = 360.0
+"""
 
 
-def test_grip_moves_the_joints_of_the_gripper_alone(tmp_path: Path) -> None:
+def test_grip_moves_only_the_joints_of_the_gripper(tmp_path: Path) -> None:
     (tmp_path / "holder.xml").write_text(GRIPPER)
     (tmp_path / "robot.toml").write_text(
         'schema = 1\ntitle = "Holder"\nmodel = "holder.xml"\ntool = "tip"\n[groups]\n'
         'arm = ["waist"]\ngripper = ["jaw"]\n'
     )
-    arm = 'schema = 1\nname = "holder"\nrobot = "holder.xml"\n'
-    for id, (name, low, high) in enumerate([("waist", -120.0, 120.0), ("jaw", -10.0, 50.0)], start=1):
-        arm += f'[[joints]]\nname = "{name}"\nid = {id}\nmodel = "XM430-W350"\nlower_deg = {low}\n'
-        arm += f"upper_deg = {high}\nvelocity_deg = 90.0\nacceleration_deg = 360.0\n"
-    (tmp_path / "arm.toml").write_text(arm)
+    (tmp_path / "arm.toml").write_text(GRIPPER_ARM)
     (tmp_path / "grip.toml").write_text("""
 schema = 1
 name = "grip"
@@ -226,42 +250,83 @@ size_mm = [20.0, 20.0, 30.0]
 """
 
 
-def test_a_grip_tells_what_it_holds_and_fails_where_that_is_wrong(play: Run) -> None:
-    report = play('[[steps]]\ndo = "grip"\nopening = 0.0\nheld = true')
-    assert "0.0 mm, nothing is held" in report.steps[0].found and not report.passed
-    report = play('[[steps]]\ndo = "grip"\nwidth_mm = 25.0\n[[steps]]\ndo = "expect"\nwidth_mm = 20.0')
-    assert [step.outcome for step in report.steps[:2]] == ["passed", "failed"]
+def test_grip_fails_if_it_holds_nothing(play: Run) -> None:
+    report = play("""
+[[steps]]
+do = "grip"
+opening = 0.0
+held = true
+""")
+    assert "0.0 mm, nothing is held" in report.steps[0].found
+    assert not report.passed
+
+
+def test_expect_measures_the_width_between_the_fingers(play: Run) -> None:
+    report = play("""
+[[steps]]
+do = "grip"
+width_mm = 25.0
+[[steps]]
+do = "expect"
+width_mm = 20.0
+""")
+    assert outcomes(report)[:2] == ["passed", "failed"]
     assert report.steps[1].numbers["width_off_mm"] == pytest.approx(5.0, abs=0.2)
-    look = '[[steps]]\ndo = "expect"\nobject = "block"\nposition = [0.19, 0.05, {z}]\ntolerance_mm = 1.0\n'
-    report = play(look.format(z=0.015) + look.format(z=0.055), head=BLOCK)
-    assert [step.outcome for step in report.steps[:2]] == ["passed", "failed"]
+
+
+def test_expect_measures_the_position_of_an_object(play: Run) -> None:
+    steps = """
+[[steps]]
+do = "expect"
+object = "block"
+position = [0.19, 0.05, 0.015]
+tolerance_mm = 1.0
+[[steps]]
+do = "expect"
+object = "block"
+position = [0.19, 0.05, 0.055]
+tolerance_mm = 1.0
+"""
+    report = play(steps, head=BLOCK)
+    assert outcomes(report)[:2] == ["passed", "failed"]
     assert report.steps[1].numbers["off_mm"] == pytest.approx(40.0, abs=0.5)
 
 
 def test_physics_bends_the_arm_under_its_weight(play: Run) -> None:
-    step = '[[steps]]\ndo = "joints"\njoints_deg = {joint2 = 30.0}\n[[steps]]\ndo = "wait"\nseconds = 0.2\n'
-    look = '[[steps]]\ndo = "expect"\njoints_deg = {joint2 = 30.0}\nshafts = true\ntolerance_deg = 5.0\n'
-    off = [
-        play(step + look, head=f"physics = {physics}").steps[2].numbers["joint_off_deg"]
-        for physics in ("false", "true")
-    ]
-    assert off[0] < 0.1 < off[1]
+    steps = """
+[[steps]]
+do = "joints"
+joints_deg = {joint2 = 30.0}
+[[steps]]
+do = "wait"
+seconds = 0.2
+[[steps]]
+do = "expect"
+joints_deg = {joint2 = 30.0}
+shafts = true
+tolerance_deg = 5.0
+"""
+    rigid = play(steps, head="physics = false").steps[2].numbers["joint_off_deg"]
+    bent = play(steps, head="physics = true").steps[2].numbers["joint_off_deg"]
+    assert rigid < 0.1 < bent
 
 
-def test_the_same_script_in_process_and_on_a_wire(
+def test_a_script_sends_the_same_commands_in_process_and_on_a_pty(
     play: Run, monkeypatch: pytest.MonkeyPatch, real_time: None
 ) -> None:
-    """Plans are equal to the bit; the limiter lets the same through wherever it does not intervene."""
+    """Plans are equal to the bit, and commands that the limiter does not change to 1e-9 rad."""
+    # Limited joint values and whether the limiter changed them, by the commanded joint values.
     ticks: dict[bytes, tuple[np.ndarray, bool]] = {}
     step = SafetyLimiter.step
 
-    def spied(self: SafetyLimiter, state: object, command: object, dt: float) -> object:
-        made = step(self, state, command, dt)  # type: ignore[arg-type]
-        commanded = np.asarray(command)[:6].tobytes()  # without the finger
-        ticks.setdefault(commanded, (np.array(made[0].q), bool(made[1])))
-        return made
+    def recorded_step(self: SafetyLimiter, state: object, command: object, dt: float) -> object:
+        limited = step(self, state, command, dt)  # type: ignore[arg-type]
+        # The trajectory has six joints. The finger is an auxiliary servo.
+        commanded = np.asarray(command)[:6].tobytes()
+        ticks.setdefault(commanded, (np.array(limited[0].q), bool(limited[1])))
+        return limited
 
-    monkeypatch.setattr(SafetyLimiter, "step", spied)
+    monkeypatch.setattr(SafetyLimiter, "step", recorded_step)
     steps = """
 [[steps]]
 do = "joints"
@@ -273,24 +338,33 @@ position = [0.16, -0.03, 0.13]
 do = "line"
 by = [0.0, 0.0, 0.015]
 """
-    seen = []
-    for bus in ("sim", "pty"):
+
+    def run_on(bus: str) -> tuple[ScriptReport, dict[bytes, tuple[np.ndarray, bool]]]:
         ticks.clear()
         report = play(steps, head="speed = 0.15", bus=bus)
         assert report.passed, report.steps
-        seen.append((report, dict(ticks)))
-    (sim, by_sim), (pty, by_pty) = seen
-    agreed = planned = 0
-    for one, other in zip(sim.steps[:3], pty.steps[:3], strict=True):
-        assert one.trajectory is not None and other.trajectory is not None
-        assert one.trajectory.q.tobytes() == other.trajectory.q.tobytes()
-        assert one.trajectory.times.tobytes() == other.trajectory.times.tobytes()
-        for q in one.trajectory.q:
+        return report, dict(ticks)
+
+    sim, sim_ticks = run_on("sim")
+    pty, pty_ticks = run_on("pty")
+
+    agreed = 0
+    planned = 0
+    for sim_step, pty_step in zip(sim.steps[:3], pty.steps[:3], strict=True):
+        assert sim_step.trajectory is not None
+        assert pty_step.trajectory is not None
+        assert sim_step.trajectory.q.tobytes() == pty_step.trajectory.q.tobytes()
+        assert sim_step.trajectory.times.tobytes() == pty_step.trajectory.times.tobytes()
+        for q in sim_step.trajectory.q:
             planned += 1
-            here, there = by_sim.get(q.tobytes()), by_pty.get(q.tobytes())
-            if here is None or there is None or here[1] or there[1]:
+            sim_tick = sim_ticks.get(q.tobytes())
+            pty_tick = pty_ticks.get(q.tobytes())
+            if sim_tick is None or pty_tick is None or sim_tick[1] or pty_tick[1]:
                 continue
-            np.testing.assert_allclose(here[0], there[0], rtol=0.0, atol=1e-9)
+            np.testing.assert_allclose(sim_tick[0], pty_tick[0], rtol=0.0, atol=1e-9)
             agreed += 1
-    assert not any(touched for _, touched in by_sim.values())  # in virtual time every tick is on time
-    assert agreed > 0.3 * planned > 20, (agreed, planned)  # on a busy machine ticks are late and are capped
+
+    # In virtual time no tick is late, so the limiter changes no command.
+    assert not any(was_limited for _, was_limited in sim_ticks.values())
+    # On a busy machine ticks of the pty are late, and the limiter changes their commands.
+    assert agreed > 0.3 * planned > 20, (agreed, planned)

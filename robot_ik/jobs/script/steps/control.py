@@ -1,4 +1,4 @@
-"""Steps that wait and hold, let faults happen and take them back, and lead out of one."""
+"""Steps that wait, hold, inject faults, clear faults and recover from a fault."""
 
 from __future__ import annotations
 
@@ -13,41 +13,53 @@ from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.state import RunState, StepFailed, StepResult
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep
 
-PATIENCE = 2.0
-"""s to wait for a port that has gone."""
+#: Time to wait for an unplugged port if the step has no time limit, seconds.
+RECONNECT_TIMEOUT = 2.0
 
 
 class WaitStep(Action):
-    """The arm stays where it was sent to."""
+    """Keep the last command for a time.
+
+    Attributes:
+        seconds: Duration of the step.
+    """
 
     title_keys = ("seconds",)
 
     do: Literal["wait"]
     seconds: Annotated[float, Field(ge=0.0, le=LONGEST)]
 
-    def run(self, now: RunState, result: StepResult) -> None:
-        if now.arm.state in (ArmState.ENABLED, ArmState.HOLD):
-            now.setup.repeat(self.seconds)
+    def run(self, state: RunState, _result: StepResult) -> None:
+        """Repeat the last command, or only wait if the servos have no torque."""
+        if state.arm.state in (ArmState.ENABLED, ArmState.HOLD):
+            state.setup.repeat(self.seconds)
         else:
-            now.setup.clock.sleep_until(now.setup.clock.now() + self.seconds)
+            clock = state.setup.clock
+            clock.sleep_until(clock.now() + self.seconds)
 
 
 class HoldStep(Action):
-    """The arm holds where it is."""
+    """Hold the arm at its present position."""
 
     do: Literal["hold"]
 
-    def run(self, now: RunState, result: StepResult) -> None:
-        now.arm.hold()
-        now.setup.stand()
+    def run(self, state: RunState, _result: StepResult) -> None:
+        """Hold the arm."""
+        state.arm.hold()
+        state.setup.stand()
 
 
 class InjectStep(ScriptStep):
-    """Lets a fault of the virtual bus happen.
+    """Inject a fault into the virtual bus.
 
     Attributes:
-        kind: A name of ``FAULTS``; ``joint`` or ``id`` and ``value`` as it wants them.
-        in_s: So much later; ``for_s``: until it is taken back, else for good or until ``clear``.
+        kind: A name of ``FAULTS``. The kind determines whether it needs ``joint`` or ``id``, and
+            ``value``.
+        joint: Joint of the servo.
+        id: Bus id of the servo, instead of ``joint``.
+        value: Strength of the fault, in the unit of its kind.
+        in_s: Delay until the fault begins, seconds.
+        for_s: Duration of the fault, seconds. None: until ``clear``.
     """
 
     title_keys = ("kind", "joint")
@@ -63,19 +75,36 @@ class InjectStep(ScriptStep):
 
     @property
     def fault(self) -> Fault:
-        """What it injects; KeyProblem: there is no such kind, or not with such a value."""
-        return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
+        """The fault.
 
-    def check(self, now: RunState) -> None:
-        super().check(now)
-        self.fault.require_servo(now.config)
+        Raises:
+            KeyProblem: The kind is unknown, or does not allow the value.
+        """
+        return Fault(
+            self.kind,
+            self.id,
+            self.value,
+            joint=self.joint,
+            at_s=self.in_s,
+            for_s=self.for_s,
+        )
 
-    def run(self, now: RunState, result: StepResult) -> None:
-        now.servos.inject(self.fault)
+    def check(self, state: RunState) -> None:
+        """Check the fault, and that the arm has its servo."""
+        super().check(state)
+        self.fault.require_servo(state.config)
+
+    def run(self, state: RunState, _result: StepResult) -> None:
+        """Inject the fault."""
+        state.servos.inject(self.fault)
 
 
 class ClearStep(ScriptStep):
-    """Takes back the faults that were injected, all or those of one kind; restarts servos that shut down."""
+    """End injected faults, and restart the servos that shut down.
+
+    Attributes:
+        kind: Kind of the faults. None: all faults.
+    """
 
     title_keys = ("kind",)
     simulated_only = True
@@ -83,31 +112,33 @@ class ClearStep(ScriptStep):
     do: Literal["clear"]
     kind: str | None = None
 
-    def run(self, now: RunState, result: StepResult) -> None:
-        result.numbers["cleared"] = now.servos.clear(self.kind)
+    def run(self, state: RunState, result: StepResult) -> None:
+        """End the faults and report their number."""
+        result.numbers["cleared"] = state.servos.clear(self.kind)
 
 
 class RecoverStep(Action):
-    """Out of a fault: port opened, servos restarted, everything verified anew; then torque again."""
+    """Recover the arm from a fault: open the port or restart the servos, then enable torque."""
 
     simulated_only = True
 
     do: Literal["recover"]
 
-    def run(self, now: RunState, result: StepResult) -> None:
-        """Opens a port that had gone, or restarts what has shut down; then torque where the arm stands.
+    def run(self, state: RunState, result: StepResult) -> None:
+        """Open an unplugged port, or restart the servos that shut down. Enable torque afterwards.
 
         Raises:
-            StepFailed: There is no fault.
-            HardwareError: The cause is still there; the fault stays.
+            StepFailed: The arm has no fault.
+            HardwareError: The cause of the fault persists.
         """
-        arm = now.arm
+        arm = state.arm
         if arm.state is not ArmState.FAULT:
             raise StepFailed(f"there is no fault: the arm is {arm.state.value}")
-        if not arm.bus.is_open:
-            arm.reconnect(PATIENCE if self.time_limit_s is None else self.time_limit_s)
-        else:
+        if arm.bus.is_open:
             restarted = arm.reset_fault()
             result.numbers["restarted"] = list(restarted)
             result.found = f"restarted: {', '.join(restarted)}" if restarted else ""
-        now.setup.enable_torque()
+        else:
+            timeout = RECONNECT_TIMEOUT if self.time_limit_s is None else self.time_limit_s
+            arm.reconnect(timeout)
+        state.setup.enable_torque()
