@@ -32,7 +32,7 @@ COMMANDS = [
     (("camera", "handeye"), "--out", "mine.toml", ("mine.samples.json",)),
     (("camera", "verify"), "--out", "mine.json", ()),
     (("camera", "verify", "--out", "other.json"), "--plot", "mine.png", ()),
-    (("ar",), "--out", "mine.png", ()),
+    (("ar",), "--video", "mine.png", ()),
 ]
 RESULTS = [
     (words, option, name) for words, option, first, rest in COMMANDS for name in (first, *rest)
