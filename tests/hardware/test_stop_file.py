@@ -113,7 +113,7 @@ def test_a_running_arm_stops_holds_and_is_left_holding(served, child, arm_config
     process = child(way)
     done = stop("--bus", served.path)
     assert done.returncode == 0, done.stderr
-    assert "holds with torque ON" in done.stderr
+    assert "holds with torque ON" in done.stdout
     here = served.bus.true_angles(arm_config)
     time.sleep(0.3)
     assert (
@@ -131,7 +131,7 @@ def test_torque_off_asks_first_and_then_lets_go(served, child):
     refused = stop("--torque-off")
     assert refused.returncode == 2 and "--yes" in refused.stderr and torque(served) == [True] * 6
     done = stop("--torque-off", "--yes")
-    assert done.returncode == 0 and "torque is off" in done.stderr
+    assert done.returncode == 0 and "torque is off" in done.stdout
     assert torque(served) == [False] * 6
 
 
@@ -151,7 +151,7 @@ def test_an_arm_that_cannot_confirm_is_no_success(served, child):
     child("idle")  # the heartbeat has found the fault by then, and obeys all the same
     served.bus.servo(3).silent = True
     done = stop()
-    assert done.returncode == 1 and "joint3" in done.stderr
+    assert done.returncode == 1 and "joint3" in done.stdout
 
 
 def test_a_stop_without_an_answer_is_no_success_and_stays_in_force(served, child):

@@ -36,8 +36,8 @@ from tests.waiting import LONG, wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.testbed.frontends.actions import ACTIONS
-from robot_ik.testbed.frontends.camera_pictures import HEADER
 from robot_ik.testbed.frontends.gate import BAD_LIMIT
+from robot_ik.testbed.frontends.picture_message import HEADER
 
 
 class Browser:
@@ -521,7 +521,7 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
             if len(results) > 1:
                 results.pop(0)
         client.until(lambda one: one.pictures, "no picture came")
-        number, _, width, height = HEADER.unpack_from(client.pictures[0])
+        number, _, width, height, *_ball = HEADER.unpack_from(client.pictures[0])
         assert (number, width, height) == (1, 12, 8)
         assert client.pictures[0][HEADER.size :].startswith(b"\xff\xd8"), "no JPEG"
         assert client.latest["camera"]["markers"] == [[7, 0.5, 0.1]]

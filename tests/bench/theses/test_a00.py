@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import robot_ik as rik
 from robot_ik.bench.theses import a00
 from robot_ik.bench.theses.tracking import track
-from robot_ik.errors import ConfigError, UnknownSolverError
+from robot_ik.errors import OptionError, UnknownSolverError
 from robot_ik.files import plain
 from robot_ik.problem import Budget, Problem
 from robot_ik.solvers import SOLVERS
@@ -196,7 +196,7 @@ def test_progress_begins_at_none_and_ends_at_all() -> None:
 
 
 def test_what_is_not_there_is_said() -> None:
-    with pytest.raises(ConfigError, match="14"):
+    with pytest.raises(OptionError, match="14"):
         a00.ask_a00([14])
     with pytest.raises(UnknownSolverError, match="lm"):
         a00.ask_a00([1], ["lmm"])
