@@ -27,6 +27,7 @@ from robot_ik.commands.options import (
     Seconds,
     Seed,
     TargetMarker,
+    parse_robot_pose,
 )
 from robot_ik.commands.tables import pairs_table
 from robot_ik.commands.terminal import QUIET, Report, Terminal
@@ -190,20 +191,6 @@ class ArReport(Report):
         rows.append(("speed", f"{digits} pictures/s tracked and drawn"))
         yield pairs_table(rows)
         yield f"written: {drawing.file}"
-
-
-def parse_robot_pose(numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
-    """Return x, y, z in metres and the yaw in degrees of ``--robot-pose``.
-
-    Raises:
-        OptionError: The count is wrong, or a number is not finite.
-    """
-    if len(numbers) not in (0, 3, 4) or not all(map(math.isfinite, numbers)):
-        text = " ".join(map(str, numbers))
-        allowed = "3 or 4 finite numbers: x y z in metres, yaw in degrees"
-        raise OptionError("--robot-pose", f"cannot read {text}", allowed)
-    x, y, z, yaw = (*numbers, *[0.0] * (4 - len(numbers)))
-    return x, y, z, yaw
 
 
 def parse_occluders(items: Iterable[str]) -> tuple[Path | None, tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""``robot-ik doctor``: check what this machine can do, and what to do about the rest."""
+"""``robot-ik doctor``: check the parts that robot_ik needs on this machine, and advise."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ class Doctor(JsonOption):
         """Run all checks."""
         from robot_ik.jobs.doctor import CHECKS, run_checks
 
-        config = load_arm(self.arm) if self.bus else None  # a wrong name is reported at once
+        config = (
+            load_arm(self.arm) if self.bus else None
+        )  # an unknown name is reported before the checks
         with terminal.busy("checking this machine"):
             rows = run_checks(CHECKS)
         if config is not None:

@@ -28,6 +28,7 @@ from robot_ik.commands.options import (
     Seconds,
     Seed,
     TargetMarker,
+    parse_robot_pose,
 )
 from robot_ik.commands.tables import table
 from robot_ik.commands.terminal import QUIET, Report, Terminal
@@ -144,14 +145,12 @@ class Figure(OverwriteOption, JsonOption):
         """Return x, y (m) and heading (rad) of the figure at the start.
 
         Raises:
-            OptionError: The pose is not one on the floor.
+            OptionError: The numbers are not a pose on the floor.
         """
-        pose = self.robot_pose
-        if len(pose) not in (0, 3, 4) or not all(map(math.isfinite, pose)) or any(pose[2:3]):
-            text = " ".join(map(str, pose))
-            allowed = "finite numbers X Y 0 [YAW_DEG]: metres, degrees"
-            raise OptionError("--robot-pose", f"cannot read {text}", allowed)
-        x, y, _, yaw = (*pose, *[0.0] * (4 - len(pose)))
+        x, y, z, yaw = parse_robot_pose(self.robot_pose)
+        if z != 0.0:
+            problem = f"a figure cannot start {z:g} m above the floor"
+            raise OptionError("--robot-pose", problem, "X Y 0 [YAW_DEG]: metres, degrees")
         return x, y, math.radians(yaw)
 
     def _balls(self) -> tuple[tuple[float, float, float], ...]:

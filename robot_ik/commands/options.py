@@ -38,6 +38,9 @@ BUS_METAVAR = "|".join(BUSES)
 BUS_HELP = "; ".join(f"{bus.name}: {bus.title}" for bus in BUSES.values())
 """The values of ``--bus``, explained."""
 
+MAX_SAMPLE_RATE = 200.0
+"""Hz. Largest number of samples of the servos a second."""
+
 DICTIONARY_HELP = "Dictionary of the markers, for example DICT_APRILTAG_36H11."
 """Help of ``--dictionary``."""
 
@@ -120,6 +123,14 @@ Speed = Annotated[
         metavar="SHARE",
         validator=Number(gt=0, lte=1),
         help="Share of the speed limits, above 0 and at most 1.",
+    ),
+]
+SampleRate = Annotated[
+    float,
+    Parameter(
+        metavar="HZ",
+        validator=Number(gt=0, lte=MAX_SAMPLE_RATE),
+        help=f"Samples a second. At most {MAX_SAMPLE_RATE:g}.",
     ),
 ]
 Seconds = Annotated[float, Parameter(metavar="S", validator=Number(gt=0, lt=math.inf))]
@@ -349,6 +360,20 @@ def parse_pairs(option: str, items: Iterable[str], form: str) -> dict[str, float
             raise OptionError(option, f"{name} is given twice", "each name once")
         pairs[name] = value
     return pairs
+
+
+def parse_robot_pose(numbers: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """Return x, y, z in metres and the yaw in degrees of ``--robot-pose``.
+
+    Raises:
+        OptionError: The count is wrong, or a number is not finite.
+    """
+    if len(numbers) not in (0, 3, 4) or not all(map(math.isfinite, numbers)):
+        text = " ".join(map(str, numbers))
+        allowed = "3 or 4 finite numbers: x y z in metres, yaw in degrees"
+        raise OptionError("--robot-pose", f"cannot read {text}", allowed)
+    x, y, z, yaw = (*numbers, *[0.0] * (4 - len(numbers)))
+    return x, y, z, yaw
 
 
 def parse_goal(numbers: tuple[float, ...], frame: str | None) -> PositionGoal | PoseGoal:

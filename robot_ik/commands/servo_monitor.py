@@ -13,7 +13,7 @@ from cyclopts.validators import Number
 from rich.text import Text
 
 from robot_ik.commands.arms import load_arm, open_servo_bus
-from robot_ik.commands.options import BusOptions, JsonOption
+from robot_ik.commands.options import BusOptions, JsonOption, SampleRate
 from robot_ik.commands.tables import table
 from robot_ik.commands.terminal import QUIET, Report, Terminal
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from robot_ik.hardware.health import ServoState
-
-MAX_RATE = 200.0
-"""Hz. Largest number of samples a second."""
 
 COLUMNS = (
     "joint",
@@ -49,8 +46,7 @@ class ServoMonitor(BusOptions, JsonOption):
     Exit code 1: a servo did not answer in the last sample.
     """
 
-    rate: Annotated[float, Parameter(metavar="HZ", validator=Number(gt=0, lte=MAX_RATE))] = 10.0
-    """Samples a second. At most 200."""
+    rate: SampleRate = 10.0
     count: Annotated[int | None, Parameter(metavar="N", validator=Number(gte=1))] = None
     """Number of samples. Default: until Ctrl-C."""
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 from robot_ik.commands.arms import ServoReport, keeping_error, load_arm, open_arm_on
 from robot_ik.commands.options import (
@@ -16,6 +15,7 @@ from robot_ik.commands.options import (
     JsonOption,
     MovingBusOptions,
     OverwriteOption,
+    SampleRate,
     Seconds,
 )
 from robot_ik.commands.prompts import Prompts
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.servo import Joint
     from robot_ik.motion import Trajectory
-
-MAX_RATE = 200.0
-"""Hz. Largest number of samples a second."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +43,7 @@ class ServoRecord(MovingBusOptions, OverwriteOption, JsonOption):
     """File to write: times in s, joint angles in rad."""
     seconds: Seconds | None = field(default=None, kw_only=True)
     """Duration, in s. Default: until Enter."""
-    rate: Annotated[float, Parameter(metavar="HZ", validator=Number(gt=0, lte=MAX_RATE))] = field(
-        default=50.0, kw_only=True
-    )
-    """Samples a second. At most 200."""
+    rate: SampleRate = field(default=50.0, kw_only=True)
 
     def run(self, terminal: Terminal = QUIET) -> ServoRecordReport:
         """Record and write the file."""

@@ -1,4 +1,4 @@
-"""Runs of the command line: in this process, or in a child where the process itself matters."""
+"""Runs of the command line: in this process, or in a child process."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ANSI = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 
 @dataclass(frozen=True)
 class Run:
-    """What one command line did."""
+    """Result of one command line."""
 
     code: int
     out: str
@@ -66,8 +66,8 @@ def robot_ik(capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
     def run(*arguments: object) -> Run:
         capsys.readouterr()
         code = main([str(argument) for argument in arguments])
-        said = capsys.readouterr()
-        return Run(code, said.out, said.err)
+        output = capsys.readouterr()
+        return Run(code, output.out, output.err)
 
     return run
 
@@ -190,7 +190,7 @@ Hand = Callable[[str, Callable[[], object]], None]
 
 @pytest.fixture
 def nominal(desk: Desk, tmp_path: Path) -> Path:
-    """The arm file before calibration: zeros and directions nobody has looked at."""
+    """The arm file before calibration: zeros and directions are not measured."""
     joints = tuple(with_servo(j, direction=1, zero_ticks=2048) for j in desk.config.joints)
     path = tmp_path / "nominal.toml"
     replace(desk.config, joints=joints, file=None).save(path)
@@ -205,7 +205,7 @@ def calibrate(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> Callable[..., Run]:
-    """``calibrate(hand, options …)``: ``hand(step, sample)`` does what the step asks for."""
+    """``calibrate(hand, options …)``: ``hand(step, sample)`` carries out the step."""
     from robot_ik.commands import servo_calibrate
     from robot_ik.workcell import hand_calibration
 
@@ -255,7 +255,7 @@ def _good_hand(desk: Desk, reach: float = 95.0, pose: tuple[float, ...] = (0.0, 
 
 @pytest.fixture
 def good_hand(desk: Desk) -> Callable[..., Hand]:
-    """``good_hand(reach=…, pose=…)``: one that does what ``calibrate`` asks for."""
+    """``good_hand(reach=…, pose=…)``: a hand that carries out every step of ``calibrate``."""
     return lambda **wishes: _good_hand(desk, **wishes)
 
 

@@ -31,13 +31,13 @@ def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixt
     ]
     words += ["--board", "marker:7:50", "--dictionary", "DICT_4X4_50", "--scale", "0.15", "--json"]
     assert main([*words, "--video", str(tmp_path / "a.png")]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["pictures"] == said["drawn"] == 1
-    assert said["reprojection_px"] < 0.3
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["pictures"] == facts["drawn"] == 1
+    assert facts["reprojection_px"] < 0.3
     assert cv2.imread(str(tmp_path / "a.png")).shape == (480, 640, 3)
 
 
-def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
+def test_without_the_extra_video_it_runs_and_names_the_install_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -68,13 +68,13 @@ def test_ctrl_c_before_the_first_picture(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Registrar, "track", interrupted)
     assert main(["ar", "--size", "64", "48", "--video", "a.png"]) == 130
-    said = capsys.readouterr()
-    assert "nothing is written" in said.err and "None" not in said.out + said.err
+    output = capsys.readouterr()
+    assert "nothing is written" in output.err and "None" not in output.out + output.err
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["--robot-pose", "1", "2"], "--robot-pose"),
         (["--robot-pose", "nan", "0", "0"], "--robot-pose"),
@@ -93,9 +93,9 @@ def test_ctrl_c_before_the_first_picture(
         (["--motion", "brownout"], "brown_out"),
     ],
 )
-def test_what_cannot_be_is_one_sentence_and_exit_code_2(
+def test_impossible_options_are_one_sentence_and_exit_code_2(
     words: list[str],
-    said: str,
+    expected: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -104,6 +104,6 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
     out = [] if "--video" in words else ["--video", "a.png"]
     assert main(["ar", *out, *words]) == 2
     errors = capsys.readouterr().err
-    assert said in errors
+    assert expected in errors
     assert "Traceback" not in errors
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""``robot-ik bench`` on the command line: its table, its errors, and what Ctrl-C leaves."""
+"""``robot-ik bench`` on the command line: its table, its errors, and its files after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robot_ik.commands.main import main
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         ("--solver lmm", "did you mean 'lm'"),
         ("--robot puma56", "did you mean 'puma560'"),
@@ -29,13 +29,14 @@ from robot_ik.commands.main import main
     ],
 )
 def test_wrong_input_is_one_sentence(
-    arguments: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "none"
     assert main(["bench", *arguments.split(), "--out", str(out)]) == 2
     reported = capsys.readouterr()
     assert (
-        said in " ".join((reported.out + reported.err).split()) and "Traceback" not in reported.err
+        expected in " ".join((reported.out + reported.err).split())
+        and "Traceback" not in reported.err
     )
     assert not out.exists()
 

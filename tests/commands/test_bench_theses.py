@@ -14,7 +14,7 @@ from robot_ik.commands.bench_theses import cell_text
 from robot_ik.problem import Budget, Problem
 
 
-def test_a00_passes_and_says_what_was_asked(
+def test_a00_passes_and_reports_its_options(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -43,7 +43,7 @@ def test_a00_that_loses_a_goal_ends_with_1(
     assert "NOT PASSED" in run.out and "dls in test 6: lost at 0°" in run.out
 
 
-def test_s12_prints_his_numbers_and_ours(
+def test_s12_prints_the_numbers_of_the_thesis_and_ours(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -86,7 +86,7 @@ def test_ctrl_c_at_any_moment(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (("a00", "--test", 14), "1 … 13"),
         (("a00", "--solver", "lmm"), "'lm'"),
@@ -99,10 +99,10 @@ def test_ctrl_c_at_any_moment(
         (("a00", "--count", 2, "--out", "/dev/null/x"), "cannot write"),
     ],
 )
-def test_wrong_input(words: tuple[Any, ...], said: str, robot_ik: Any) -> None:
+def test_wrong_input(words: tuple[Any, ...], expected: str, robot_ik: Any) -> None:
     run = robot_ik("bench", *words)
     run.assert_one_screen_error()
-    assert said in run.err
+    assert expected in run.err
 
 
 def test_json_is_the_content_of_the_file(robot_ik: Any, tmp_path: Path) -> None:

@@ -41,13 +41,13 @@ def test_a_folder_of_pictures_becomes_a_camera(
     run = robot_ik("camera", "calibrate", pictures, "--out", out, "--json")
     assert run.code == 0, run.err
     assert "left out:" in run.err and "view7.png is not a picture" in run.err
-    said = json.loads(run.out)
+    facts = json.loads(run.out)
     camera = CameraIntrinsics.load(out)
-    assert said["digest"] == camera.digest and said["f"] == [camera.fx, camera.fy]
+    assert facts["digest"] == camera.digest and facts["f"] == [camera.fx, camera.fy]
     assert camera.fx == pytest.approx(STANDARD_CAMERA.fx, rel=0.005)
     assert (camera.name, camera.views) == ("desk", 7) and camera.date.startswith("20")
-    assert [v["name"] for v in said["views"]] == [f"view{3 * k}.png" for k in range(7)]
-    assert said["doubts"][0] == "only 7 views: take 15 or more" and said["rms_px"] < 0.1
+    assert [v["name"] for v in facts["views"]] == [f"view{3 * k}.png" for k in range(7)]
+    assert facts["doubts"][0] == "only 7 views: take 15 or more" and facts["rms_px"] < 0.1
 
 
 def test_a_chessboard_becomes_a_camera(robot_ik: Any, tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def opened(text: str, end: BaseException) -> sources.FrameSource:
     return LiveBoard(end, frames=6, seed=5) if text == "0" else sources.FolderSource(text)
 
 
-def test_ctrl_c_while_calibrating_says_where_the_views_are(
+def test_ctrl_c_while_calibrating_names_the_folder_of_the_views(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*rest: Any, **more: Any) -> None:
@@ -109,7 +109,7 @@ def test_ctrl_c_while_calibrating_says_where_the_views_are(
     assert f"robot-ik camera calibrate {tmp_path / 'camera-views'} 0" in " ".join(run.err.split())
 
 
-def test_ctrl_c_keeps_what_there_is(
+def test_ctrl_c_keeps_the_views(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(KeyboardInterrupt()))
@@ -124,20 +124,24 @@ def test_ctrl_c_keeps_what_there_is(
 
 
 @pytest.mark.parametrize(
-    ("end", "said"),
+    ("end", "expected"),
     [
         (KeyboardInterrupt(), "stopped"),
         (FrameTimeoutError("camera 0 stopped delivering"), "camera 0 stopped"),
     ],
 )
 def test_an_early_end_is_no_calibration_but_keeps_the_pictures(
-    end: BaseException, said: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    end: BaseException,
+    expected: str,
+    robot_ik: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sources, "open_source", lambda *_, **__: LiveBoard(end, frames=6))
     run = robot_ik("camera", "calibrate", "0", "--out", tmp_path / "camera.yaml")
     assert run.code == 2 and "2 usable views: too few" in run.err
     views = tmp_path / "camera-views"
-    assert said in run.err and f"2 views are kept in {views}" in run.err
+    assert expected in run.err and f"2 views are kept in {views}" in run.err
     assert f"robot-ik camera calibrate {views} 0" in " ".join(run.err.split())
     assert not (tmp_path / "camera.yaml").exists()
     assert sorted(p.name for p in views.iterdir()) == ["view01.png", "view02.png"]

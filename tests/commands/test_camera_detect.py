@@ -55,9 +55,9 @@ def test_poses_of_markers_and_bodies_as_json(robot_ik: Any, place: Path, tmp_pat
         tmp_path / "drawn",
     )
     assert run.code == 0 and run.err == f"wrote 1 drawing to {tmp_path / 'drawn'}\n", run
-    said = json.loads(run.out)
-    (image,) = said["images"]
-    assert (said["schema"], image["width"], image["height"]) == (1, 640, 480)
+    facts = json.loads(run.out)
+    (image,) = facts["images"]
+    assert (facts["schema"], image["width"], image["height"]) == (1, 640, 480)
     assert image["file"] == str(place / "board.png")
     assert [m["id"] for m in image["markers"]] == [3, 4, 5, 6]
     for marker in image["markers"]:
@@ -98,7 +98,7 @@ def test_a_readable_table_and_only_the_listed_ids(robot_ik: Any, place: Path) ->
     assert max(map(len, rows)) <= 80
 
 
-def test_without_a_calibration_there_are_corners_only_and_it_says_so(
+def test_without_a_calibration_only_corners_are_printed_with_a_note(
     robot_ik: Any, place: Path
 ) -> None:
     run = robot_ik("camera", "detect", place / "board.png", "--json")
@@ -164,7 +164,7 @@ def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
     assert [m["id"] for m in images["d.png"]["markers"]] == [3, 4, 5, 6] and images["d.png"][
         "frame"
     ] == 3
-    # where nothing at all can be used there is nothing to report
+    # No picture is usable, so there is no report.
     for name in ("b.png", "d.png"):
         (folder / name).unlink()
     run = robot_ik("camera", "detect", folder, *options)
@@ -226,7 +226,7 @@ def test_markers_of_another_kind_are_named(
         ),
     ],
 )
-def test_what_cannot_be_done_is_said_in_a_sentence(
+def test_an_impossible_request_is_one_sentence(
     robot_ik: Any, place: Path, arguments: tuple[str, ...], text: str
 ) -> None:
     run = robot_ik("camera", "detect", *(a.format(place) for a in arguments))

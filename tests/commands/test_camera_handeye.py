@@ -81,12 +81,12 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
     assert place.parent == "gripper"
     position, angle = place.pose_parent_camera.distance(CAMERA)
     assert position < 2e-3 and angle < np.deg2rad(0.25)
-    said = json.loads(
+    facts = json.loads(
         robot_ik("camera", "handeye", "--samples", "some.samples.json", "--json", "--overwrite").out
     )
-    assert said["outliers"] == [6] and len(said["views"]) == 10 and said["true_error"] is None
-    assert "measurements of the arm disagree" not in run.err and said["doubt"] == ""
-    np.testing.assert_array_equal(said["camera"]["position"], place.pose_parent_camera.position)
+    assert facts["outliers"] == [6] and len(facts["views"]) == 10 and facts["true_error"] is None
+    assert "measurements of the arm disagree" not in run.err and facts["doubt"] == ""
+    np.testing.assert_array_equal(facts["camera"]["position"], place.pose_parent_camera.position)
 
 
 def test_an_arm_whose_zero_is_off_is_reported(
@@ -119,7 +119,7 @@ def test_a_zero_that_is_off_by_half_a_degree_is_named() -> None:
     assert "the zero of joint3 seems to be off by 0.5" in doubt and "camera verify --fit" in doubt
 
 
-def test_ctrl_c_says_how_to_go_on(
+def test_ctrl_c_prints_the_command_that_continues(
     robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(request: Any, *, keep: Any, **rest: Any) -> None:
@@ -147,7 +147,9 @@ def test_ctrl_c_says_how_to_go_on(
         (["--camera", "0"], "has no calibration"),
     ],
 )
-def test_what_cannot_be_meant_is_reported(robot_ik: Any, arguments: list[str], words: str) -> None:
+def test_contradicting_options_are_reported(
+    robot_ik: Any, arguments: list[str], words: str
+) -> None:
     run = robot_ik("camera", "handeye", *arguments)
     run.assert_one_screen_error()
     assert words in run.err

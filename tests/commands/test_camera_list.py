@@ -1,4 +1,4 @@
-"""``robot-ik camera list``: what is there, or what to do."""
+"""``robot-ik camera list``: the cameras, or advice without cameras."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NODE = CameraDevice(1, "/dev/video1", "HD Webcam [C920]", "", True, False)
 CLOSED = CameraDevice(2, "/dev/null", "Lab camera", "", False, True)
 
 
-def test_cameras_are_shown_with_what_stands_in_the_way(
+def test_cameras_are_listed_with_their_users_and_missing_permissions(
     monkeypatch: pytest.MonkeyPatch, robot_ik: Any
 ) -> None:
     shows(monkeypatch, WEBCAM, NODE, CLOSED)
@@ -34,14 +34,14 @@ def test_cameras_are_shown_with_what_stands_in_the_way(
     assert "no permission" in rows[3] and ("usermod" in rows[3] or "udev" in rows[3])
 
 
-def test_json_says_the_same(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> None:
+def test_json_has_the_same_facts(monkeypatch: pytest.MonkeyPatch, robot_ik: Any) -> None:
     shows(monkeypatch, WEBCAM, NODE)
     answer = json.loads(robot_ik("camera", "list", "--json").out)
     assert [c["index"] for c in answer["cameras"]] == [0, 1]
     assert answer["cameras"][0]["name"] == "HD Webcam [C920]" and answer["cameras"][0]["usable"]
 
 
-def test_no_camera_is_said_with_what_else_will_do(
+def test_no_camera_is_reported_with_alternatives(
     monkeypatch: pytest.MonkeyPatch, robot_ik: Any
 ) -> None:
     monkeypatch.setattr(device, "CAN_LIST", True)
@@ -51,7 +51,7 @@ def test_no_camera_is_said_with_what_else_will_do(
     assert "there is no camera" in run.err and "synthetic:orbit" in run.err
 
 
-def test_other_systems_are_not_said_to_have_none(
+def test_other_systems_are_reported_as_unable_to_list(
     monkeypatch: pytest.MonkeyPatch, robot_ik: Any
 ) -> None:
     monkeypatch.setattr(device, "CAN_LIST", False)

@@ -102,9 +102,9 @@ def test_json(robot_ik: Any) -> None:
     run = robot_ik(
         "camera", "locate", "shots/0.png", "--intrinsics", "camera.yaml", *GRID, "--json"
     )
-    said = json.loads(run.out)
-    assert run.code == 0 and said["parent"] == "world" and said["pictures"] == said["used"] == 1
-    np.testing.assert_allclose(said["camera"]["position"], SEEN.inverse().position, atol=2e-3)
+    facts = json.loads(run.out)
+    assert run.code == 0 and facts["parent"] == "world" and facts["pictures"] == facts["used"] == 1
+    np.testing.assert_allclose(facts["camera"]["position"], SEEN.inverse().position, atol=2e-3)
 
 
 @pytest.mark.parametrize(

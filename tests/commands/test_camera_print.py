@@ -1,4 +1,4 @@
-"""``robot-ik camera print``: files, what is said of them, and mistakes."""
+"""``robot-ik camera print``: files, output and wrong options."""
 
 from __future__ import annotations
 

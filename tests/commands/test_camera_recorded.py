@@ -118,6 +118,6 @@ def test_a_recording_is_refused_while_the_bus_stays_silent(
     assert not (tmp_path / "result.json").exists()
 
 
-def test_the_wire_would_have_heard_an_arm_that_is_opened(robot_ik: Any, wire: Wire) -> None:
+def test_opening_an_arm_sends_bytes_on_the_wire(robot_ik: Any, wire: Wire) -> None:
     run = robot_ik("servo", "scan", "--bus", wire.port, "--baud", "1000000")
     assert run.code != 0 and bytes(wire.sent).startswith(b"\xff\xff\xfd\x00"), run

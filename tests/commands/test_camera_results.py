@@ -118,7 +118,7 @@ def test_folders_are_made_before_the_work_and_what_stays_empty_is_taken_back(
     assert [file.name for file in place.parent.iterdir()] == ["place.toml"]
 
 
-def test_why_nothing_can_be_written_is_said(tmp_path: Path) -> None:
+def test_the_reason_of_a_write_error_is_reported(tmp_path: Path) -> None:
     (tmp_path / "photo.png").touch()
     file = tmp_path / "photo.png"
     missing = tmp_path / "no"

@@ -99,10 +99,10 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(
     # The same fit, and the question whether to write. Nothing moves.
     again = ("camera", "verify", "--fit", "--samples", "some.json")
     run = robot_ik(*again, "--json")
-    said = json.loads(run.out)
+    facts = json.loads(run.out)
     assert run.code == 1 and "give your arm file with --arm" in run.err
-    assert len(said["poses"]) == 7 and said["written"] is False
-    np.testing.assert_allclose(said["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
+    assert len(facts["poses"]) == 7 and facts["written"] is False
+    np.testing.assert_allclose(facts["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
     run = robot_ik(*again, "--arm", arm, "--yes")
     assert run.code == 0 and "zero_ticks: joint1 2048 -> 2025" in run.err, run
     # With the new zeros the joint angles of the samples have another meaning.
@@ -127,7 +127,7 @@ def test_samples_of_something_else_are_reported(robot_ik: Any, arm: Path) -> Non
     assert "gone.json: the file of samples cannot be read: No such file" in gone.err
 
 
-def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> None:
+def test_an_arm_with_errors_fails_and_names_the_regions(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--tolerance-mm", "3")
     assert run.code == 1, run
     assert "with the new zeros" not in run.out
@@ -149,11 +149,11 @@ def test_an_arm_that_is_off_fails_and_says_where(robot_ik: Any, arm: Path) -> No
         "rows are numbered as the stations that were planned"
     )
     assert robot_ik("camera", "verify", "--tolerance-mm", "60").code == 0
-    said = json.loads(robot_ik("camera", "verify", "--json").out)
-    assert said["passed"] is False and "fit" not in said
-    assert said["regions"][0]["poses"] == len(said["poses"]) == 8
-    assert said["regions"][0]["largest_m"] == pytest.approx(
-        max(np.linalg.norm(one["off_m"]) for one in said["poses"])
+    facts = json.loads(robot_ik("camera", "verify", "--json").out)
+    assert facts["passed"] is False and "fit" not in facts
+    assert facts["regions"][0]["poses"] == len(facts["poses"]) == 8
+    assert facts["regions"][0]["largest_m"] == pytest.approx(
+        max(np.linalg.norm(one["off_m"]) for one in facts["poses"])
     )
 
 
@@ -183,14 +183,14 @@ def test_zeros_are_written_after_a_yes_and_only_then(
     np.testing.assert_allclose(moved, HIDDEN, atol=np.deg2rad(0.1))
 
 
-def test_json_says_all_and_yes_asks_nothing(robot_ik: Any, arm: Path) -> None:
+def test_json_has_all_facts_and_yes_skips_the_confirmation(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--fit", "--arm", arm, "--yes", "--json")
     assert run.code == 0, run
-    said = json.loads(run.out)
-    assert said["written"] is True and said["passed"] is True and said["unseen"] == [3]
-    np.testing.assert_allclose(said["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
-    assert said["fit"]["held"] == [] and None not in said["fit"]["sigma_rad"]
-    assert said["fit"]["regions"][0]["largest_m"] < 1e-3 < said["regions"][0]["largest_m"]
+    facts = json.loads(run.out)
+    assert facts["written"] is True and facts["passed"] is True and facts["unseen"] == [3]
+    np.testing.assert_allclose(facts["fit"]["offsets_rad"], HIDDEN, atol=np.deg2rad(0.05))
+    assert facts["fit"]["held"] == [] and None not in facts["fit"]["sigma_rad"]
+    assert facts["fit"]["regions"][0]["largest_m"] < 1e-3 < facts["regions"][0]["largest_m"]
 
 
 def test_zeros_that_explain_nothing_new_are_not_written(
@@ -203,7 +203,7 @@ def test_zeros_that_explain_nothing_new_are_not_written(
     assert arm.read_bytes() == before
 
 
-def test_what_is_held_is_said(robot_ik: Any, arm: Path) -> None:
+def test_held_joints_are_reported(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--fit", "--seed", LOOSE_BOARD)
     assert (
         "the offset of joint6 and the rotation of the board about z of flange look the same"
@@ -234,7 +234,9 @@ def test_a_plan_is_printed(robot_ik: Any, arm: Path) -> None:
         (["--plot", "errors.xyz"], "a name that ends in .png"),
     ],
 )
-def test_what_cannot_be_meant_is_reported(robot_ik: Any, arguments: list[str], words: str) -> None:
+def test_contradicting_options_are_reported(
+    robot_ik: Any, arguments: list[str], words: str
+) -> None:
     run = robot_ik("camera", "verify", *arguments)
     run.assert_one_screen_error()
     assert words in run.err

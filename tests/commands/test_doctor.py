@@ -1,4 +1,4 @@
-"""The doctor: what it finds, what it advises, and that it neither hangs nor crashes."""
+"""``robot-ik doctor``: its findings and advice. It neither hangs nor crashes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robot_ik.camera.drawing.probe import Probe
 from robot_ik.hardware import checks, ports
 from robot_ik.jobs import doctor
 
-SOON = time.monotonic() + 1e6  # a moment that never comes in a test
+SOON = time.monotonic() + 1e6  # later than the end of every test
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc and /sys")
 
 
@@ -74,7 +74,7 @@ def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: checks.CheckRow) -> None
     monkeypatch.setattr(doctor, "CHECKS", {"all": lambda until: list(rows)})
 
 
-def test_a_problem_ends_in_2_and_says_what_to_do(
+def test_a_problem_has_exit_code_2_and_advice(
     robot_ik: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_checks(
@@ -103,7 +103,7 @@ def test_a_check_that_crashes_becomes_a_row() -> None:
 
 
 def test_it_never_takes_longer_than_it_may() -> None:
-    """Ten children that would sleep for ten minutes each: the later ones get what time is left."""
+    """Ten children that would sleep for ten minutes each: the later ones get the remaining time."""
 
     def slow(until: float) -> doctor.CheckFinding:
         late = drawing_probe.run_probe(
@@ -174,7 +174,7 @@ def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def install_fake(folder: Path, name: str, version: str) -> None:
-    """Writes what an installer leaves of a distribution: its metadata."""
+    """Write the metadata of a distribution, as an installer does."""
     info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
@@ -234,7 +234,7 @@ def test_free_port_then_used_port() -> None:
         assert used.status == checks.NOTE and f"({os.getpid()})" in used.found
     finally:
         os.close(client)
-    try:  # who serves the terminal has both of its ends open and is no user of it
+    try:  # a program that serves the terminal has both ends open and does not count
         assert checks.named_users_of(path) == []
         assert ports.serial_row(path, "a pty").status == checks.OK
     finally:
@@ -266,7 +266,7 @@ def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     row = ports.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
     assert row.status == checks.NOTE and "usermod -aG dialout" in row.do
     monkeypatch.setattr(Path, "group", lambda path: "root")
-    assert "usermod" not in ports.serial_row("x", "y").do  # nobody should join the group root
+    assert "usermod" not in ports.serial_row("x", "y").do  # no user should join the group root
 
 
 @linux

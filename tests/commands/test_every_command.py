@@ -1,4 +1,4 @@
-"""What holds for every command: signals, closed pipes, poor terminals, files, wrong options."""
+"""Properties of every command: signals, closed pipes, poor terminals, files, wrong options."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_a_signal_during_a_run(
 
 
 class ClosedPipe(io.StringIO):
-    """A standard output whose reader has gone."""
+    """A standard output with a closed reader."""
 
     def write(self, text: str) -> int:
         raise BrokenPipeError

@@ -26,7 +26,7 @@ from robot_ik.commands.terminal import Report, Terminal
 COMMANDS = [row for rows in GROUPS.values() for row in rows]
 
 _ENDING: dict[str, Any] = {}
-"""What the command of the tests does."""
+"""Function that the command of the tests calls."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class TrialReport(Report):
 
 @dataclass(frozen=True, kw_only=True)
 class Trial(JsonOption, FolderOption):
-    """Do what the test wants."""
+    """Call the function of the test."""
 
     FILES = ("*.txt",)
 
@@ -115,7 +115,7 @@ def test_help_of_a_group_names_its_commands(
             assert f" {row.name.split()[1]} {row.help}" in unfolded(run.out)
 
 
-def test_nothing_asked_shows_the_help_and_fails(robot_ik: Any) -> None:
+def test_no_command_shows_the_help_and_fails(robot_ik: Any) -> None:
     run = robot_ik()
     assert run.code == 2 and "Usage: robot-ik" in run.out
 
@@ -225,11 +225,11 @@ def test_an_endless_message_stays_on_one_screen(trial: Any) -> None:
     assert len(run.err) < 2000
 
 
-def test_unexpected_error_says_how_to_report_it(trial: Any) -> None:
+def test_an_unexpected_error_has_a_hint_to_report_it(trial: Any) -> None:
     run = trial(raising(ZeroDivisionError("division by zero")))
     run.assert_one_screen_error()
     assert "ZeroDivisionError" in run.err and "--debug" in run.err and "report" in run.err
-    assert "test_main.py" in run.err  # where it happened
+    assert "test_main.py" in run.err  # the place of the error
 
 
 def test_missing_file_is_not_called_a_fault_of_the_program(trial: Any) -> None:
@@ -310,6 +310,6 @@ def test_a_closed_pipe_is_quiet() -> None:
     )
     assert child.stdout is not None and child.stderr is not None
     child.stdout.close()  # before the child has written anything
-    said = child.stderr.read()
+    output = child.stderr.read()
     assert child.wait() == 128 + signal.SIGPIPE
-    assert said == b""
+    assert output == b""

@@ -163,7 +163,7 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for a child")
 def test_ctrl_c_ends_an_endless_search(tmp_path):
-    """The line about the work in progress comes from inside the search."""
+    """The search itself prints the line about the work in progress."""
     (tmp_path / "wall.xml").write_text(WALL)
     arguments = ["plan", "--robot", str(tmp_path / "wall.xml"), "--start", "-0.5", "0"]
     arguments += ["--goal-q", "0.5", "0", "--iterations", str(1 << 40)]

@@ -35,7 +35,7 @@ def left(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def test_the_whole_product_through_a_real_serial_line(
+def test_a_complete_reach_through_a_real_serial_line(
     robot_ik_child: Any, tmp_path: Path, real_time: None
 ) -> None:
     run = robot_ik_child("reach", "--out", tmp_path / "run")
@@ -60,7 +60,7 @@ def test_the_whole_product_through_a_real_serial_line(
     assert picture.shape[1] > 1000
 
 
-def test_json_is_all_there_is_on_stdout(robot_ik: Any, tmp_path: Path) -> None:
+def test_stdout_has_only_the_json_object(robot_ik: Any, tmp_path: Path) -> None:
     run = robot_ik("reach", *SIM, *GOAL, "--json")
     facts = json.loads(run.out)
     assert run.code == 0 and facts["reached"] and run.out.startswith("{")
@@ -76,16 +76,16 @@ def test_no_line_is_wider_than_a_terminal(robot_ik: Any, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["--fault", "zero-offset:joint4=2"], "NOT REACHED"),
         (["--fault", "stuck:joint3"], "joint3"),
         (["--fault", "cover-gripper"], "unproven"),
     ],
 )
-def test_what_must_not_pass(arguments: list[str], said: str, robot_ik: Any) -> None:
+def test_what_must_not_pass(arguments: list[str], expected: str, robot_ik: Any) -> None:
     run = robot_ik("reach", *SIM, *arguments)
-    assert run.code == 1 and said in run.out and "NOT REACHED" in run.out
+    assert run.code == 1 and expected in run.out and "NOT REACHED" in run.out
 
 
 def test_an_unreachable_goal(robot_ik: Any) -> None:
@@ -98,7 +98,7 @@ def test_an_unreachable_goal(robot_ik: Any) -> None:
     assert "nearest" in run.err and "Traceback" not in run.err
 
 
-def test_a_marker_that_is_not_there(robot_ik: Any) -> None:
+def test_a_missing_marker(robot_ik: Any) -> None:
     run = robot_ik("reach", *SIM, "--fault", "blank-marker")
     assert run.code == 1 and "marker 7" in run.err and "in view: 20, 23" in run.err
 
@@ -227,7 +227,7 @@ def test_a_window_needs_a_display(
         ("sim", "zero_ticks = 2048", "zero_ticks = 3000", "the servo's mode"),
     ],
 )
-def test_the_limits_name_the_side_that_gave_way_and_to_what(
+def test_the_table_of_limits_names_the_narrowed_side_and_the_cause(
     bus: str, old: str, new: str, by: str, robot_ik: Any, tmp_path: Path
 ) -> None:
     file = arm_file(tmp_path, old, new)
@@ -239,14 +239,14 @@ def test_the_limits_name_the_side_that_gave_way_and_to_what(
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "said"),
+    ("number", "code", "expected"),
     [
         pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.soak),
         (signal.SIGTERM, 143, "terminated"),
     ],
 )
 def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
-    number: int, code: int, said: str, tmp_path: Path, real_time: None
+    number: int, code: int, expected: str, tmp_path: Path, real_time: None
 ) -> None:
     """Asked of the servos themselves, which live in this process."""
     from robot_ik.hardware.config import ArmConfig
@@ -273,12 +273,15 @@ def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
             finally:
                 run.kill()
         assert run.returncode == code, err
-        assert out == "" and err.replace("reach …\n", "").splitlines() == ["torque is off", said]
+        assert out == "" and err.replace("reach …\n", "").splitlines() == [
+            "torque is off",
+            expected,
+        ]
         assert [servo.torque for servo in servos.servos] == [False] * 6
     assert not (tmp_path / "runs").exists()
 
 
-def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
+def test_the_default_robot(tmp_path: Path) -> None:
     """A port selects the arm with real servos, an arm file its robot, all else the PUMA 560."""
     for bus in ("pty", "sim", "none"):
         assert Reach(bus=bus).robot_name == "puma560"
@@ -293,7 +296,7 @@ def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "line", ["--fault stuck:joint3 cover-gripper", "--fault stuck:joint3 --fault cover-gripper"]
 )
-def test_several_faults_are_given_together_or_one_by_one(line: str) -> None:
+def test_several_faults_are_given_together_or_one_at_a_time(line: str) -> None:
     _, reach = parse_command(["reach", *line.split()])
     assert reach.fault == ("stuck:joint3", "cover-gripper")
 

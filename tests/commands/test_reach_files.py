@@ -1,4 +1,4 @@
-"""What a run leaves behind: read back with other readers, and compared with what happened."""
+"""Files of a run, read with other readers and compared with the report."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from robot_ik.jobs.results import folder_for_results, results_folder
 
 pytestmark = pytest.mark.usefixtures("light_pictures")
 
-# Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
+# Key of summary.json -> type of its value. The values of phases that did not run are None.
 DOCUMENTED = {
     "schema": int,
     "job": str,
@@ -72,7 +72,7 @@ def check_keys(facts: dict[str, Any]) -> None:
         assert facts[key] is None or isinstance(facts[key], kind), key
 
 
-def test_the_summary_says_what_happened(healthy: ReachReport, saved: Path) -> None:
+def test_the_summary_has_the_results(healthy: ReachReport, saved: Path) -> None:
     facts = strict((saved / "summary.json").read_text("utf-8"))
     check_keys(facts)
     assert facts["schema"] == 1 and facts["reached"] is True and facts["problem"] is None
@@ -119,7 +119,7 @@ def test_the_table_of_the_motion_reads_back(healthy: ReachReport, saved: Path) -
     assert (np.diff(values[:, 0]) > 0).all()
 
 
-def test_runs_that_end_early_leave_what_there_is(reach: Any, tmp_path: Path) -> None:
+def test_runs_that_end_early_leave_partial_results(reach: Any, tmp_path: Path) -> None:
     report = reach("blank-marker")
     files = [file.name for file in save_files(report, tmp_path / ".")]
     assert files == ["reach.png", "summary.json"]
@@ -155,7 +155,7 @@ def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
             assert here > 1.3 * slope[np.roll(lines, shift, axis=(0, 1))].mean()
 
 
-def test_the_picture_says_whether_it_was_reached(healthy: ReachReport, reach: Any) -> None:
+def test_the_picture_shows_the_outcome(healthy: ReachReport, reach: Any) -> None:
     def bars(report: ReachReport) -> set[tuple[int, ...]]:
         picture = draw_picture(report)
         right = picture[:, picture.shape[1] * 3 // 4]

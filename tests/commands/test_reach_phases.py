@@ -32,7 +32,7 @@ JOINTS = [f"joint{k}" for k in range(1, 7)]
 
 
 def shafts(report: ReachReport) -> Pose:
-    """Where the tool really is."""
+    """Return the true pose of the tool."""
     return report.robot.forward(report.setup.true_q(), report.frame)
 
 
@@ -50,7 +50,7 @@ def test_a_healthy_arm_reaches_its_marker(healthy: ReachReport) -> None:
     assert report.seen.pose_world_marker.distance(report.seen.true_pose)[0] < 1e-3
     wanted = report.seen.pose_world_marker.compose(report.vision.scene.pose_marker_tool)
     assert report.goal.target.distance(wanted)[0] < 1e-9
-    # the truth: the shafts hold the tool where it was wanted, and the camera is right about it
+    # The true shafts hold the tool at the goal, and the camera measures that pose.
     assert shafts(report).distance(report.goal.target)[0] <= report.judged.bound.position
     assert report.judged.by_camera is not None and report.judged.read_back is not None
     assert (
@@ -59,7 +59,7 @@ def test_a_healthy_arm_reaches_its_marker(healthy: ReachReport) -> None:
     )
     assert (
         report.judged.by_camera.sigma.position < 5e-4
-    )  # sharp enough for ticks to be what limits the verdict
+    )  # the ticks, not the camera, limit the verdict
 
 
 def test_exit_is_literally_what_the_two_judgements_say(healthy: ReachReport) -> None:
@@ -95,7 +95,7 @@ def test_a_hidden_zero_offset_is_noticed_by_the_camera_alone(
     report = reach(f"zero-offset:{joint}={degrees}")
     assert not report.ok and report.error is None
     assert report.judged.read_back.passed and not report.judged.by_camera.passed
-    # and the camera says how much: what the shafts really do
+    # The camera measures the true motion of the shafts.
     metres, radians = shafts(report).distance(report.goal.target)
     assert np.rad2deg(report.judged.by_camera.angle) == pytest.approx(np.rad2deg(radians), abs=0.15)
     assert report.judged.by_camera.position == pytest.approx(metres, abs=1.5e-3)
@@ -200,7 +200,7 @@ def test_following_the_marker(reach: Any) -> None:
     report = reach(follow=2.0)
     assert report.ok and report.followed.ticks.ticks == 200 and report.followed.ticks.held < 40
     assert report.followed.ticks.statuses["CONVERGED"] > 150
-    # it went somewhere, the arm went along, and the verdict is about the last place
+    # The marker moved, the arm followed, and the verdict is about the last position.
     home = report.vision.scene.pose_world_marker.position
     away = np.linalg.norm(report.seen.pose_world_marker.position - home)
     assert away > 0.02
@@ -216,7 +216,7 @@ def test_there_is_nothing_to_follow_at_a_fixed_goal(reach: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["ur", "planar", "desk"])
-def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any) -> None:
+def test_arms_without_a_description(name: str, arms: dict[str, Path], reach: Any) -> None:
     report = reach(robot=str(arms[name]))
     assert report.ok, (report.error, report.verdict)
     assert report.judged.by_camera is not None
@@ -225,7 +225,7 @@ def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any
 
 
 @pytest.mark.usefixtures("full_pictures")
-def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: Any) -> None:
+def test_without_servos_the_scene_gives_the_verdict(arms: dict[str, Path], reach: Any) -> None:
     report = reach(bus="none", robot=str(arms["planar"]))
     assert report.ok and report.execution.measured is None and report.counters == {}
     # The marker is measured outside the plane that the arm can reach, within its standard
@@ -238,7 +238,7 @@ def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: 
 def test_following_without_servos_arrives(seed: int, reach: Any) -> None:
     report = reach(bus="none", follow=1.2, seed=seed)
     assert report.ok, report.verdict
-    assert report.judged.read_back.position > 1e-6  # two looks at the marker differ
+    assert report.judged.read_back.position > 1e-6  # two measurements of the marker differ
     assert (
         report.judged.read_back.position
         <= report.judged.read_back.allowed.position
@@ -275,7 +275,7 @@ def test_without_servos_a_covered_gripper_leaves_nothing_unproven(
 
 
 @pytest.mark.parametrize("solver", ["dls", "ccd", "auto"])
-def test_every_method_does_the_job(solver: str, reach: Any) -> None:
+def test_every_solver_reaches_the_marker(solver: str, reach: Any) -> None:
     report = reach(solver=solver, goal=PositionGoal(None, (-0.42, -0.08, 0.80)))
     assert report.ok, report.error
 
@@ -332,4 +332,4 @@ def test_the_video_shows_the_whole_motion(
         for frame in av.open(str(path)).decode(video=0)
     ]
     assert len(frames) == pytest.approx(report.execution.times[-1] * VIDEO_RATE_HZ, abs=2)
-    assert np.abs(frames[-1] - frames[0]).max() > 50.0  # the arm went somewhere
+    assert np.abs(frames[-1] - frames[0]).max() > 50.0  # the arm moved

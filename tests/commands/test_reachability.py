@@ -1,4 +1,4 @@
-"""``robot-ik reachability``: files, numbers, and errors that say what to do."""
+"""``robot-ik reachability``: files, numbers, and errors with advice."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_obstacles_of_a_scene_file_count(robot_ik: Any, tmp_path: Path) -> None:
     assert np.nansum(walled.index) > 0.0
 
 
-def test_what_cannot_be_done_is_said(robot_ik: Any, tmp_path: Path) -> None:
+def test_impossible_requests_are_reported(robot_ik: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     out = ("--out", tmp_path / "reach")
     (tmp_path / "letter").mkdir()
@@ -60,7 +60,7 @@ def test_what_cannot_be_done_is_said(robot_ik: Any, tmp_path: Path) -> None:
     assert cell.code == 2 and "--cell" in cell.err
 
 
-def test_a_cluster_that_is_not_there_is_named(robot_ik: Any, tmp_path: Path) -> None:
+def test_an_unreachable_cluster_is_named(robot_ik: Any, tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     pytest.importorskip("distributed")
     address = "tcp://127.0.0.1:9"

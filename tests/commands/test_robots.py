@@ -1,4 +1,4 @@
-"""``robot-ik robots``: everything shown comes from the model folders."""
+"""``robot-ik robots``: its output is the content of the model folders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``robot-ik run``: what it prints and writes, and its exit codes."""
+"""``robot-ik run``: output, files and exit codes."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ def test_passed_is_0_and_leaves_reports(tmp_path: Path, script: Path, robot_ik: 
         "wait a little: PASSED  2 of 2 steps, 0.20 s of virtual time, tabletop_puma on sim, seed 5"
         in run.out
     )
-    said = json.loads(robot_ik("run", script, "--json", "--seed", 5).out)
-    assert said["schema"] == 1 and said["passed"] and said["seed"] == 5 and len(said["steps"]) == 2
+    facts = json.loads(robot_ik("run", script, "--json", "--seed", 5).out)
+    assert (
+        facts["schema"] == 1 and facts["passed"] and facts["seed"] == 5 and len(facts["steps"]) == 2
+    )
     suite = ElementTree.parse(tmp_path / "r.xml").getroot()[0]
     assert (suite.get("tests"), suite.get("failures")) == ("2", "0")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r.xml", "wait.toml"]
@@ -65,7 +67,7 @@ def test_failed_is_1(script: Path, robot_ik: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["overlaod"], "did you mean overload"),
         (["missing.toml"], "cannot be read"),
@@ -77,10 +79,10 @@ def test_failed_is_1(script: Path, robot_ik: Any) -> None:
         (["{script}", "--seed", "-1"], "seed: not -1"),
     ],
 )
-def test_wrong_input_is_2(arguments: list[str], said: str, script: Path, robot_ik: Any) -> None:
+def test_wrong_input_is_2(arguments: list[str], expected: str, script: Path, robot_ik: Any) -> None:
     run = robot_ik("run", *(word.format(script=script) for word in arguments))
     run.assert_one_screen_error()
-    assert said in run.err
+    assert expected in run.err
 
 
 def test_a_folder_is_named_with_a_script_in_it(
@@ -107,11 +109,16 @@ def test_interrupted_is_130_and_leaves_its_report(
     script.write_text(FAIL)
     run = robot_ik("run", script, "--json", "--junit", tmp_path / "r.xml")
     assert run.code == 130 and run.err == "torque is off\ninterrupted\n"
-    said = json.loads(run.out)
+    facts = json.loads(run.out)
     assert (tmp_path / "r.xml").is_file()
-    assert said["interrupted"] and not said["passed"]
-    assert [step["outcome"] for step in said["steps"]] == ["failed", "not run", "not run", "passed"]
-    assert "torque_off" in said["steps"][-1]["found"]
+    assert facts["interrupted"] and not facts["passed"]
+    assert [step["outcome"] for step in facts["steps"]] == [
+        "failed",
+        "not run",
+        "not run",
+        "passed",
+    ]
+    assert "torque_off" in facts["steps"][-1]["found"]
 
 
 def test_the_arm_may_be_named_by_its_robot(script: Path, robot_ik: Any) -> None:
@@ -124,7 +131,7 @@ def test_another_robot_and_a_pty(script: Path, robot_ik: Any, real_time: None) -
     assert run.code == 0 and "puma560 on pty" in run.out
 
 
-def test_without_a_script_those_that_come_along(robot_ik: Any) -> None:
+def test_without_a_script_the_bundled_ones_are_listed(robot_ik: Any) -> None:
     run = robot_ik("run")
     assert run.code == 0
     rows = json.loads(robot_ik("run", "--json").out)["scripts"]

@@ -35,7 +35,7 @@ def test_zeros_directions_and_ranges_are_found(
         assert joint.servo.direction == true.servo.direction
         assert joint.servo.zero_ticks == pytest.approx(true.servo.zero_ticks, abs=2)
         assert np.degrees([joint.lower, joint.upper]) == pytest.approx([-95, 95], abs=0.3)
-    # With it the arm goes where it is sent, by its own true angles.
+    # With the calibration the true angles of the arm are those of its goals.
     run = robot_ik(
         "servo",
         "move",
@@ -112,7 +112,7 @@ def test_a_sweep_across_the_turns_end(
 
 
 @pytest.mark.parametrize("folds", [False, True])
-def test_ticks_that_start_anew_in_the_middle_are_counted_on(folds: bool, desk: Any) -> None:
+def test_ticks_that_wrap_inside_the_range_are_unwrapped(folds: bool, desk: Any) -> None:
     from robot_ik.hardware.calibration import Sweep
 
     sweep = Sweep(desk.config, {1: 4000, 2: 4000, 3: 100})
@@ -197,11 +197,11 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
     )
     hand = good_hand()
     forgetful = True
-    said = []
+    lines = []
     assert child.stderr is not None
     try:
         for line in child.stderr:
-            said.append(line)
+            lines.append(line)
             if line[0] in "123":
                 if not (forgetful and line.startswith("3.2")):
                     hand(line, lambda: time.sleep(0.03))
@@ -213,9 +213,9 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
         child.communicate()
         os.close(keys)
         os.close(terminal)
-    assert sum(line.startswith("3.2") for line in said) == 2
-    assert any("joint 'joint2' did not turn" in line for line in said) and any(
-        "once more" in x for x in said
+    assert sum(line.startswith("3.2") for line in lines) == 2
+    assert any("joint 'joint2' did not turn" in line for line in lines) and any(
+        "once more" in x for x in lines
     )
     mine = ArmConfig.load(tmp_path / "mine.toml")
     assert [j.servo.direction for j in mine.joints] == [1, -1, 1]

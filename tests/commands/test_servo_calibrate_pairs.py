@@ -44,13 +44,13 @@ def true_arm(twin: Twin) -> ArmConfig:
 
 
 def unknown_arm(true: ArmConfig) -> ArmConfig:
-    """The same before anybody looked at zeros and directions."""
+    """The same arm file before zeros and directions are measured."""
     joints = tuple(with_servo(joint, direction=1, zero_ticks=2048) for joint in true.joints)
     return dataclasses.replace(true, joints=joints)
 
 
 class Hand:
-    """Does what each step asks for, sampling on the way."""
+    """Carries out each step, and samples meanwhile."""
 
     def __init__(self, true: ArmConfig, bus: VirtualBus, slip: float = 1.0) -> None:
         self.true = true
@@ -163,7 +163,7 @@ def test_a_swapped_second_servo_is_a_mismatch() -> None:
 
 
 def test_an_offset_of_a_shadow_that_another_program_rewrote_is_no_mismatch() -> None:
-    """Interbotix' driver does at each start, from where the first servo stands."""
+    """Interbotix' driver computes it at each start from the position of the first servo."""
     _, bus, found, made = measured(SHADOW)
     bus.servo(3).memory.set("homing_offset", 25)
     with open_arm(made, "sim", virtual_bus=bus) as arm:

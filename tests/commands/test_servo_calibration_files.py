@@ -28,7 +28,7 @@ Hand = Callable[[str, Callable[[], object]], None]
 JOINTS = ("joint1", "joint2", "joint3")
 
 
-def test_what_agrees_is_said_to_agree(robot_ik: Any, mine: Path, desk: Any) -> None:
+def test_an_agreeing_calibration_is_reported(robot_ik: Any, mine: Path, desk: Any) -> None:
     run = robot_ik("servo", "calibrate", mine, "--bus", desk.port, "--check")
     assert run.code == 0 and "agree" in run.out
 
@@ -109,7 +109,7 @@ def test_the_calibration_of_another_arm(robot_ik: Any, mine: Path, desk: Any) ->
     assert "joint9" in run.err and desk.torque() == [False] * 3
 
 
-def test_older_files_stay_unless_asked(good_hand: Any, calibrate: Any, mine: Path) -> None:
+def test_older_files_stay_without_overwrite(good_hand: Any, calibrate: Any, mine: Path) -> None:
     before = mine.read_bytes()
     calibrate(good_hand()).assert_one_screen_error()
     assert mine.read_bytes() == before
@@ -218,7 +218,7 @@ def _lerobot(path: Path, **row: int) -> Path:
     return path
 
 
-# What LeRobot's file leaves to the model.
+# LeRobot's file has no limits. They are those of the model.
 NO_LIMITS = defaultdict(lambda: (0.0, 0.0))
 
 
@@ -307,7 +307,7 @@ def test_reach_compares_the_arm_with_its_calibration(robot_ik: Any, mine: Path, 
     assert "limits of the model" in run.err
 
 
-def test_a_calibrated_arm_is_calibrated_anew(
+def test_a_calibrated_arm_is_calibrated_again(
     calibrate: Any, good_hand: Any, mine: Path, desk: Any, tmp_path: Path
 ) -> None:
     desk.servo(1).memory.set("homing_offset", 100)

@@ -32,16 +32,16 @@ def _quick(monkeypatch: pytest.MonkeyPatch, desk: Any) -> None:
 
 @pytest.fixture
 def rows(robot_ik: Any, desk: Any) -> Callable[[], Any]:
-    """``rows()``: the exit code, and what was said of each servo by id."""
+    """``rows()``: the exit code, and the rows of the servos by id."""
 
     def look() -> tuple[int, dict[int, dict[str, str]]]:
         run = robot_ik("doctor", *desk.at, "--json")
-        said = [
+        checked = [
             row
             for row in json.loads(run.out)["rows"]
             if row["what"].split()[1:] and row["what"].split()[1].isdigit()
         ]
-        return run.code, {int(row["what"].split()[1]): row for row in said}
+        return run.code, {int(row["what"].split()[1]): row for row in checked}
 
     return look
 
@@ -122,9 +122,9 @@ def test_no_such_port_and_no_such_arm(
     robot_ik("doctor", "--bus", "x", "--arm", "pmua560").assert_one_screen_error()
 
 
-def test_simulated_servos_can_be_asked_too_and_a_slip_is_named(robot_ik: Any) -> None:
+def test_simulated_servos_are_checked_and_a_typing_error_is_named(robot_ik: Any) -> None:
     run = robot_ik("doctor", "--bus", "sim", "--arm", "koch_v11", "--json")
-    said = {row["what"] for row in json.loads(run.out)["rows"]}
-    assert run.code == 0 and {"servo 1 shoulder_pan", "servo 6 gripper"} <= said
+    subjects = {row["what"] for row in json.loads(run.out)["rows"]}
+    assert run.code == 0 and {"servo 1 shoulder_pan", "servo 6 gripper"} <= subjects
     run = robot_ik("doctor", "--bus", "smi")
     assert run.code == 2 and "did you mean sim?" in run.out

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
 
 def degrees(desk: Any) -> list[float]:
-    """Where the joints really are."""
+    """Return the true joint values."""
     return np.degrees(desk.bus.true_angles(desk.config)).tolist()
 
 
@@ -32,7 +32,7 @@ def test_monitor_in_lines_of_json(robot_ik: Any, desk: Any) -> None:
     assert third["errors"] == ["overheating"] and first["errors"] == [] and first["torque"] is False
     assert (
         first["current_ma"] is not None and second["current_ma"] is None
-    )  # an XL430 tells its load
+    )  # an XL430 measures its load
     assert second["load_percent"] is not None
 
 
@@ -162,7 +162,7 @@ def test_reset_fault_of_the_silent(robot_ik: Any, desk: Any) -> None:
     robot_ik("servo", "reset-fault", "joitn2", *desk.at).assert_one_screen_error()
 
 
-def test_a_stop_that_finds_no_program_says_who_takes_torque(robot_ik: Any) -> None:
+def test_a_stop_without_a_running_program_names_the_torque_command(robot_ik: Any) -> None:
     run = robot_ik("stop", "--torque-off", "--bus", "/dev/nowhere")
     assert run.code == 1 and "robot-ik servo torque off --bus /dev/nowhere" in run.err
     assert "torque" not in robot_ik("stop", "--bus", "/dev/nowhere").err

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
 
 def degrees(desk: Any) -> list[float]:
-    """Where the joints really are."""
+    """Return the true joint values."""
     return np.degrees(desk.bus.true_angles(desk.config)).tolist()
 
 
@@ -89,7 +89,7 @@ def test_move_on_the_wrong_arm(robot_ik: Any, desk: Any) -> None:
     assert "joint3: XL330-M288" in run.err and "XL430-W250" in run.err
 
 
-def test_ctrl_c_leaves_the_arm_as_asked(desk: Any) -> None:
+def test_ctrl_c_leaves_the_arm_by_its_exit_policy(desk: Any) -> None:
     command = [
         sys.executable,
         "-m",

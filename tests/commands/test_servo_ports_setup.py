@@ -171,9 +171,7 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_all_of_them_together(
-    found: list[FoundServo], reported: list[str]
-) -> None:
+def test_problems_of_several_servos(found: list[FoundServo], reported: list[str]) -> None:
     notes = discovery.scan_notes(found)
     assert len(notes) == len(reported) and all(
         part in note for part, note in zip(reported, notes, strict=True)

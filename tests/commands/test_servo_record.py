@@ -55,7 +55,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
     assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
     for joint, degrees in zip(
         JOINTS, (-26.0, 4.0, 11.0), strict=True
-    ):  # somewhere else, as after a pause
+    ):  # at another pose, as after a pause
         desk.turn(joint, degrees)
     run = robot_ik("servo", "replay", file, *desk.at, "--on-exit", "hold")
     assert run.code == 0, run.err
@@ -103,7 +103,7 @@ def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path:
     for start in (
         config.lower - ticks,
         config.upper + ticks,
-    ):  # as servos measure it where an arm rests
+    ):  # as servos measure an arm at rest
         file = tmp_path / "motion.csv"
         Trajectory([0.0, 5.0], [start, middle], config.names).save_csv(file)
         _, motion, _ = guided_recording.load_playable(file, arm, 1.0)
@@ -147,7 +147,7 @@ def test_torque_must_be_off_to_be_guided(robot_ik: Any, desk: Any, tmp_path: Pat
     assert "joint1" in run.err and not (tmp_path / "m.csv").exists()
 
 
-def test_a_recording_beyond_the_limits_says_so_at_once(
+def test_a_recording_beyond_the_limits_prints_a_warning(
     robot_ik: Any, desk: Any, tmp_path: Path
 ) -> None:
     desk.turn("joint2", 108.0)
@@ -240,9 +240,7 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
     assert len(guided_recording.load_motion(file, JOINTS)) > 2
 
 
-def test_where_nobody_can_press_enter_nothing_is_recorded(
-    robot_ik_child: Any, tmp_path: Path
-) -> None:
+def test_without_standard_input_nothing_is_recorded(robot_ik_child: Any, tmp_path: Path) -> None:
     run = robot_ik_child("servo", "record", tmp_path / "m.csv", "--bus", "sim")
     run.assert_one_screen_error()
     assert "--seconds S" in run.err and "recording" not in run.err and not list(tmp_path.iterdir())

@@ -53,10 +53,12 @@ def test_two_servos_with_one_id_are_suspected(robot_ik: Any, desk: Any) -> None:
     assert "id 2" in run.err and "another" in run.err
 
 
-def test_nobody_answers(robot_ik: Any, desk: Any) -> None:
+def test_no_servo_answers(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "scan", *desk.at, "--baud", "2000000")
     run.assert_one_screen_error(code=1)
-    assert "supply" in run.err and "57600" in run.err  # what to look at, and what was not tried
+    assert (
+        "supply" in run.err and "57600" in run.err
+    )  # the advice, and the rates that were not tried
 
 
 def test_scan_in_process(robot_ik: Any) -> None:
@@ -72,7 +74,7 @@ def test_scan_in_process(robot_ik: Any) -> None:
         ("--baud", "1000000", "2000000", "--baud=57600"),
     ],
 )
-def test_rates_may_be_given_one_by_one(words: tuple[str, ...], robot_ik: Any, desk: Any) -> None:
+def test_rates_may_be_given_one_at_a_time(words: tuple[str, ...], robot_ik: Any, desk: Any) -> None:
     desk.servo(3).memory.set("baud_rate", 1)  # 57 600
     run = robot_ik("servo", "scan", *desk.at, *words, *(() if "--json" in words else ("--json",)))
     assert {(s["id"], s["baud"]) for s in json.loads(run.out)["servos"]} == {

@@ -47,8 +47,8 @@ def serve(tmp_path: Path, real_time: None) -> Serve:
         )
         assert child.stdout is not None
         try:
-            said = child.stdout.readline().strip()
-            assert said == str(tmp_path / "arm"), said
+            output = child.stdout.readline().strip()
+            assert output == str(tmp_path / "arm"), output
             yield child
         finally:
             child.kill()
@@ -94,7 +94,7 @@ def test_faults_reach_the_wire(serve: Serve, tmp_path: Path) -> None:
         assert ping(tmp_path / "arm", 2)[1] == sdk.COMM_SUCCESS
 
 
-def test_replies_come_as_late_as_asked(serve: Serve, tmp_path: Path) -> None:
+def test_replies_have_the_requested_latency(serve: Serve, tmp_path: Path) -> None:
     with serve("--latency-ms", "20"):
         port = sdk.PortHandler(str(tmp_path / "arm"))
         assert port.openPort()
@@ -130,7 +130,7 @@ def test_with_physics_an_arm_that_is_too_heavy_feels_it(serve: Serve, tmp_path: 
         port.closePort()
 
 
-def test_baud_rate_matters_only_when_asked(serve: Serve, tmp_path: Path) -> None:
+def test_the_baud_rate_matters_only_with_match_baud(serve: Serve, tmp_path: Path) -> None:
     with serve():
         assert ping(tmp_path / "arm", 1, baud=57_600)[1] == sdk.COMM_SUCCESS
     with serve("--match-baud"):

@@ -93,8 +93,8 @@ def test_tolerance_and_budget_are_used(robot_ik: Any) -> None:
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_every_method_can_be_asked_for(name: str, robot_ik: Any) -> None:
-    # A closed form for the PUMA wants a whole pose.
+def test_every_solver_can_be_selected(name: str, robot_ik: Any) -> None:
+    # The closed form of the PUMA needs a full pose.
     goal = (*GOAL, 0, 1, 0, 0) if name == "analytic" else GOAL
     run = robot_ik("solve", "--json", "--goal", *goal, "--solver", name)
     found_by = json.loads(run.out)["solver"]
@@ -217,7 +217,7 @@ def test_as_a_program(robot_ik: Any, robot_ik_child: Any) -> None:
 def test_a_compilation_is_announced_on_stderr(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With no kernel in the cache there is one line of talk, once, and stdout stays pure JSON."""
+    """Without cached kernels one line about the compilation is printed. stdout has JSON only."""
     robot_ik(
         "solve", "--json", "--goal", *GOAL
     )  # the kernel itself is loaded: this test needs no compiler
@@ -239,7 +239,7 @@ def test_the_first_compilation_of_all_is_announced(robot_ik_child: Any, tmp_path
     assert json.loads(run.out)["solver"] == "ccd"
 
 
-def test_a_figure_keeps_its_feet_unless_told_otherwise(robot_ik: Any) -> None:
+def test_a_figure_keeps_its_feet_by_default(robot_ik: Any) -> None:
     figure = load_robot("humanoid")
     feet = {name: figure.measure(figure.home, name) for name in ("left_foot", "right_foot")}
     goal = ("--goal", "0.45", "-0.3", "1.2")

@@ -13,7 +13,7 @@ from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_
 __all__ = ["arms", "full_pictures", "healthy", "reach"]
 
 
-@pytest.fixture(scope="module", autouse=True)  # and no longer: other folders look at what users see
+@pytest.fixture(scope="module", autouse=True)  # other folders need the pictures of users
 def _light_pictures() -> Iterator[None]:
     """Pictures of half the size."""
     with pytest.MonkeyPatch.context() as patch:

@@ -134,7 +134,7 @@ def test_the_fingers_of_a_gripper_count_where_they_are(tmp_path: Path, robot: ri
         guard.checked(move, positions | {"finger_left": 0.018})
 
 
-def test_reach_refuses_before_torque_and_says_why(
+def test_reach_refuses_before_torque_with_a_reason(
     tmp_path: Path, robot: rik.Robot, goal: Array
 ) -> None:
     file = with_ball(tmp_path, middle(robot, goal))
@@ -152,7 +152,7 @@ def test_reach_refuses_before_torque_and_says_why(
     assert report.setup.true_q() == pytest.approx(robot.home, abs=2e-3)
 
 
-def test_reach_says_that_its_goal_touches(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
+def test_reach_reports_a_colliding_goal(tmp_path: Path, robot: rik.Robot, goal: Array) -> None:
     pose = robot.forward(goal)
     file = with_ball(tmp_path, pose.position)
     report = run_reach(robot=NAME, arm=str(file), goal=PoseGoal.at(None, pose))

@@ -39,7 +39,7 @@ def test_the_report_has_pose_and_errors(request_of_two: LocateRequest) -> None:
     assert report.believed and report.doubt == "" and shares == [0.05, 0.1]
 
 
-def test_a_camera_that_moved_is_not_believed(request_of_two: LocateRequest) -> None:
+def test_a_camera_that_moved_is_rejected(request_of_two: LocateRequest) -> None:
     file = Path(request_of_two.source) / "1.png"
     cv2.imwrite(str(file), np.roll(cv2.imread(str(file)), 25, axis=1))
     report = run_locate(request_of_two)

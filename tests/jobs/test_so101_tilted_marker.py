@@ -1,4 +1,4 @@
-"""``reach`` with an SO-101 before a marker whose axis it cannot meet."""
+"""``reach`` with an SO-101 in front of a marker with an axis out of its reach."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def test_read_back_passes_up_to_its_bound(factor: float, puma: Robot) -> None:
     assert judged.angle == pytest.approx(factor * 1e-3, rel=1e-6) and judged.passed is (factor < 1)
 
 
-def test_a_goal_of_a_place_asks_for_no_angle(puma: Robot) -> None:
+def test_a_position_goal_has_no_angle(puma: Robot) -> None:
     pose = puma.forward(puma.home, "gripper")
     goal = PositionGoal("gripper", pose.position)
     judged = judge_read_back(puma, puma.home, goal, "gripper", Bound(1e-6, 1e-6))

@@ -1,4 +1,4 @@
-"""Vision of the jobs: the truth is not used, recordings end, the camera does not block the loop."""
+"""Vision of the jobs: true poses are not used, recordings end, no blocked loop."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "said"),
+    ("change", "error", "expected"),
     [
         ({"intrinsics": None}, CalibrationError, "--intrinsics"),
         ({"marker_size": None}, CameraError, "--marker-size"),
@@ -171,10 +171,12 @@ def test_a_film_is_followed_to_its_last_place(look: Any) -> None:
         ({"marker_at": (0.0, 0.0, 0.0)}, OptionError, "synthetic"),
     ],
 )
-def test_wrong_input(change: dict[str, Any], error: type[Exception], said: str, look: Any) -> None:
+def test_wrong_input(
+    change: dict[str, Any], error: type[Exception], expected: str, look: Any
+) -> None:
     with pytest.raises(error) as caught:
         look("photo.png", **change)
-    assert said in f"{caught.value} {getattr(caught.value, 'hint', '')}"
+    assert expected in f"{caught.value} {getattr(caught.value, 'hint', '')}"
 
 
 def test_a_calibration_for_another_size(look: Any, photos: Path) -> None:

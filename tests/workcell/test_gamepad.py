@@ -161,7 +161,7 @@ def test_a_gamepad_that_is_lost_commands_nothing(virtual_pad: Callable[..., None
         assert follower.state is ArmState.HOLD
 
 
-def test_without_a_gamepad_it_says_what_else_leads(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_gamepad_the_keys_are_suggested(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pygame", reason="needs the extra gamepad")
     words = "teleop --leader gamepad --follower tabletop_puma --follower-bus sim --seconds 0.1"
     assert main(words.split()) == 2

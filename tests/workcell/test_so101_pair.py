@@ -1,4 +1,4 @@
-"""The SO-101 leader leads the follower, and the follower repeats what a hand has shown."""
+"""The SO-101 leader leads the follower, and the follower repeats a guided motion."""
 
 from __future__ import annotations
 

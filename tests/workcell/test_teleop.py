@@ -110,14 +110,12 @@ def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows(
         report = teleoperate(operator, follower, seconds=4.0, over=waved(begin, leader))
         assert report.engaged == 1 and report.lost == 0 and max(behind) < 0.05
         q = np.array(sent)
-        assert np.abs(q[0] - apart).max() < 1e-3  # engaged where it stands
+        assert np.abs(q[0] - apart).max() < 1e-3  # engaged at its present pose
         steps = np.abs(np.diff(q, axis=0)) * follower.config.rate_hz
         assert (steps <= follower.config.chain.velocity).all()
         assert np.abs(q[-1] - begin - 0.15).max() < 0.01
         assert np.abs(chain_q(follower) - begin - 0.15).max() < 0.02
-        assert (
-            leader.state is ArmState.CONNECTED
-        )  # nobody gave it torque: no force feedback unless asked
+        assert leader.state is ArmState.CONNECTED  # no torque: force feedback is off by default
 
 
 def test_hand_to_hand_between_different_arms() -> None:
@@ -156,7 +154,7 @@ def silence(arm: Arm, on: bool) -> None:
         servo.silent = on
 
 
-def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
+def test_a_lost_leader_sends_no_command_and_is_engaged_again() -> None:
     begin = home("tabletop_puma")
     with pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower):
         operator = LeaderArm(leader, follower.config, "joints", 1.0)
@@ -174,7 +172,7 @@ def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
         def back(timeout: float) -> None:
             states.append(follower.state)
             silence(leader, False)
-            guide(leader, begin + 0.2)  # it stands elsewhere when it comes back
+            guide(leader, begin + 0.2)  # it has another pose after the reconnection
             recover(timeout)
 
         operator.recover = back  # type: ignore[method-assign]
@@ -312,7 +310,7 @@ def interrupted_at_the_tenth() -> Callable[..., dict[str, float]]:
     ("leader", "leader_bus", "clock"),
     [(None, "", RealClock), ("koch_v11", "pty", RealClock), ("koch_v11", "sim", VirtualClock)],
 )
-def test_nobody_leads_in_virtual_time(
+def test_a_person_leads_in_real_time_only(
     leader: str | None, leader_bus: str, clock: type[Clock]
 ) -> None:
     config = None if leader is None else arm_file(leader)

@@ -115,7 +115,7 @@ def test_a_run_that_fails_leaves_the_older_film(request_for: ArRequest, tmp_path
     assert (tmp_path / "a.mp4").read_bytes() == b"older"
 
 
-def test_without_the_extra_a_film_says_how_to_get_it(
+def test_without_the_extra_a_film_error_names_the_install_command(
     request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(films.importlib.util, "find_spec", lambda name: None)
@@ -218,7 +218,7 @@ def test_pictures_of_an_earlier_run_are_kept_or_replaced_but_never_mixed(
     assert sorted(before.keys() - {"000777.png"}) == sorted(f.name for f in folder.iterdir())
 
 
-def test_why_the_board_is_seen_in_few_pictures_is_said(
+def test_the_reason_of_few_board_pictures_is_reported(
     request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tiny = ArRequest(size=(160, 120), seconds=0.05, out=tmp_path / "a.png", overwrite=True)
