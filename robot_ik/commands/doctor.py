@@ -47,9 +47,8 @@ class Doctor(JsonOption):
         """Run all checks."""
         from robot_ik.jobs.doctor import CHECKS, run_checks
 
-        config = (
-            load_arm(self.arm) if self.bus else None
-        )  # an unknown name is reported before the checks
+        # An unknown name is reported before the checks.
+        config = load_arm(self.arm) if self.bus else None
         with terminal.busy("checking this machine"):
             rows = run_checks(CHECKS)
         if config is not None:

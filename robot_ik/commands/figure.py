@@ -149,7 +149,7 @@ class Figure(OverwriteOption, JsonOption):
         """
         x, y, z, yaw = parse_robot_pose(self.robot_pose)
         if z != 0.0:
-            problem = f"a figure cannot start {z:g} m above the floor"
+            problem = f"a figure starts on the floor, not at z = {z:g} m"
             raise OptionError("--robot-pose", problem, "X Y 0 [YAW_DEG]: metres, degrees")
         return x, y, math.radians(yaw)
 
