@@ -103,9 +103,8 @@ def _check_watchdogs(config: ArmConfig) -> None:
     period = 1.0 / config.rate_hz
     smallest = min_watchdog_ms(config.stale_ms, period)
     if config.watchdog_ms < smallest:
-        if (
-            config.stale_ms == config.watchdog_ms // 2
-        ):  # not in the file: it grows with the watchdog
+        # stale_ms is not in the file. Its default grows with the watchdog.
+        if config.stale_ms == config.watchdog_ms // 2:
             while smallest < min_watchdog_ms(smallest // 2, period):
                 smallest += WATCHDOG_UNIT_MS
         raise KeyProblem(

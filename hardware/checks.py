@@ -23,14 +23,11 @@ class CheckRow:
 
 
 def permission_hint(path: str) -> str:
-    """What gives this user the right to use the device file."""
+    """Return how this user gets access to a device file."""
     try:
         group = Path(path).group()
-    except (
-        KeyError,
-        OSError,
-        NotImplementedError,
-    ):  # a number without a name; Windows has no groups
+    except (KeyError, OSError, NotImplementedError):
+        # The group has no name, or the system has no groups (Windows).
         group = ""
     if group in ("", "root", "wheel"):
         return f"no permission for {path}: ask for a udev rule that gives it to one of your groups"

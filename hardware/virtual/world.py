@@ -92,9 +92,8 @@ class JointMotor:
     def read_encoder(self) -> None:
         """Set position and velocity of the encoder from the joint."""
         angle = self._joint.angle
-        self._ticks_per = self._sign * self._drive.joint.ticks_per(
-            angle, self._drive.servo
-        )  # of a swing arm this depends on the position
+        # The ratio of a swing arm depends on its angle.
+        self._ticks_per = self._sign * self._drive.joint.ticks_per(angle, self._drive.servo)
         self.gear = self._ticks_per * RADIANS_PER_TICK
         self.position = (
             self._zero + self._sign * self._drive.position(angle) - self._servo.zero_offset_ticks

@@ -57,9 +57,8 @@ def test_a_healthy_arm_reaches_its_marker(healthy: ReachReport) -> None:
         report.judged.by_camera.pose.distance(shafts(report))[0]
         < SIGMAS * report.judged.by_camera.sigma.position + 2e-4
     )
-    assert (
-        report.judged.by_camera.sigma.position < 5e-4
-    )  # the ticks, not the camera, limit the verdict
+    # The ticks, not the camera, limit the verdict.
+    assert report.judged.by_camera.sigma.position < 5e-4
 
 
 def test_exit_is_literally_what_the_two_judgements_say(healthy: ReachReport) -> None:
@@ -83,9 +82,8 @@ def test_the_motion_is_timed_and_capped(healthy: ReachReport) -> None:
     assert healthy.counters["cycles"] >= len(run.times) and healthy.counters["timeouts"] == 0
     np.testing.assert_allclose(setup.shown, healthy.judged.q, atol=setup.resolution.max())
     assert setup.arm is not None and setup.arm.bus.virtual_bus is not None
-    assert not any(
-        servo.torque for servo in setup.arm.bus.virtual_bus.servos
-    )  # left without torque
+    # The exit policy has switched torque off.
+    assert not any(servo.torque for servo in setup.arm.bus.virtual_bus.servos)
 
 
 @pytest.mark.parametrize(("joint", "degrees"), list(zip(JOINTS, [2.0, -2.0] * 3, strict=True)))

@@ -139,9 +139,8 @@ def test_out_to_lerobot_and_in_again(robot_ik: Any, mine: Path, desk: Any, tmp_p
     keys = {"id", "drive_mode", "homing_offset", "range_min", "range_max"}
     assert written == {row["name"]: {key: row[key] for key in keys} for row in rows}
 
-    renamed = {
-        f"motor{row['id']}": row for row in written.values()
-    }  # LeRobot's own names: matched by id
+    # With LeRobot's joint names the servos are matched by id.
+    renamed = {f"motor{row['id']}": row for row in written.values()}
     for k, (low, high) in enumerate([(1000, 3000), (500, 1700), (800, 2600)], 1):
         renamed[f"motor{k}"] |= {"range_min": low, "range_max": high}
     file.write_text(json.dumps(renamed))

@@ -30,9 +30,8 @@ def test_monitor_in_lines_of_json(robot_ik: Any, desk: Any) -> None:
     assert second["position_deg"] == pytest.approx(30.0, abs=0.05) and second["joint"] == "joint2"
     assert (first["voltage"], second["voltage"], third["voltage"]) == (12.0, 12.0, 5.0)
     assert third["errors"] == ["overheating"] and first["errors"] == [] and first["torque"] is False
-    assert (
-        first["current_ma"] is not None and second["current_ma"] is None
-    )  # an XL430 measures its load
+    # An XL430 measures its load, not its current.
+    assert first["current_ma"] is not None and second["current_ma"] is None
     assert second["load_percent"] is not None
 
 
@@ -145,10 +144,9 @@ def test_reset_fault_of_a_tripped_watchdog_needs_no_restart(robot_ik: Any, desk:
     assert desk.servo(1).memory.values["bus_watchdog"] == 0
 
 
-def test_reset_fault_tells_of_turns_that_were_forgotten(robot_ik: Any, desk: Any) -> None:
-    desk.turn(
-        "joint2", -90.0
-    )  # 3048 ticks; another half turn of the joint is a whole one of the servo
+def test_reset_fault_reports_lost_revolutions(robot_ik: Any, desk: Any) -> None:
+    # 3048 ticks. Another half turn of the joint is one revolution of the servo.
+    desk.turn("joint2", -90.0)
     desk.turn("joint2", -180.0)
     desk.servo(2).inject_error("overload")
     run = robot_ik("servo", "reset-fault", "joint2", *desk.at)

@@ -53,9 +53,8 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
     assert np.degrees(motion.q[0] - motion.q[-1])[1] == pytest.approx(0.0, abs=0.1)
     assert np.degrees(motion.q[-1]) == pytest.approx([30.0, 0.0, -15.0], abs=0.3)
     assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
-    for joint, degrees in zip(
-        JOINTS, (-26.0, 4.0, 11.0), strict=True
-    ):  # at another pose, as after a pause
+    # At another pose, as after a pause.
+    for joint, degrees in zip(JOINTS, (-26.0, 4.0, 11.0), strict=True):
         desk.turn(joint, degrees)
     run = robot_ik("servo", "replay", file, *desk.at, "--on-exit", "hold")
     assert run.code == 0, run.err
@@ -100,22 +99,19 @@ def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path:
     config = arm
     ticks = 3.0 * np.array([abs(joint.value(1) - joint.value(0)) for joint in config.joints])
     middle = 0.5 * (config.lower + config.upper)
-    for start in (
-        config.lower - ticks,
-        config.upper + ticks,
-    ):  # as servos measure an arm at rest
+    # Servos measure an arm at rest a few ticks beyond its limits.
+    for start in (config.lower - ticks, config.upper + ticks):
         file = tmp_path / "motion.csv"
         Trajectory([0.0, 5.0], [start, middle], config.names).save_csv(file)
         _, motion, _ = guided_recording.load_playable(file, arm, 1.0)
         assert (config.lower <= motion.q).all() and (motion.q <= config.upper).all()
 
 
-def test_steps_that_no_hand_has_made_do_not_slow_it_down(desk: Any) -> None:
+def test_repeated_ticks_do_not_slow_the_replay_down(desk: Any) -> None:
     """Ticks read twice within a millisecond: a degree in no time."""
     times = np.sort(np.concatenate([np.arange(0.0, 2.0, 0.02), np.arange(0.0, 2.0, 0.02) + 0.0005]))
-    degrees = np.outer(
-        np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0]
-    )  # 50 deg/s in steps of a degree
+    # 50 deg/s in steps of a degree.
+    degrees = np.outer(np.floor(50.0 * times - 0.0125), [1.0, 0.0, -1.0])
     motion = Trajectory(times, np.radians(degrees), JOINTS)
     assert motion.peak_velocity.max() > 4.0 * desk.config.velocity.max()
     played, stretch = guided_motion.playable(motion, desk.config, 1.0)

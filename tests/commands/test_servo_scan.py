@@ -56,9 +56,8 @@ def test_two_servos_with_one_id_are_suspected(robot_ik: Any, desk: Any) -> None:
 def test_no_servo_answers(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "scan", *desk.at, "--baud", "2000000")
     run.assert_one_screen_error(code=1)
-    assert (
-        "supply" in run.err and "57600" in run.err
-    )  # the advice, and the rates that were not tried
+    # The hint names the supply and the rates that were not tried.
+    assert "supply" in run.err and "57600" in run.err
 
 
 def test_scan_in_process(robot_ik: Any) -> None:

@@ -131,9 +131,8 @@ def test_an_unreachable_goal_is_a_result(puma: Robot, robot_ik: Any) -> None:
     found, _ = site_pose(puma, "gripper", facts["q"])
     assert facts["error"]["position"] == pytest.approx(np.linalg.norm(found - [9, 0, 0]), rel=1e-9)
     at_home, _ = site_pose(puma, "gripper", puma.home)
-    assert facts["error"]["position"] < np.linalg.norm(
-        at_home - [9, 0, 0]
-    )  # the nearest found is kept
+    # The result is the nearest pose of the search.
+    assert facts["error"]["position"] < np.linalg.norm(at_home - [9, 0, 0])
 
 
 def test_the_table_for_people(puma: Robot, robot_ik: Any) -> None:
@@ -218,9 +217,8 @@ def test_a_compilation_is_announced_on_stderr(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without cached kernels one line about the compilation is printed. stdout has JSON only."""
-    robot_ik(
-        "solve", "--json", "--goal", *GOAL
-    )  # the kernel itself is loaded: this test needs no compiler
+    # The kernel itself is loaded: this test needs no compiler.
+    robot_ik("solve", "--json", "--goal", *GOAL)
     monkeypatch.setattr(jit, "cache_folder", lambda module: tmp_path)
     monkeypatch.setattr(jit, "_announced", set())
     run = robot_ik("solve", "--json", "--goal", *GOAL)
