@@ -325,6 +325,8 @@ def test_a_motion_is_planned_shown_scrubbed_and_played(window: Window, bed: Bed)
             "the slider does not show its end",
             on=slider,
         )
+    page.locator(".rk-mode").get_by_text("at the goal of the plan").wait_for()
+    page.locator(".rk-state").get_by_text("on the planned motion").wait_for()
     home = bed.session.robot.home
     bed.until(lambda view: np.allclose(view.instances[0].q, home, atol=1e-9))
     page.get_by_role("button", name="Play the planned motion").click()

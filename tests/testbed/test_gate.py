@@ -534,7 +534,7 @@ def test_a_page_gets_the_next_picture_when_it_has_shown_the_last(bed: Bed) -> No
         quick.until(lambda one: "role" in one.latest)
         slow.until(lambda one: "role" in one.latest)
         for k in range(3):
-            channel.picture(b"%d" % k)
+            channel.send_picture(b"%d" % k)
             quick.until(lambda one, k=k: one.pictures and one.pictures[-1] == b"%d" % k)
             quick.send({"shown": k})
             quick.command("set_running", running=False)  # STOP: its effect shows that it was read
