@@ -10,12 +10,14 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from robot_ik.commands import terminal
 from robot_ik.commands.main import main
+from robot_ik.hardware import discovery
 from robot_ik.jobs import vision
 from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_smaller
 from tests.hardware.joints import with_servo
@@ -270,3 +272,28 @@ def light_pictures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(vision, "scene_for", seen_smaller)
         yield
+
+
+@pytest.fixture
+def quick_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scan 20 ids, and wait for replies no longer than simulated servos need."""
+    monkeypatch.setattr(discovery.SerialBus, "listening_time", 0.03)
+    monkeypatch.setattr(discovery, "RESPONSE_TIME", 0.006)
+    monkeypatch.setattr(discovery, "IDS", range(20))
+
+
+@pytest.fixture
+def ports(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """``ports("/dev/…", …)`` sets the serial ports of this machine."""
+    from serial.tools import list_ports
+
+    def set_ports(*names: str) -> None:
+        rows = [
+            SimpleNamespace(
+                device=name, description="U2D2", vid=0x0403, pid=0x6014, serial_number="FT1"
+            )
+            for name in names
+        ]
+        monkeypatch.setattr(list_ports, "comports", lambda: rows)
+
+    return set_ports

@@ -4,40 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from robot_ik.hardware import discovery
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
-
-
-@pytest.fixture(autouse=True)
-def _servos_answer_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(discovery.SerialBus, "listening_time", 0.03)
-    monkeypatch.setattr(discovery, "RESPONSE_TIME", 0.006)
-    monkeypatch.setattr(discovery, "IDS", range(20))
-
-
-@pytest.fixture
-def ports(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """``ports("/dev/…", …)``: the serial ports that this machine has."""
-    from serial.tools import list_ports
-
-    def having(*names: str) -> None:
-        found = [
-            SimpleNamespace(
-                device=n, description="U2D2", vid=0x0403, pid=0x6014, serial_number="FT1"
-            )
-            for n in names
-        ]
-        monkeypatch.setattr(list_ports, "comports", lambda: found)
-
-    return having
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="pseudo terminals"),
+    pytest.mark.usefixtures("quick_scan"),
+]
 
 
 def test_the_only_port_needs_no_name(robot_ik: Any, ports: Any, desk: Any) -> None:
