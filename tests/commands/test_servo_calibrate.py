@@ -156,7 +156,7 @@ def test_the_wrong_joint_is_wiggled(
         else:
             hand(text, sample)
 
-    failing(calibrate(crossed), tmp_path, "'joint1' was to be turned, and 'joint3' did")
+    failing(calibrate(crossed), tmp_path, "'joint3' turned instead of 'joint1'")
 
 
 def test_nothing_is_wiggled(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
