@@ -121,7 +121,7 @@ def test_an_arm_without_torque_is_said_to_be_limp(session: Session, link: ArmLin
 def test_a_session_that_falls_silent_makes_the_arm_hold(session: Session, link: ArmLink) -> None:
     session.send(SetArm("follow"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
-    wait_for(lambda: link.view().state == "hold", "nobody held the arm")
+    wait_for(lambda: link.view().state == "hold", "the arm does not hold")
 
 
 def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link: ArmLink) -> None:
@@ -172,7 +172,7 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
     until(
         session,
         lambda v: v.arm and v.arm.apart < 0.02 and v.arm.state == "connected",
-        "nobody guides it",
+        "no hand guides the servos",
     )
     begin = link.view().q
     session.send(MoveGoal((0.15, -0.1, 0.15)))

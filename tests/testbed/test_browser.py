@@ -39,7 +39,7 @@ from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
 
 BALL = (-0.45, -0.3, 0.9)
-# As the hand is turned at home: what was before must not decide whether `dls` arrives.
+# The orientation of the hand at home, so that `dls` converges from every earlier pose.
 TURNED = (0.258819, 0.0, -0.965926, 0.0)
 """Where the ball rests: while nothing moves, a browser without a GPU has nothing to do."""
 # Whether the gizmo is drawn at a place; batched meshes follow it a frame later.
@@ -56,7 +56,7 @@ AT = """async place => {
 
 @pytest.fixture(scope="module")
 def window(chromium: Any, bed: Bed) -> Iterator[Window]:
-    """The driving browser; what all tests did to it is judged by the last one."""
+    """The driving browser of all tests. The last test checks its console."""
     bed.until(lambda view: view.tick > 0, "kernels were never ready")
     window = open_window(chromium, bed.page.url, scene=True)
     yield window
@@ -64,7 +64,7 @@ def window(chromium: Any, bed: Bed) -> Iterator[Window]:
 
 
 @pytest.fixture(autouse=True)
-def afresh(bed: Bed) -> None:
+def arm_at_rest(bed: Bed) -> None:
     """One arm that has reached a ball at rest."""
     if bed.view.robot != "puma560":
         bed.session.send(SetRobot("puma560"))
@@ -379,7 +379,7 @@ def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> No
     bed.session.send(SetRunning(False))  # a figure that moves keeps a browser without a GPU busy
     bed.until(lambda view: view.robot == "humanoid" and not view.busy and not view.running)
     page.get_by_role("button", name="Passive", exact=True).click()
-    bed.until(lambda view: view.figure and view.figure.mode == "passive", "nobody decides")
+    bed.until(lambda view: view.figure and view.figure.mode == "passive", "no figure decides")
     bed.session.send(MoveGoal((0.5, -0.3, 1.3)))
     page.get_by_text("Place the ball, then press Act or Space.").wait_for()
     window.leave_fields()

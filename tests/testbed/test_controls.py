@@ -1,4 +1,4 @@
-"""Every action and key of the page does something; what the page is told of a view."""
+"""Effects of every action and key of the page, and the messages that the page gets of a view."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def session() -> Iterator[Session]:
 
 @pytest.fixture(scope="module")
 def opened() -> Iterator[tuple[Page, ChannelClient, queue.SimpleQueue[Command]]]:
-    """A page with two key poses, what drives it, and its commands, which are not executed."""
+    """A page with two key poses, its driving client, and its commands, which are not executed."""
     sent: queue.SimpleQueue[Command] = queue.SimpleQueue()
     with Session(Start("tabletop_puma"), beside=False) as session:
         for command in (RecordPose(), SetJoint("joint1", 0.3), RecordPose()):
@@ -117,7 +117,7 @@ AR = {
     "set_ar_delay",
     "show_ar",
 }
-"""These and those of ``OTHERS`` have own tests."""
+"""These actions and those of ``OTHERS`` have separate tests."""
 
 SURFACES = {
     "show_reach": ("reach", {"/regions/reach/shell"}),
@@ -343,7 +343,7 @@ def test_a_model_is_loaded_by_its_path(session: Session) -> None:
     assert session.view().message == "there is no file arms/mine.xml"
 
 
-def test_a_page_that_is_loaded_anew_sees_a_ball_that_was_taken_away(
+def test_a_page_that_is_loaded_again_shows_a_ball_that_was_moved_away(
     opened: tuple[Page, ChannelClient, Any],
 ) -> None:
     page, client, _ = opened
