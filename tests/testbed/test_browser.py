@@ -91,7 +91,7 @@ def test_all_requests_go_to_the_program(window: Window, bed: Bed) -> None:
     assert len(asked) > 10 and all(url.startswith(bed.page.url) for url in asked)
 
 
-def test_the_card_says_in_words_and_numbers_how_the_method_does(window: Window) -> None:
+def test_the_card_shows_state_and_statistics_of_the_method(window: Window) -> None:
     window.open_tab("Methods")
     card = window.page.locator(".rk-method").first
     card.get_by_text("ball met", exact=True).wait_for()
@@ -373,7 +373,7 @@ def test_compare_four_shows_four_cards_and_labels(window: Window, bed: Bed) -> N
         window.page.locator(".rk-label", has_text=name).wait_for()
 
 
-def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> None:
+def test_the_page_shows_decision_and_reason_of_the_figure(window: Window, bed: Bed) -> None:
     page = window.page
     bed.session.send(SetRobot("humanoid"))
     bed.session.send(SetRunning(False))  # a figure that moves keeps a browser without a GPU busy
@@ -411,7 +411,7 @@ def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> No
 
 
 CONTROLS = """async () => {
-    // Uses every control of the page once, and returns those that asked the program for nothing.
+    // Uses every control of the page once, and returns those without a message or a change.
     const sent = [];
     const real = Worker.prototype.postMessage;
     Worker.prototype.postMessage = (message) => { if (message.send) sent.push(message.send); };
@@ -470,7 +470,7 @@ CONTROLS = """async () => {
 }"""
 
 
-def test_every_control_asks_for_something(chromium: Any, bed: Bed) -> None:
+def test_every_control_has_an_effect(chromium: Any, bed: Bed) -> None:
     window = open_window(chromium, bed.page.url, scene=False, width=1280, height=800)
     count, silent = window.page.evaluate(CONTROLS)
     assert count > 60 and silent == []
@@ -499,7 +499,7 @@ def test_a_second_browser_watches_and_its_stop_works(
     assert watcher.errors() == []
 
 
-def test_no_error_was_said_by_any_of_this(window: Window) -> None:
+def test_the_console_has_no_errors_after_these_tests(window: Window) -> None:
     assert window.errors() == []
 
 

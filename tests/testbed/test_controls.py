@@ -63,6 +63,13 @@ def session() -> Iterator[Session]:
         yield made
 
 
+def pair(page: Page, client: ChannelClient) -> None:
+    """Give the channel of a client the key of its connection to viser."""
+    key = wait_for(lambda: set(page.gate.pages)).pop()
+    wait_for(lambda: page.page_server.client_of(key))
+    client.send({"page": key})
+
+
 @pytest.fixture(scope="module")
 def opened() -> Iterator[tuple[Page, ChannelClient, queue.SimpleQueue[Command]]]:
     """A page with two key poses, its driving client, and its commands, which are not executed."""
@@ -76,9 +83,7 @@ def opened() -> Iterator[tuple[Page, ChannelClient, queue.SimpleQueue[Command]]]
         server = PageServer(port=8730, shadows=False)
         page = Page(session, server, camera=lambda: lambda: None, film=lambda log: b"a film")
         with page, PageClient(page.url), ChannelClient(page.url) as client:
-            key = wait_for(lambda: set(page.gate.pages)).pop()
-            wait_for(lambda: page.page_server.client_of(key))
-            client.send({"page": key})
+            pair(page, client)
             page.draw(session.view())
             client.until(lambda one: {"settings", "view", "role"} <= set(one.latest))
             yield page, client, sent
@@ -173,9 +178,7 @@ def test_surfaces_and_the_cube_come_and_go() -> None:
         PageClient(page.url),
         ChannelClient(page.url) as client,
     ):
-        key = wait_for(lambda: set(page.gate.pages)).pop()
-        wait_for(lambda: page.page_server.client_of(key))
-        client.send({"page": key})
+        pair(page, client)
         session.tick()
         nodes = page.server.scene._handle_from_node_name
         for action, (setting, names) in SURFACES.items():
