@@ -498,8 +498,8 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
     from robot_ik.testbed.frontends.page_server import PageServer
 
     picture = CameraPicture(np.zeros((8, 12, 3), np.uint8), ((7, 0.5, 0.1),), "a picture")
-    results: list[Any] = [CameraError("the cable <is> out"), None, picture]
-    notes = ["the cable <is> out", "no scene", "a picture"]
+    results: list[Any] = [RuntimeError(), CameraError("the cable <is> out"), None, picture]
+    notes = ["no picture: RuntimeError", "the cable <is> out", "no scene", "a picture"]
 
     def read() -> CameraPicture | None:
         if isinstance(results[0], Exception):
