@@ -63,7 +63,7 @@ _PICTURES = 120
 """Pictures of which the processor time is taken."""
 
 _SETTLE = 3.0
-"""Seconds before a measurement, in which the rate is averaged anew."""
+"""Seconds before a measurement, until the averaged rate contains new pictures only."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def processor_times(robot: str) -> dict[str, float]:
 
 
 def verdict(is_met: bool) -> str:
-    """Return a word beside a number."""
+    """Return the word that the table shows for a passed or failed limit."""
     return "as wanted" if is_met else "NOT as wanted"
 
 

@@ -1,7 +1,7 @@
 """Frames of a figure judged by MuJoCo: its shapes, its inverse dynamics and its contacts.
 
-The judge knows the model, the frames, their rate and the contact that each foot claims. It does not
-know how the frames were planned.
+The judge uses the model, the frames, their rate and the contact that each foot claims. It does not
+use how the frames were planned.
 """
 
 from __future__ import annotations

@@ -198,7 +198,7 @@ def return_to_rest(figure: Figure, q: Array, *, gaze_target: Array | None = None
     Args:
         figure: The figure.
         q: (nq,) where it begins.
-        gaze_target: (3,) where the figure looks, in the world. None: no wish.
+        gaze_target: (3,) where the figure looks, in the world. None: anywhere.
     """
     start, stance = to_stance_frame(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
@@ -235,8 +235,8 @@ def reach_ball(
 ) -> Motion:
     """Return the motion of a hand to a ball.
 
-    The posture is led to the pose at the end. The hand is drawn to the ball and not forced along a
-    line, because a line asks too much of the joints on the way.
+    The posture changes to the pose at the end. Soft rows pull the hand to the ball, because the
+    joints often cannot follow a hard line.
 
     Args:
         figure: The figure.

@@ -48,8 +48,8 @@ class DecisionOptions:
         comfort_forward: Comfortable position of the ball in front of the chest.
         comfort_lateral: Comfortable position of the ball to the side of the arm.
         stances: Number of stances that are examined.
-        solves: Number of balls, as they are seen from there, that are tried by solves.
-        starts: Poses from which each of them is tried.
+        solves: Number of different balls, in the frames of these stances, that are solved.
+        starts: Poses from which each of them is solved.
         at_feet: A ball nearer than this is at the feet: the best stances are occupied by them.
         at_feet_factor: Factor of stances and solves for such a ball.
     """
@@ -228,7 +228,7 @@ class Decider:
         factor = DECIDING.at_feet_factor if distance < DECIDING.at_feet else 1
         verbs = {REACH: "reached", BEND: "reached bending", "jump": "reached jumping"}
         for kind, verb in verbs.items():
-            # Many stances see the ball alike.
+            # At many stances the ball has the same position in the frame of the stance.
             serves: dict[tuple[str, bytes], bool] = {}
             stances = self._stances(kind, ball, stance, factor)
             for goal, arm, local in stances[: factor * DECIDING.stances]:
@@ -296,7 +296,7 @@ class Decider:
         cheapest = np.sort(np.argpartition(cost, count - 1)[:count])
         order = cheapest[np.argsort(cost[cheapest], kind="stable")]
 
-        # The alternatives differ: the two best, then every fourth.
+        # Alternatives should differ from each other: the two best, then every fourth.
         spread = [i for n, i in enumerate(order) if n < 2 or n % 4 == 0]
         return [(stances[i], arms[sides[i]], balls[i]) for i in spread]
 
@@ -331,7 +331,7 @@ def inside_body(figure: Figure, local: Array) -> str:
     box = int(mujoco.mjtGeom.mjGEOM_BOX)
     for i in np.flatnonzero(is_near).tolist():
         geom = int(geoms[i])
-        # Of a mesh its box counts.
+        # A mesh counts as its box.
         kind = min(int(model.geom_type[geom]), box)
         # Shapes are convex: from inside, rays up and down both meet the surface.
         distances = [

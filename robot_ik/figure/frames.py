@@ -127,7 +127,7 @@ class FrameRows:
         posture: Array,
         stiffness: Array,
         start: Array,
-        second: Array | None = None,
+        before_start: Array | None = None,
         *,
         limits: tuple[Array, Array] | None = None,
         speeds: str | None = "daily",
@@ -139,7 +139,7 @@ class FrameRows:
             posture: (nq,) or (n, nq) wanted posture where the rows leave freedom.
             stiffness: (nv,) or (n, nv) weights of the posture.
             start: (nq,) the frame before the first.
-            second: (nq,) the frame before ``start``. Default: the figure was at rest.
+            before_start: (nq,) the frame before ``start``. Default: the figure was at rest.
             limits: (nv,) lower and upper limits inside those of the model.
             speeds: Set of joint speed limits that every frame keeps. None: no speed limits.
             max_steps: Largest number of steps per frame.
@@ -153,7 +153,7 @@ class FrameRows:
             np.empty(count, dtype=np.int64),
         )
         last = np.array(start)
-        last_but_one = np.array(start if second is None else second)
+        last_but_one = np.array(start if before_start is None else before_start)
 
         # One call of the kernel solves frames with equal stiffness.
         changes = np.flatnonzero((np.diff(stiffnesses, axis=0) != 0.0).any(axis=1)) + 1

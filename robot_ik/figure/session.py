@@ -3,8 +3,8 @@
 *Active*: the figure follows the ball while it moves. *Passive*: ``start_passive`` freezes the ball
 and the figure acts. The ball stays frozen until passive mode ends or ``reset`` (Pađen 2011).
 
-A motion is planned in a thread (``planner``) and begins a fixed number of frames after it was asked
-for. ``step`` waits if the plan is not ready then, so the frames do not depend on the speed of the
+A motion is planned in a thread (``planner``) and begins a fixed number of frames after its planning
+began. ``step`` waits if the plan is not ready then, so the frames do not depend on the speed of the
 machine.
 """
 
@@ -38,8 +38,8 @@ class SessionOptions:
 
     Attributes:
         moved: A ball that moved by less than this has not moved, m.
-        elsewhere: A ball that moved by more than this while a motion is planned is decided upon
-            again, m.
+        elsewhere: The figure decides again if the ball moved by more than this while a motion is
+            planned, m.
         replace_interval: Least number of frames between two motions.
         action_lead: Frames in which a reach, a bend or a return to rest is planned. It begins where
             the present motion will be then. Planning takes 5 to 40 ms.
@@ -113,7 +113,7 @@ class _Pending:
     ends_walk: bool = False
 
 
-_NO_DECISION = Decision("nothing", None, "nothing has been asked yet")
+_NO_DECISION = Decision("nothing", None, "no ball has been given yet")
 
 
 class FigureSession:
@@ -283,7 +283,7 @@ class FigureSession:
             self._decide()
 
     def _begin_next(self) -> None:
-        """Begin what comes when nothing is under way."""
+        """Begin the next decision, part of a walk, or action."""
         if self._ball_moved(SESSION.moved):
             self._decide()
         elif self._stance_goal is not None:
@@ -372,7 +372,7 @@ class FigureSession:
         )
 
     def _drop_plan(self) -> None:
-        """Forget the motion that is planned."""
+        """Cancel the motion that is planned."""
         if self._pending is not None:
             self._pending.plan.cancel()
             self._pending = None

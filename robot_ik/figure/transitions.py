@@ -27,7 +27,7 @@ _LAST_STEP = 0.75
 """Length of the last step of a walk that ends early, as a share of the planned step."""
 
 
-def blend_into(figure: Figure, second: Array, first: Array, motion: Motion) -> Motion:
+def blend_into(figure: Figure, last_but_one: Array, last: Array, motion: Motion) -> Motion:
     """Return a motion that begins smoothly after the two frames before it.
 
     The difference between the continuation of the old motion and the new motion decays joint by
@@ -35,14 +35,14 @@ def blend_into(figure: Figure, second: Array, first: Array, motion: Motion) -> M
 
     Args:
         figure: The figure.
-        second: (nq,) frame before ``first``.
-        first: (nq,) last frame of the old motion.
+        last_but_one: (nq,) frame before ``last``.
+        last: (nq,) last frame of the old motion.
         motion: The new motion.
     """
     robot = figure.robot
     count = min(len(motion), round(BLEND_TIME / DT) + 3)
-    old_speed = robot.difference(second, first) / DT
-    continuation = robot.integrate(first, old_speed * DT)
+    old_speed = robot.difference(last_but_one, last) / DT
+    continuation = robot.integrate(last, old_speed * DT)
     gap = robot.difference(motion.q[0], continuation)
     new_speed = 0 * old_speed
     if len(motion) > 1:
@@ -63,15 +63,15 @@ def blend_into(figure: Figure, second: Array, first: Array, motion: Motion) -> M
         {side: figure.poses(motion.q[:count], foot.frame) for side, foot in figure.feet.items()}
     )
     center = figure.centers(motion.q[:count])
-    first_center = figure.center(first)
-    old_velocity = (first_center - figure.center(second)) / DT
+    last_center = figure.center(last)
+    old_velocity = (last_center - figure.center(last_but_one)) / DT
     new_velocity = (center[1] - center[0]) / DT
-    center_gap = first_center + old_velocity * DT - center[0]
+    center_gap = last_center + old_velocity * DT - center[0]
     shift = decay(center_gap, old_velocity - new_velocity, BLEND_TIME)(t)
     rows.center(center + shift, axes="xy")
     rows.orientation(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
     stiffness = figure.stiffnesses({"*": 1.0, "*toe*": 1e5})
-    frames = rows.solve(wanted, stiffness, first, second, speeds=motion.speeds)
+    frames = rows.solve(wanted, stiffness, last, last_but_one, speeds=motion.speeds)
 
     q = motion.q.copy()
     error = motion.error.copy()

@@ -22,6 +22,7 @@ from robot_ik.robot import Robot
 from robot_ik.robot_arm import RobotArm
 from robot_ik.signals import ExitGuard
 from robot_ik.testbed.commands import ArmMode
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.workcell.arm_guard import guard_of
 from robot_ik.workcell.guided_motion import approach, playable
 
@@ -231,7 +232,7 @@ class ArmLink:
                     last_reading = time.monotonic()
                     self._servos = read_states(self._arm.bus, self._arm.config.drives)
             except RobotIkError as error:
-                self._message = str(error).splitlines()[0]
+                self._message = problem_text(error)
                 if isinstance(error, ArmStateError | HardwareError | MotionBlockedError):
                     self._mode = "hold"
             due += period

@@ -132,6 +132,12 @@ def arranged(robot: Robot, count: int) -> Arrangement:
     return Arrangement(robot, offsets, labels, forward, right, extent)
 
 
+def rgba_of(colour: Colour) -> tuple[float, float, float, float]:
+    """Return an opaque colour as MuJoCo has it, 0 to 1."""
+    red, green, blue = (part / 255.0 for part in colour)
+    return (red, green, blue, 1.0)
+
+
 def hexadecimal(colour: Colour) -> str:
     """Return a colour as CSS has it."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

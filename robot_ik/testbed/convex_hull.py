@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import InvalidObstacleError
 from robot_ik.geometry import Array
 from robot_ik.testbed.commands import MAX_MESH_VERTICES
+from robot_ik.testbed.problem_text import problem_text
 
 MESH_SUFFIXES = (".stl", ".obj", ".msh")
 """Mesh files that MuJoCo reads."""
@@ -94,7 +95,7 @@ def _hull_of(spec: mujoco.MjSpec, what: str) -> ConvexHull:
     try:
         model = spec.compile()
     except ValueError as error:
-        reason = str(error).splitlines()[0]
+        reason = problem_text(error)
         raise InvalidObstacleError(
             f"{what} cannot be an obstacle: {reason}", hint="give a mesh of a solid"
         ) from None

@@ -24,6 +24,7 @@ from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import RATE, DragLink
 from robot_ik.testbed.limb import Limb
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.robot_goals import NATURAL_POSE, RobotGoals, gaze_axis
 from robot_ik.testbed.setup import BUDGET, restarting, retarget
 
@@ -389,7 +390,7 @@ class Instance:
             self._iterations = 0
         except RobotIkError as error:
             self._drag = None
-            self._status = str(error).splitlines()[0]
+            self._status = problem_text(error)
         self._measure(goals, ball)
 
     def _solved(self, problem: Problem, wanted: list[Goal]) -> Solution | None:
@@ -400,7 +401,7 @@ class Instance:
             solution = problem.solve(start)
             self._seconds = time.thread_time() - begin
         except RobotIkError as error:
-            self._status = str(error).splitlines()[0]
+            self._status = problem_text(error)
             return None
         self._status = solution.status.name.lower().replace("_", " ")
         self._iterations = solution.iterations

@@ -27,6 +27,7 @@ from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.commands import RATE, PlanMotion
 from robot_ik.testbed.playback import Playback
+from robot_ik.testbed.problem_text import problem_text
 
 _log = logging.getLogger(__name__)
 
@@ -136,7 +137,7 @@ def planned(task: PlanTask) -> PlanDone:
         start = np.array(task.command.start)
         return PlanDone(task, plan(task.robot, start, task.goal, collisions=avoid, rate=RATE))
     except RobotIkError as error:
-        return PlanDone(task, None, str(error).splitlines()[0])
+        return PlanDone(task, None, problem_text(error))
     except Exception as error:  # without a result the page would wait forever
         _log.exception("no plan for %s", task.command)
         return PlanDone(task, None, f"the motion cannot be planned: {error}")

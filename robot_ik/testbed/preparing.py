@@ -26,6 +26,7 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 from robot_ik.solvers.iterative import IterativeSolver
 from robot_ik.testbed.commands import SetCourse, SetRobot, SetupCommand
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.robot_goals import RobotGoals, first_ball
 from robot_ik.testbed.setup import MethodChoice, Ready, Setup, prepare, warm_drag
 
@@ -180,7 +181,7 @@ class Preparer:
                 robot = load_robot(wanted.robot)
             ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:
-            self._done(SetupDone(command, error=str(error).splitlines()[0]))
+            self._done(SetupDone(command, error=problem_text(error)))
         except Exception as error:  # without a result the page would wait forever
             _log.exception("cannot prepare %s", command)
             self._done(SetupDone(command, error=f"the command cannot be prepared: {error}"))

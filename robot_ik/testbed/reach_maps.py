@@ -17,6 +17,7 @@ from robot_ik.reachability import cells
 from robot_ik.reachability.reachability_map import ReachabilityMap, map_reachability
 from robot_ik.reachability.sweep import METHODS
 from robot_ik.robot import Robot, load_robot
+from robot_ik.testbed.problem_text import problem_text
 
 CELLS_ACROSS = 22
 """Cells along the diameter of the arm's reach."""
@@ -94,7 +95,7 @@ class ReachMaps:
             try:
                 self._compute(number, robot, obstacles)
             except RobotIkError as error:
-                self._say(number, ReachState(f"no map: {str(error).splitlines()[0]}"))
+                self._say(number, ReachState(f"no map: {problem_text(error)}"))
 
     def _compute(self, number: int, robot: Robot, obstacles: tuple[Obstacle, ...]) -> None:
         self._say(number, ReachState("preparing the map …"))

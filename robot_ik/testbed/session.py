@@ -31,6 +31,7 @@ from robot_ik.testbed.instance import Instance
 from robot_ik.testbed.obstacles import Obstacles
 from robot_ik.testbed.planning import PlanDone, PlannedMotion, Planner, PlanTask
 from robot_ik.testbed.preparing import Preparer, SetupDone
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.robot_goals import first_ball
 from robot_ik.testbed.setup import (
     CURVE_PERIOD,
@@ -185,7 +186,7 @@ class Session(Closing):
         try:
             self._obstacles.measure(self.instances[0].q)
         except RobotIkError as error:
-            self.report(f"no contacts are shown: {str(error).splitlines()[0]}")
+            self.report(f"no contacts are shown: {problem_text(error)}")
 
     def _step(self, ready: Ready) -> None:
         self._phase += self._speed / commands.RATE
@@ -363,7 +364,7 @@ class Session(Closing):
             try:
                 self._apply(command)
             except RobotIkError as error:
-                self.report(str(error).splitlines()[0])
+                self.report(problem_text(error))
 
     def _apply(self, command: commands.Command) -> None:
         match command:
@@ -724,7 +725,7 @@ class Session(Closing):
             branches = branches_of(ready.robot, ready.goals.main(self._ball), first.q)
         except RobotIkError as error:
             self._branches = ()
-            self.report(str(error).splitlines()[0])
+            self.report(problem_text(error))
             return
         views = []
         for branch in branches:

@@ -35,6 +35,7 @@ from robot_ik.solvers.analytic.branch import Branch
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed import commands
 from robot_ik.testbed.limb import Limb
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.robot_goals import (
     ExtraGoal,
     Pin,
@@ -467,7 +468,7 @@ def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
         retarget(problem, wanted)
         problem.solve(robot.home)
     except RobotIkError as error:
-        return str(error).splitlines()[0]
+        return problem_text(error)
     return ""
 
 

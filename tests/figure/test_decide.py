@@ -167,7 +167,7 @@ def test_decisions_do_not_depend_on_place_and_heading(
 
 @pytest.mark.parametrize("kind", [REACH, BEND])
 def test_the_bundled_map_is_of_this_model(figure: Figure, abilities: Abilities, kind: str) -> None:
-    """Some points solved anew, within what ``ReachMap.is_surely_out`` allows for local minima."""
+    """Some points are solved again, with the tolerance of ``ReachMap.is_surely_out``."""
     rng = np.random.default_rng(3)
     reach_map = abilities.maps[kind, "right"]
     error = reach_map.error.ravel()

@@ -24,7 +24,7 @@ CONNECT_TIMEOUT = 20.0
 
 
 class ChannelClient:
-    """Takes everything that the channel sends and keeps the latest of each kind.
+    """Receives all messages of the channel and keeps the latest of each kind.
 
     Args:
         url: Address of the page.
@@ -84,14 +84,14 @@ class ChannelClient:
             else:
                 self.latest[name] = content
 
-    def until(self, holds: Callable[[Self], Any], what: str = "the page never got that") -> Any:
+    def until(self, holds: Callable[[Self], Any], failure: str = "the message never came") -> Any:
         """Return what ``holds`` returns once it is true. It is called after each message."""
         end = time.monotonic() + LONG
         with self._changed:
-            while not (found := holds(self)):
-                assert not self.is_closed, f"the channel was closed: {what}"
-                assert self._changed.wait(end - time.monotonic()), what
-            return found
+            while not (result := holds(self)):
+                assert not self.is_closed, f"the channel was closed: {failure}"
+                assert self._changed.wait(end - time.monotonic()), failure
+            return result
 
     def send(self, message: Any) -> None:
         """Send a message as JSON, or a text as it is."""
@@ -102,11 +102,11 @@ class ChannelClient:
         self.send({"command": name, **values})
 
     def action(self, name: str, **values: Any) -> None:
-        """Ask for something that is no part of the command log."""
+        """Send an action, which is not in the command log."""
         self.send({"action": name, **values})
 
     def close(self) -> None:
-        """Leave, as a page that is closed does."""
+        """Close the connection, as a closed page does."""
         self._socket.close()
 
     def __enter__(self) -> Self:

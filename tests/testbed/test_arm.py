@@ -78,7 +78,7 @@ def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -
 
 
 def stays(session: Session, link: ArmLink, state: str) -> None:
-    """Fails if the arm leaves a state within 30 cycles of its own and of the session."""
+    """Fail if the arm leaves a state within 30 cycles of the arm and 30 ticks of the session."""
     cycles = link._arm.clock.now() + 30.0 / link._arm.config.rate_hz
     end = session.view().tick + 30
 
@@ -102,8 +102,8 @@ def test_start_after_stop_does_not_move_the_arm(session: Session, link: ArmLink)
     until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow again")
 
 
-def test_an_arm_without_torque_is_said_to_be_limp(session: Session, link: ArmLink) -> None:
-    """Hold switches no torque on: who lets go of an arm that is said to hold lets it fall."""
+def test_an_arm_without_torque_is_reported_as_limp(session: Session, link: ArmLink) -> None:
+    """Hold does not switch the torque on. An arm that was reported as holding would be released."""
     for before in ("release", "teach"):
         session.send(SetArm("follow"))
         until(
@@ -112,7 +112,7 @@ def test_an_arm_without_torque_is_said_to_be_limp(session: Session, link: ArmLin
             "does not follow",
         )
         session.send(SetArm(before))
-        until(session, lambda v: v.arm and v.arm.limp, "not said to be limp")
+        until(session, lambda v: v.arm and v.arm.limp, "not reported as limp")
         session.send(SetArm("hold"))
         view = until(session, lambda v: v.arm and v.arm.mode == "hold", "hold is not taken")
         assert view.arm is not None and view.arm.limp and view.arm.state == "connected"
@@ -121,7 +121,7 @@ def test_an_arm_without_torque_is_said_to_be_limp(session: Session, link: ArmLin
 def test_a_session_that_falls_silent_makes_the_arm_hold(session: Session, link: ArmLink) -> None:
     session.send(SetArm("follow"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
-    wait_for(lambda: link.view().state == "hold", "nobody held the arm")
+    wait_for(lambda: link.view().state == "hold", "the arm does not hold")
 
 
 def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link: ArmLink) -> None:
@@ -172,7 +172,7 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
     until(
         session,
         lambda v: v.arm and v.arm.apart < 0.02 and v.arm.state == "connected",
-        "nobody guides it",
+        "no hand guides the servos",
     )
     begin = link.view().q
     session.send(MoveGoal((0.15, -0.1, 0.15)))

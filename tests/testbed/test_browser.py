@@ -39,7 +39,7 @@ from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
 
 BALL = (-0.45, -0.3, 0.9)
-# As the hand is turned at home: what was before must not decide whether `dls` arrives.
+# The orientation of the hand at home, so that `dls` converges from every earlier pose.
 TURNED = (0.258819, 0.0, -0.965926, 0.0)
 """Where the ball rests: while nothing moves, a browser without a GPU has nothing to do."""
 # Whether the gizmo is drawn at a place; batched meshes follow it a frame later.
@@ -56,7 +56,7 @@ AT = """async place => {
 
 @pytest.fixture(scope="module")
 def window(chromium: Any, bed: Bed) -> Iterator[Window]:
-    """The driving browser; what all tests did to it is judged by the last one."""
+    """The driving browser of all tests. The last test checks its console."""
     bed.until(lambda view: view.tick > 0, "kernels were never ready")
     window = open_window(chromium, bed.page.url, scene=True)
     yield window
@@ -64,7 +64,7 @@ def window(chromium: Any, bed: Bed) -> Iterator[Window]:
 
 
 @pytest.fixture(autouse=True)
-def afresh(bed: Bed) -> None:
+def arm_at_rest(bed: Bed) -> None:
     """One arm that has reached a ball at rest."""
     if bed.view.robot != "puma560":
         bed.session.send(SetRobot("puma560"))
@@ -91,7 +91,7 @@ def test_all_requests_go_to_the_program(window: Window, bed: Bed) -> None:
     assert len(asked) > 10 and all(url.startswith(bed.page.url) for url in asked)
 
 
-def test_the_card_says_in_words_and_numbers_how_the_method_does(window: Window) -> None:
+def test_the_card_shows_state_and_statistics_of_the_method(window: Window) -> None:
     window.open_tab("Methods")
     card = window.page.locator(".rk-method").first
     card.get_by_text("ball met", exact=True).wait_for()
@@ -373,13 +373,13 @@ def test_compare_four_shows_four_cards_and_labels(window: Window, bed: Bed) -> N
         window.page.locator(".rk-label", has_text=name).wait_for()
 
 
-def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> None:
+def test_the_page_shows_decision_and_reason_of_the_figure(window: Window, bed: Bed) -> None:
     page = window.page
     bed.session.send(SetRobot("humanoid"))
     bed.session.send(SetRunning(False))  # a figure that moves keeps a browser without a GPU busy
     bed.until(lambda view: view.robot == "humanoid" and not view.busy and not view.running)
     page.get_by_role("button", name="Passive", exact=True).click()
-    bed.until(lambda view: view.figure and view.figure.mode == "passive", "nobody decides")
+    bed.until(lambda view: view.figure and view.figure.mode == "passive", "no figure decides")
     bed.session.send(MoveGoal((0.5, -0.3, 1.3)))
     page.get_by_text("Place the ball, then press Act or Space.").wait_for()
     window.leave_fields()
@@ -411,7 +411,7 @@ def test_the_figure_says_what_it_decides_and_why(window: Window, bed: Bed) -> No
 
 
 CONTROLS = """async () => {
-    // Uses every control of the page once, and returns those that asked the program for nothing.
+    // Uses every control of the page once, and returns those without a message or a change.
     const sent = [];
     const real = Worker.prototype.postMessage;
     Worker.prototype.postMessage = (message) => { if (message.send) sent.push(message.send); };
@@ -470,7 +470,7 @@ CONTROLS = """async () => {
 }"""
 
 
-def test_every_control_asks_for_something(chromium: Any, bed: Bed) -> None:
+def test_every_control_has_an_effect(chromium: Any, bed: Bed) -> None:
     window = open_window(chromium, bed.page.url, scene=False, width=1280, height=800)
     count, silent = window.page.evaluate(CONTROLS)
     assert count > 60 and silent == []
@@ -499,7 +499,7 @@ def test_a_second_browser_watches_and_its_stop_works(
     assert watcher.errors() == []
 
 
-def test_no_error_was_said_by_any_of_this(window: Window) -> None:
+def test_the_console_has_no_errors_after_these_tests(window: Window) -> None:
     assert window.errors() == []
 
 

@@ -1,4 +1,4 @@
-"""Every action and key of the page does something; what the page is told of a view."""
+"""Effects of every action and key of the page, and the messages that the page gets of a view."""
 
 from __future__ import annotations
 
@@ -63,9 +63,16 @@ def session() -> Iterator[Session]:
         yield made
 
 
+def pair(page: Page, client: ChannelClient) -> None:
+    """Give the channel of a client the key of its connection to viser."""
+    key = wait_for(lambda: set(page.gate.pages)).pop()
+    wait_for(lambda: page.page_server.client_of(key))
+    client.send({"page": key})
+
+
 @pytest.fixture(scope="module")
 def opened() -> Iterator[tuple[Page, ChannelClient, queue.SimpleQueue[Command]]]:
-    """A page with two key poses, what drives it, and its commands, which are not executed."""
+    """A page with two key poses, its driving client, and its commands, which are not executed."""
     sent: queue.SimpleQueue[Command] = queue.SimpleQueue()
     with Session(Start("tabletop_puma"), beside=False) as session:
         for command in (RecordPose(), SetJoint("joint1", 0.3), RecordPose()):
@@ -76,9 +83,7 @@ def opened() -> Iterator[tuple[Page, ChannelClient, queue.SimpleQueue[Command]]]
         server = PageServer(port=8730, shadows=False)
         page = Page(session, server, camera=lambda: lambda: None, film=lambda log: b"a film")
         with page, PageClient(page.url), ChannelClient(page.url) as client:
-            key = wait_for(lambda: set(page.gate.pages)).pop()
-            wait_for(lambda: page.page_server.client_of(key))
-            client.send({"page": key})
+            pair(page, client)
             page.draw(session.view())
             client.until(lambda one: {"settings", "view", "role"} <= set(one.latest))
             yield page, client, sent
@@ -117,7 +122,7 @@ AR = {
     "set_ar_delay",
     "show_ar",
 }
-"""These and those of ``OTHERS`` have own tests."""
+"""These actions and those of ``OTHERS`` have separate tests."""
 
 SURFACES = {
     "show_reach": ("reach", {"/regions/reach/shell"}),
@@ -173,9 +178,7 @@ def test_surfaces_and_the_cube_come_and_go() -> None:
         PageClient(page.url),
         ChannelClient(page.url) as client,
     ):
-        key = wait_for(lambda: set(page.gate.pages)).pop()
-        wait_for(lambda: page.page_server.client_of(key))
-        client.send({"page": key})
+        pair(page, client)
         session.tick()
         nodes = page.server.scene._handle_from_node_name
         for action, (setting, names) in SURFACES.items():
@@ -343,7 +346,7 @@ def test_a_model_is_loaded_by_its_path(session: Session) -> None:
     assert session.view().message == "there is no file arms/mine.xml"
 
 
-def test_a_page_that_is_loaded_anew_sees_a_ball_that_was_taken_away(
+def test_a_page_that_is_loaded_again_shows_a_ball_that_was_moved_away(
     opened: tuple[Page, ChannelClient, Any],
 ) -> None:
     page, client, _ = opened

@@ -39,7 +39,7 @@ from robot_ik.testbed.frontends.picture_message import HEADER
 
 
 class Browser:
-    """As much of a browser as the gate can see."""
+    """The part of a browser that the gate sees: raw requests and messages."""
 
     def __init__(self, port: int, **headers: str | None) -> None:
         self.port = port
@@ -55,8 +55,8 @@ class Browser:
             **{name.replace("_", "-"): value for name, value in headers.items()},
         }
 
-    def ask(self, path: str = "/") -> tuple[int, dict[str, str], bytes]:
-        """Status, headers and the begin of the body."""
+    def request(self, path: str = "/") -> tuple[int, dict[str, str], bytes]:
+        """Return status, headers and the beginning of the body of a response."""
         lines = [f"{name}: {value}" for name, value in self.headers.items() if value is not None]
         self.socket.sendall(("\r\n".join([f"GET {path} HTTP/1.1", *lines]) + "\r\n\r\n").encode())
         data = b""
@@ -71,7 +71,7 @@ class Browser:
         return int(first.split()[1]), found, body
 
     def send(self, message: object) -> None:
-        """One binary message, masked as browsers do."""
+        """Send one binary message, masked as browsers do."""
         data = message if isinstance(message, bytes) else msgspec.msgpack.encode(message)
         mask = os.urandom(4)
         size = len(data)
@@ -85,8 +85,8 @@ class Browser:
         self.socket.sendall(head + mask + bytes(b ^ mask[k % 4] for k, b in enumerate(data)))
 
     def open_page(self) -> Browser:
-        """Connects as a page does: viser knows a browser from its first camera on."""
-        assert self.ask()[0] == 101
+        """Connect as a page does: viser registers a browser at its first camera message."""
+        assert self.request()[0] == 101
         at = {
             "wxyz": [1.0, 0.0, 0.0, 0.0],
             "position": [1.0, 1.0, 1.0],
@@ -104,7 +104,7 @@ class Browser:
         return self
 
     def is_open(self) -> bool:
-        """Whether the server has not closed it; what was sent is thrown away."""
+        """Return whether the server keeps the connection. Received data is discarded."""
         self.socket.settimeout(0.3)
         try:
             for _ in range(40):
@@ -121,7 +121,7 @@ class Browser:
 
 
 def protocol() -> str:
-    """What viser's page says it speaks."""
+    """Return the WebSocket protocol that viser's page requests."""
     import viser
 
     return f"viser-v{viser.__version__}"
@@ -134,7 +134,7 @@ def port(bed: Bed) -> int:
 
 @pytest.fixture
 def browser(bed: Bed, port: int) -> Iterator[Browser]:
-    nobody_drives(bed)
+    wait_for_no_driver(bed)
     made = Browser(port).open_page()
     yield made
     made.close()
@@ -164,9 +164,9 @@ def test_only_pages_of_this_server_connect(
 
 
 def asked(port: int, **headers: str | None) -> tuple[int, dict[str, str], bytes]:
-    """The answer to a connection."""
+    """Return the response to a connection."""
     browser = Browser(port, **headers)
-    answer = browser.ask()
+    answer = browser.request()
     browser.close()
     return answer
 
@@ -174,7 +174,7 @@ def asked(port: int, **headers: str | None) -> tuple[int, dict[str, str], bytes]
 def page_of(port: int, path: str = "/", **headers: str | None) -> tuple[int, dict[str, str], bytes]:
     plain: dict[str, str | None] = {"Connection": "close", "Upgrade": None, "Origin": None}
     browser = Browser(port, **{**plain, **headers})
-    answer = browser.ask(path)
+    answer = browser.request(path)
     browser.close()
     return answer
 
@@ -202,7 +202,7 @@ def test_the_channel_is_behind_the_gate(port: int) -> None:
         ({"Sec_WebSocket_Protocol": None}, 101),
     ):
         browser = Browser(port, **headers)
-        assert browser.ask("/testbed/channel")[0] == wanted
+        assert browser.request("/testbed/channel")[0] == wanted
         browser.close()
 
 
@@ -250,19 +250,19 @@ def test_a_host_that_others_reach_gets_a_token(host: str) -> None:
     assert all(is_loopback(name) for name in ("127.0.0.1", "localhost", "::1", "127.8.8.8"))
 
 
-def nobody_drives(bed: Bed) -> None:
-    """Waits until the server has noticed that the last driver is gone."""
+def wait_for_no_driver(bed: Bed) -> None:
+    """Wait until no page drives."""
     wait_for(lambda: bed.page.gate.driver.page is None)
 
 
 @pytest.fixture
 def page(bed: Bed) -> Iterator[ChannelClient]:
-    """A page that drives as soon as it asks for something."""
-    nobody_drives(bed)
+    """A page that drives as soon as it sends an action."""
+    wait_for_no_driver(bed)
     with ChannelClient(bed.page.url) as made:
         made.until(lambda one: {"settings", "role"} <= set(one.latest))
         yield made
-    nobody_drives(bed)
+    wait_for_no_driver(bed)
 
 
 @contextlib.contextmanager
@@ -356,7 +356,7 @@ def test_one_page_drives_the_others_watch_and_stop_works_from_all(
         watcher.command("set_running", running=False)
         bed.until(lambda view: not view.running, "a watcher's STOP does nothing")
         page.close()  # the driver leaves, and the next to act drives
-        nobody_drives(bed)
+        wait_for_no_driver(bed)
         watcher.action("press_key", code="Space")
         watcher.command("set_speed", speed=1.0)
         bed.until(lambda view: view.speed == 1.0 and view.running)
@@ -376,7 +376,7 @@ def test_a_watcher_may_save_files_and_place_its_camera(bed: Bed, page: ChannelCl
 
 def test_the_driver_rule_holds_over_both_sockets(bed: Bed) -> None:
     bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
-    nobody_drives(bed)
+    wait_for_no_driver(bed)
     with paired(bed) as (browser, channel), paired(bed) as (other, other_channel):
         channel.command("set_speed", speed=1.0)
         channel.until(lambda one: one.latest.get("role", {}).get("drives"))
@@ -389,11 +389,11 @@ def test_the_driver_rule_holds_over_both_sockets(bed: Bed) -> None:
         bed.until(lambda view: not view.dragged, "a lost browser still drags")
         assert channel.latest["role"]["drives"]
         channel.close()
-        nobody_drives(bed)
+        wait_for_no_driver(bed)
 
 
 def test_a_page_cannot_take_the_place_of_another(bed: Bed) -> None:
-    nobody_drives(bed)
+    wait_for_no_driver(bed)
     with paired(bed) as (_, channel), ChannelClient(bed.page.url) as thief:
         channel.command("set_speed", speed=1.0)
         channel.until(lambda one: one.latest.get("role", {}).get("drives"))
@@ -444,10 +444,10 @@ def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
     bed.until(lambda view: view.count == 1)
 
 
-def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(
+def test_messages_to_removed_nodes_are_dropped_and_their_browser_is_not(
     bed: Bed, browser: Browser
 ) -> None:
-    """A robot that changes takes away a part that is being dragged."""
+    """Another robot removes a part that is being dragged."""
     scene_is_drawn(bed)
     before = bed.page.gate.dropped["malformed"]
     for _ in range(2 * BAD_LIMIT):
@@ -464,7 +464,7 @@ BALL = (-0.4, -0.3, 0.9)
 
 
 def scene_is_drawn(bed: Bed) -> None:
-    """Waits until the scene has as many robots as the session: before, its nodes are replaced."""
+    """Wait until the scene shows all robots of the session. Until then its nodes change."""
     wait_for(lambda: bed.page._scene.count == bed.view.count)
 
 
@@ -485,7 +485,7 @@ def drag_of(name: str) -> dict[str, Any]:
     }
 
 
-def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
+def test_a_drag_ends_when_its_browser_is_lost(bed: Bed, browser: Browser) -> None:
     bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
     browser.send(drag(bed, "start"))
     bed.until(lambda view: view.dragged, "the part was not dragged")
@@ -498,8 +498,8 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
     from robot_ik.testbed.frontends.page_server import PageServer
 
     picture = CameraPicture(np.zeros((8, 12, 3), np.uint8), ((7, 0.5, 0.1),), "a picture")
-    results: list[Any] = [CameraError("the cable <is> out"), None, picture]
-    notes = ["the cable <is> out", "no scene", "a picture"]
+    results: list[Any] = [RuntimeError(), CameraError("the cable <is> out"), None, picture]
+    notes = ["no picture: RuntimeError", "the cable <is> out", "no scene", "a picture"]
 
     def read() -> CameraPicture | None:
         if isinstance(results[0], Exception):
@@ -545,7 +545,7 @@ def test_a_page_gets_the_next_picture_when_it_has_shown_the_last(bed: Bed) -> No
 
 
 def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: None) -> None:
-    """By a real serial line; the page that drove is a browser whose connection breaks."""
+    """The servos are behind a real serial line (pty)."""
     link = arm_link("tabletop_puma", None, "pty")
     with running_bed(Start("tabletop_puma"), 8613, link) as bed:
         bed.until(lambda view: not view.busy)
@@ -582,7 +582,7 @@ def test_the_share_tunnel_is_gone(bed: Bed, browser: Browser) -> None:
 JUNK = [None, True, -1, 1e300, math.inf, "x", "é" * 2000, [], {}, [[[]]], {"value": 1}]
 
 
-def rubbish(rng: random.Random) -> object:
+def random_message(rng: random.Random) -> object:
     """A message that viser's page does not send."""
     from viser import _messages as vm
 
@@ -597,7 +597,7 @@ def rubbish(rng: random.Random) -> object:
     return {"type": rng.choice(kinds), **fields}
 
 
-def channel_rubbish(rng: random.Random) -> str | bytes:
+def random_channel_message(rng: random.Random) -> str | bytes:
     """A message that no page sends over the channel."""
     names = [*COMMANDS, *ACTIONS, "page", "shown", "é", ""]
     keys = ("speed", "on", "name", "value", "position", "instance", "index", "text", "kind")
@@ -613,14 +613,14 @@ def channel_rubbish(rng: random.Random) -> str | bytes:
 
 
 def fuzz(bed: Bed, count: int, seed: int) -> None:
-    """Sends rubbish over both sockets, and connects anew whenever a connection is dropped."""
+    """Send random messages over both sockets, and reconnect when a connection is dropped."""
     rng = random.Random(seed)
     port = int(bed.page.server.get_port())
     browser = Browser(port).open_page()
     client = ChannelClient(bed.page.url)
     for k in range(count):
         try:
-            browser.send(rubbish(rng))
+            browser.send(random_message(rng))
             if k % 50 == 0:
                 browser.socket.settimeout(0.001)
                 while browser.socket.recv(1 << 20):
@@ -630,7 +630,7 @@ def fuzz(bed: Bed, count: int, seed: int) -> None:
         except OSError:  # dropped after too many
             browser = Browser(port).open_page()
         try:
-            client.send(channel_rubbish(rng))
+            client.send(random_channel_message(rng))
         except ConnectionClosed:
             client = ChannelClient(bed.page.url)
     browser.close()
@@ -668,13 +668,13 @@ def test_memory_is_flat_under_ten_thousand_fuzzed_messages(
 def test_a_websocket_key_is_answered_as_the_standard_says(port: int) -> None:
     browser = Browser(port)
     key = browser.headers["Sec-WebSocket-Key"] or ""
-    _, headers, _ = browser.ask()
+    _, headers, _ = browser.request()
     wanted = hashlib.sha1((key + "258EAFA5-E914-47DA-95CA-C5AB0DC85B11").encode()).digest()
     assert headers["Sec-WebSocket-Accept"] == base64.b64encode(wanted).decode()
     browser.close()
 
 
-def test_an_event_set_from_another_thread_wakes_all_who_wait() -> None:
+def test_an_event_set_from_another_thread_wakes_all_waiters() -> None:
     from robot_ik.testbed.frontends.viser_server import SharedEvent
 
     async def story() -> int:

@@ -98,7 +98,7 @@ def test_key_poses_are_recorded_scrubbed_and_played(session: Session) -> None:
     assert view.timeline.now == 2.0 and not view.timeline.playing
     assert view.instances[0].q[0] == pytest.approx(-0.4)
     view = view_after(session, PlayTimeline(True), ticks=6)
-    assert view.timeline.now == pytest.approx(0.1), "it does not begin anew"
+    assert view.timeline.now == pytest.approx(0.1), "the timeline does not restart"
     view = view_after(session, SetRunning(False), ticks=20)
     assert not view.timeline.playing and view.timeline.now == pytest.approx(0.1)
     view = view_after(session, MoveGoal(tuple(first_ball(session.robot).position)), ticks=1)

@@ -1,4 +1,4 @@
-"""The testbed's session: commands in, views out; no window, no thread, no clock."""
+"""The session of the testbed, without a window, a thread or a clock."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def test_a_method_that_cannot_serve_the_goal_says_so_and_holds_still(session: Se
     assert view_after(session, SetGoalKind("position")).instances[0].able
 
 
-def test_statistics_cover_the_last_frames_and_begin_anew_with_a_method(session: Session) -> None:
+def test_statistics_cover_the_last_frames_and_restart_with_a_method(session: Session) -> None:
     view = view_after(session, ticks=1100)
     assert view.instances[0].statistics.count == 1000
     assert 1.0 <= view.instances[0].statistics.iterations < 3.0
@@ -190,7 +190,7 @@ def test_speed_scales_the_ball(session: Session) -> None:
     assert np.allclose(slow, view_after(other, ticks=30).ball.position, atol=1e-12)
 
 
-def test_reset_begins_anew(session: Session) -> None:
+def test_reset_restarts_the_motion_and_the_trail(session: Session) -> None:
     view = view_after(session, MoveGoal((-0.4, 0.2, 0.7)), SetRunning(False), Reset(), ticks=1)
     assert view.motion == "curve" and view.running and len(view.instances[0].trail) == 1
 
@@ -331,7 +331,7 @@ def test_a_figure_keeps_its_feet_and_balance_and_offers_more(session: Session) -
     assert "tail" in view_after(session, SetExtraGoal("keep tail", True, 0)).message
 
 
-def test_a_priority_decides_whose_goal_gives_way(session: Session) -> None:
+def test_the_goal_of_the_lowest_priority_is_not_met(session: Session) -> None:
     far = (1.2, -0.3, 1.9)
     view = view_after(
         session, SetRobot("humanoid"), SetExtraGoal("gaze", False, 3), MoveGoal(far), ticks=30
@@ -548,7 +548,7 @@ def test_a_command_with_a_wrong_value_cannot_be_made(make: Callable[[], object])
         make()
 
 
-def test_an_arm_that_is_not_there_is_said(session: Session) -> None:
+def test_a_command_to_a_missing_arm_is_reported(session: Session) -> None:
     assert "--bus" in view_after(session, SetArm("follow"), ticks=1).message
 
 
@@ -556,7 +556,7 @@ def test_the_loop_draws_every_other_tick_and_does_not_hurry_after_a_stall(sessio
     drawn: list[tuple[float, int]] = []
 
     class Clock(threading.Event):
-        """Passes only while somebody waits, and stalls once."""
+        """A clock that advances only in ``wait``. The test stalls it once."""
 
         now = 0.0
 
@@ -614,7 +614,7 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
         lambda: SetLimits(bool(rng.integers(2))),
         lambda: ShowBranches(bool(rng.integers(2))),
         lambda: PickBranch(int(rng.integers(9))),
-        lambda: SetRobot(str(rng.choice([*robots, "nobody"]))),
+        lambda: SetRobot(str(rng.choice([*robots, "no_such_robot"]))),
         lambda: SetFigure(str(rng.choice(["off", "active", "passive"]))),  # type: ignore[arg-type]
         lambda: SetExtraGoal("posture", bool(rng.integers(2)), int(rng.integers(3))),
         Act,

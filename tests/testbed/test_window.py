@@ -193,7 +193,7 @@ def test_the_same_script_gives_the_same_view_in_the_window(
     ]
 
 
-# The loop runs here; what the session got is said at the end.
+# The loop runs here. The program prints the commands of the session at its end.
 PERSON = """
 import subprocess, sys, threading, time
 import numpy as np

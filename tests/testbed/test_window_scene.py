@@ -96,7 +96,7 @@ def test_the_table_names_mode_decision_and_reason() -> None:
     assert view.figure.decision.reason in text and "+0.45" in text
 
 
-# The loop runs here; what the session got is told at the end.
+# The loop runs here. The program prints the commands of the session at its end.
 PERSON = """
 import subprocess, threading, time
 import numpy as np

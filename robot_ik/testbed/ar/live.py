@@ -25,6 +25,7 @@ from robot_ik.testbed.ar.setup import ArDelay, ArSetup
 from robot_ik.testbed.ar.warm import warm_up
 from robot_ik.testbed.captions import caption_lines
 from robot_ik.testbed.commands import MoveGoal
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 
@@ -216,7 +217,7 @@ class LiveAr(Closing):
                 except Exception as error:  # else the thread would end without a message
                     _log.debug("no picture", exc_info=True)
                     known = isinstance(error, RobotIkError)
-                    text = str(error).splitlines()[0] if known else f"{type(error).__name__}"
+                    text = problem_text(error) if known else f"{type(error).__name__}"
                     self._set_status(ArStatus(on=True, problem=text))
                     stack.close()
                     running = None

@@ -12,7 +12,7 @@ from robot_ik.geometry import Pose
 from robot_ik.model import compiled, read_spec
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import BALL_RADIUS, GOAL_COLOUR
+from robot_ik.testbed.arrangement import BALL_RADIUS, GOAL_COLOUR, rgba_of
 
 DRAWN_HEIGHT = 0.40
 """Height of a drawn robot in metres. A figure of true size does not fit on a table."""
@@ -80,6 +80,6 @@ def _with_ball(robot: Robot, radius: float) -> mujoco.MjModel:
     ball.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[radius, 0.0, 0.0],
-        rgba=[*(np.array(GOAL_COLOUR) / 255.0), 1.0],
+        rgba=list(rgba_of(GOAL_COLOUR)),
     )
     return compiled(spec)

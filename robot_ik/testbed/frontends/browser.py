@@ -69,6 +69,7 @@ from robot_ik.testbed.frontends.view_rows import (
 )
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.presets import Preset, preset
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.reach_maps import ReachMaps, ReachState
 from robot_ik.testbed.regions import figure_regions, reach_shell
 from robot_ik.testbed.session import Session
@@ -188,7 +189,7 @@ class Page(Closing):
             else:
                 self._act(page.key, actions.action_from(message, "page"))
         except RobotIkError as error:
-            self.channel.send(page.key, {"notice": str(error).splitlines()[0]})
+            self.channel.send(page.key, {"notice": problem_text(error)})
 
     def _execute(self, page: str, command: Command) -> None:
         """Send a command to the session. STOP works from every page."""
@@ -372,7 +373,7 @@ class Page(Closing):
                 self.channel.send_file(page, name, make())
             except Exception as error:
                 LOG.debug("no file %s", name, exc_info=True)
-                problem = str(error).splitlines()[0] if str(error) else type(error).__name__
+                problem = problem_text(error)
                 self.channel.send(page, {"notice": f"{name} was not made: {problem}"})
 
         self.channel.send(page, {"notice": f"Making {name} …"})

@@ -13,6 +13,7 @@ from robot_ik.ports import Closing
 from robot_ik.testbed.camera_picture import CameraPicture, ReadPicture
 from robot_ik.testbed.frontends.channel import Channel
 from robot_ik.testbed.frontends.picture_message import packed
+from robot_ik.testbed.problem_text import problem_text
 
 _log = logging.getLogger(__name__)
 
@@ -66,7 +67,7 @@ class CameraPictures(Closing):
                 picture = self._open()()
             except Exception as error:  # else the thread would end without a message
                 _log.debug("no picture", exc_info=True)
-                self._say(f"no picture: {str(error).splitlines()[0]}", error=True)
+                self._say(f"no picture: {problem_text(error)}", error=True)
             else:
                 self._show(picture)
             self._over.wait(PERIOD)

@@ -1,4 +1,4 @@
-"""The front end without a screen: each view becomes a picture and a row of numbers.
+"""The front end without a screen: it turns each view into a picture and a row of numbers.
 
 The painter draws robots, balls and a tiled floor. It needs no OpenGL. Pictures are BGR.
 """
@@ -31,6 +31,7 @@ from robot_ik.testbed.arrangement import (
     Arrangement,
     Colour,
     arranged,
+    rgba_of,
 )
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
@@ -139,7 +140,7 @@ class Recorder:
             rgba = _plate_rgba(INSTANCE_COLOURS[k])
             yield Body(_plate_model(extent, rgba), [], Pose(offset))
         yield Body(self.session.robot.model, self.session.robot.qpos(one.q), Pose(offset))
-        ball = ball_model(BALL_RADIUS * extent, _rgba(GOAL_COLOUR))
+        ball = ball_model(BALL_RADIUS * extent, rgba_of(GOAL_COLOUR))
         yield Body(ball, [], Pose(np.array(view.ball.position) + offset))
 
     def _set_up(self, robot: Robot, count: int) -> None:
@@ -178,15 +179,9 @@ class Recorder:
             put_text(image, f"{one.method}: {one.summary}", (round(2.5 * size), y), size, _INK)
 
 
-def _rgba(colour: Colour) -> tuple[float, float, float, float]:
-    """Return a colour of 0 to 255 as MuJoCo has it."""
-    red, green, blue = (value / 255.0 for value in colour)
-    return (red, green, blue, 1.0)
-
-
 def _plate_rgba(colour: Colour) -> tuple[float, float, float, float]:
     """Return the light tone of the plate of an instance of that colour."""
-    red, green, blue, _ = (1.0 - _PLATE_TINT * (1.0 - value) for value in _rgba(colour))
+    red, green, blue, _ = (1.0 - _PLATE_TINT * (1.0 - value) for value in rgba_of(colour))
     return (red, green, blue, 1.0)
 
 

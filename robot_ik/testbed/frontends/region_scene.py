@@ -15,6 +15,7 @@ from robot_ik.errors import RobotIkError
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import Colour
+from robot_ik.testbed.problem_text import problem_text
 from robot_ik.testbed.regions import Region
 
 LOG = logging.getLogger(__name__)
@@ -84,7 +85,7 @@ class RegionScene:
                 count += len(region.surface.faces)
                 self._add(robot, region, offset)
         except RobotIkError as error:
-            self._report(str(error).splitlines()[0])
+            self._report(problem_text(error))
             return
         except Exception:
             LOG.exception("no regions")

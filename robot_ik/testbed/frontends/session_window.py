@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import INSTANCE_COLOURS, arranged
+from robot_ik.testbed.arrangement import INSTANCE_COLOURS, arranged, rgba_of
 from robot_ik.testbed.commands import MoveGoal
 from robot_ik.testbed.frontends.window import (
     ViewerWindow,
@@ -17,7 +17,6 @@ from robot_ik.testbed.frontends.window import (
     add_light,
     launch,
     point_camera,
-    rgba_of,
 )
 from robot_ik.testbed.frontends.window_ar import WindowAr
 from robot_ik.testbed.frontends.window_scene import WindowScene

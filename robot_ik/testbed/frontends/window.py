@@ -25,7 +25,7 @@ from robot_ik.errors import ViewerError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Closing
 from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import GOAL_COLOUR, Colour
+from robot_ik.testbed.arrangement import GOAL_COLOUR, rgba_of
 
 OPEN_LIMIT = 20.0
 """Seconds in which the window must appear. It takes one; several in software on a busy machine."""
@@ -151,11 +151,6 @@ def point_camera(camera: Any, position: Array, target: Array) -> None:
     camera.distance = float(np.linalg.norm(direction))
     camera.azimuth = float(np.degrees(np.arctan2(direction[1], direction[0])))
     camera.elevation = float(np.degrees(np.arcsin(direction[2] / camera.distance)))
-
-
-def rgba_of(colour: Colour) -> tuple[float, ...]:
-    """Return an opaque colour as MuJoCo has it."""
-    return (*(part / 255.0 for part in colour), 1.0)
 
 
 def add_geom(

@@ -12,8 +12,7 @@ from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.errors import ViewerError
 from robot_ik.model import compiled, read_spec
 from robot_ik.robot import Robot
-from robot_ik.testbed.arrangement import BALL_RADIUS, GOAL_COLOUR
-from robot_ik.testbed.frontends.window import rgba_of
+from robot_ik.testbed.arrangement import BALL_RADIUS, GOAL_COLOUR, rgba_of
 
 SCENE_FILE = "scene.xml"
 """File beside a robot's model: the robot with floor, light and table."""
