@@ -380,7 +380,7 @@ class Arm(Closing):
             worst = self.config.joints[k]
             remaining = worst.text(float(distance[k]))
             raise HardwareError(
-                f"{worst.name!r} is still {remaining} from where it was sent",
+                f"{worst.name!r} is still {remaining} from its goal",
                 hint="check whether an obstacle blocks it, or give a longer timeout",
             )
 
@@ -531,7 +531,7 @@ class Arm(Closing):
                 if row.silence is not None:
                     raise row.silence
             feedback = verify(self.bus, self.config, currents=self._currents)
-            self._begin_anew(feedback, after)
+            self._resume(feedback, after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -555,7 +555,7 @@ class Arm(Closing):
             feedback = find_again(self.bus, self.config, timeout, currents=self._currents)
             if self._exit.energised:
                 self._guardian = guardian_for(self.bus, self.config)
-            self._begin_anew(feedback, after)
+            self._resume(feedback, after)
 
     def _release_guardian(self) -> None:
         guardian = self._guardian
@@ -563,7 +563,7 @@ class Arm(Closing):
         if guardian is not None:
             guardian.release()
 
-    def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
+    def _resume(self, feedback: Feedback, after: ArmState) -> None:
         """Go on after a fault with a verified bus.  Torque and goals stay as they are."""
         last_ticks = self._cycle.samples.ticks | self._cycle.samples.jumped
         check_revolutions_kept(self.bus, self.config, last_ticks)

@@ -28,7 +28,7 @@ MIN_SWEEP = math.radians(10.0)
 MIN_WIGGLE = math.radians(3.0)
 """rad at the joint. A person may turn a joint by less by accident."""
 
-ASKED_WIGGLE = math.radians(10.0)
+PROMPTED_WIGGLE = math.radians(10.0)
 """rad at the joint by which the user is prompted to turn it."""
 
 STILL_TICKS = 12
@@ -148,13 +148,13 @@ def counting_directions(
     if abs(turns[largest.id]) < MIN_WIGGLE:
         raise OperatorError(
             f"joint {joint.name!r} did not turn (most: {largest.name} by {farthest})",
-            hint=f"turn it by about {joint.text(ASKED_WIGGLE * joint.lever, 0)} and leave it there",
+            hint=f"turn it by about {joint.text(PROMPTED_WIGGLE * joint.lever, 0)} and leave it",
         )
     if abs(turn) < MIN_WIGGLE or (
         largest.name != joint.name and abs(turns[largest.id]) > 2.0 * abs(turn)
     ):
         raise OperatorError(
-            f"{joint.name!r} was to be turned, and {largest.name!r} did (by {farthest})",
+            f"joint {largest.name!r} turned instead of {joint.name!r}, by {farthest}",
             hint="two ids may be swapped: compare cables and arm file; robot-ik servo setup "
             "changes an id",
         )

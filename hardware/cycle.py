@@ -218,7 +218,7 @@ class Cycle:
             goals: Servo id -> ticks; may be empty.
         """
         statuses = self._bus.exchange(
-            self._goal_register, goals, self.feedback.asked(), within=self.period
+            self._goal_register, goals, self.feedback.requested(), within=self.period
         )
         heard_again = any(statuses[id].data is not None for id in self._unheard_ids)
         self._last_traffic = -math.inf if heard_again else start

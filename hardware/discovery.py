@@ -39,7 +39,7 @@ LIKELY = (
 """Rates in the order in which servos are likely to be found: set up, as bought, the others."""
 
 SAME_RATES = 3
-"""Number of rates. If the same ids answer at so many rates, the port has no baud rate."""
+"""Number of rates. If the same ids answer at this many rates, the port has no baud rate."""
 
 READ_BYTES = 25
 """Bytes of a read and its reply in Protocol 2, without the data.  Protocol 1 has fewer."""
@@ -181,7 +181,7 @@ def _scan_rate(port: str, baud: int, family: ServoFamily, progress: Progress) ->
 def _scan_ids(
     bus: SerialBus, family: ServoFamily, ids: Sequence[int], progress: Progress
 ) -> list[FoundServo]:
-    """Ask every id alone: servos that the broadcast missed, and ids with damaged replies only."""
+    """Ping every id alone, and return all servos, also ids with damaged replies only."""
     servos: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{bus.baud} baud, id {id}", k / len(ids))
@@ -268,7 +268,7 @@ def scan_notes(servos: Sequence[FoundServo]) -> list[str]:
         rates.setdefault(servo.baud, []).append(str(servo.id))
     if len(rates) >= SAME_RATES and len(set(map(tuple, rates.values()))) == 1:
         notes.append(
-            "they answer at every rate: the port has none of its own, like every pseudo terminal "
+            "the servos answer at every rate: the port has no baud rate, like a pseudo terminal "
             "(with robot-ik sim-bus --match-baud each servo answers at its own rate only)"
         )
     elif len(rates) > 1:

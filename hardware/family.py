@@ -110,6 +110,7 @@ class ServoFamily(Protocol):
 
     def watchdog_tripped(self, bus: ServoBus, drive: Drive, /) -> bool:
         """Return whether the bus watchdog of a servo has run out.  Reads the servo."""
+        ...
 
     def clear_watchdog(self, bus: ServoBus, config: ArmConfig, drive: Drive) -> None:
         """Disarm the bus watchdog of a servo.  Does nothing in a family without one."""
@@ -191,7 +192,7 @@ class ServoFamily(Protocol):
     def write_address(
         self, bus: ServoBus, table: ControlTable, at: int, id: int, baud: int
     ) -> None:
-        """Write id and baud rate of the only servo on a bus.  It talks at the new rate afterwards.
+        """Write id and baud rate of the only servo on a bus.  It then answers at the new rate.
 
         Args:
             bus: Open bus at the present rate.

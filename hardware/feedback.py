@@ -1,10 +1,9 @@
 """Feedback of a control cycle: torque, velocity and position of every servo, in seven bytes.
 
-Torque and position are 68 bytes apart. Indirect addresses put them side by side. For one byte more,
-a servo that has lost its torque, by a restart or by another program, shows in the same cycle. After
-a restart the indirect addresses are reset as well and the torque byte reads 0, so such a reply is
-not used. A servo without indirect addresses is read plainly: all registers from torque to
-temperature.
+Torque and position are 68 bytes apart. Indirect addresses put them side by side. The torque byte
+shows in the same cycle that a servo has lost its torque, by a restart or by another program. A
+restart also resets the indirect addresses. Then the torque byte reads 0, and the reply is not used.
+A servo without indirect addresses is read plainly: all registers from torque to temperature.
 
 If joints have thresholds (``[joints.stop_at]``), each cycle reads one of their servos in full:
 current or load, temperature and supply as well.
@@ -95,7 +94,7 @@ class Feedback:
             if drive.joint.stop_at != StopAt()
         }
         self._turns = itertools.cycle(self._thresholds)
-        self._asked: Mapping[int, Register] = self.registers
+        self._requested: Mapping[int, Register] = self.registers
         self._beyond: MotorFaultError | None = None
         for id in self._servos:
             self.read_plainly(id)
@@ -144,13 +143,13 @@ class Feedback:
         self._blocks[id] = block
         self.registers[id] = block.register
 
-    def asked(self) -> Mapping[int, Register]:
+    def requested(self) -> Mapping[int, Register]:
         """Return servo id -> register of the next cycle, with the full block of one servo."""
         if not self._thresholds:
             return self.registers
         id = next(self._turns)
-        self._asked = {**self.registers, id: self._blocks[id].register}
-        return self._asked
+        self._requested = {**self.registers, id: self._blocks[id].register}
+        return self._requested
 
     def measurement(self, status: BusStatus, now: float) -> Measurement:
         """Return the measurement of a reply. ``now`` is the time of the reply, s."""
@@ -158,7 +157,7 @@ class Feedback:
         id = status.id
         if value is None:
             return Measurement(None, None)
-        if self._asked[id].name == _SHORT:
+        if self._requested[id].name == _SHORT:
             if not value & 0xFF:
                 return Measurement(None, False)
             raw = value >> _VELOCITY_SHIFT & _VELOCITY_MASK

@@ -278,9 +278,9 @@ class DynamixelX:
             value = secondary_ids[drive.id]
             expected_id = drive.servo.primary_id
             if value != expected_id and (expected_id is not None or value in config.servo_ids):
-                expected = "which is no shadow's"
+                expected = "but it is no shadow in the arm file"
                 if expected_id is not None:
-                    expected = f"the arm file says a shadow of id {expected_id}"
+                    expected = f"but it is the shadow of id {expected_id} in the arm file"
                 secondary_id = NO_SECONDARY_ID if expected_id is None else expected_id
                 raise HardwareError(
                     f"servo id {drive.id} (joint {drive.name!r}) has secondary id {value}, "

@@ -118,7 +118,7 @@ class JointMotor:
         position, velocity = shaft.motion.at(t)
         error = self._angle(position) - self._joint.angle
         if servo.mode == OperatingMode.VELOCITY:
-            # The goal may be only so far ahead of a blocked joint.
+            # This limits the distance of the goal from a blocked joint.
             limit = 0.1 * self._drive.joint.lever
             error = max(-limit, min(limit, error))
         rate = velocity / self._ticks_per - self._joint.rate

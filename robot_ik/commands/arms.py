@@ -1,4 +1,4 @@
-"""What the commands with servos share: which port, which arm, and how the arm is left."""
+"""Functions of all commands with servos: selection of port and arm, and the exit of the arm."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # NumPy and pydantic take 0.2 s of CPU time to import. --help does without them.
 
 KEY_POLL_SECONDS = 0.05
-"""Time between two looks at the keyboard."""
+"""s between two checks of the keyboard."""
 
 
 @dataclass(eq=False)
@@ -156,9 +156,9 @@ def driving(
         with arm, stopping, keeping_error(report):
             yield
     finally:
-        left = arm.exit_report
-        if left is not None:  # the arm was connected
-            terminal.say(left.text, "dim" if left.ok else "bold red")
+        exit_report = arm.exit_report
+        if exit_report is not None:  # the arm was connected
+            terminal.say(exit_report.text, "dim" if exit_report.ok else "bold red")
 
 
 @contextlib.contextmanager

@@ -65,7 +65,7 @@ class MethodsReport(Report):
         return [f"{part}results in {self.folder}: {'  '.join(self.files)}"]
 
     def save(self) -> None:
-        """Write bench.json, and the plots if they are wanted."""
+        """Write bench.json, and the plots if ``plot`` is set."""
         from robot_ik.bench.methods.plots import draw
         from robot_ik.files import write_atomically
         from robot_ik.jobs.results import save_json

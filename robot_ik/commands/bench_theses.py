@@ -165,7 +165,7 @@ class SimunicReport(ThesisReport):
         s12.run_s12(self.results, progress)
 
     def save(self) -> None:
-        """Write s12.json, and s12.png if it is wanted and all cases were run."""
+        """Write s12.json, and s12.png if ``plot`` is set and all cases were run."""
         from robot_ik.files import write_atomically
 
         self.save_facts("s12.json")

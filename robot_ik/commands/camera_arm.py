@@ -1,4 +1,4 @@
-"""What ``camera handeye`` and ``camera verify`` share: an arm and a camera that look at a board."""
+"""Options and output of ``camera handeye`` and ``camera verify``."""
 
 from __future__ import annotations
 
@@ -67,11 +67,11 @@ class ArmCameraOptions(OverwriteOption, JsonOption):
     """Plan the views and print them. Nothing moves, and no file is written."""
     samples: Annotated[Path | None, Parameter(metavar="FILE.json", help=SAMPLES_HELP)] = None
 
-    def request_values(self, unknown: str) -> dict[str, Any]:
+    def request_values(self, missing: str) -> dict[str, Any]:
         """Return the fields of a ``HandEyeRequest`` that both commands set.
 
         Args:
-            unknown: What an arm without servos does not have, for the message.
+            missing: What an arm without servos does not have, for the message.
 
         Raises:
             OptionError: The bus has no servos.
@@ -80,7 +80,7 @@ class ArmCameraOptions(OverwriteOption, JsonOption):
         from robot_ik.camera.target_files import parse_target  # NumPy and OpenCV
 
         if self.bus == NO_BUS:
-            problem = f"an arm without servos has no {unknown}"
+            problem = f"an arm without servos has no {missing}"
             raise OptionError("--bus", problem, "sim, pty or a serial port")
         return {
             "robot": self.robot or default_robot(self.arm, self.bus),

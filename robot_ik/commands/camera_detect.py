@@ -79,7 +79,7 @@ class CameraDetect(OverwriteOption, JsonOption):
         """
         from robot_ik.camera.intrinsics import CameraIntrinsics  # NumPy and OpenCV
         from robot_ik.jobs.pictures import (
-            GUESSED_FROM,
+            MAX_BLANK,
             DrawingFolder,
             hint_of_other_markers,
         )
@@ -89,7 +89,7 @@ class CameraDetect(OverwriteOption, JsonOption):
             hint = "for example: robot-ik camera detect photo.jpg"
             raise OptionError("IMAGE|VIDEO|FOLDER", "no picture is given", hint=hint)
         intrinsics = None if self.intrinsics is None else CameraIntrinsics.load(self.intrinsics)
-        blank: deque[Image] = deque(maxlen=GUESSED_FROM)
+        blank: deque[Image] = deque(maxlen=MAX_BLANK)
         drawings = None
         with ExitStack() as stack:
             if self.draw is not None:
@@ -165,11 +165,12 @@ class CameraDetectReport(Report):
         if self.has_markers:
             return None
         ids = ", ".join(map(str, self.command.id))
-        wanted = f"none of the ids {ids}" if ids else "no marker"
+        missing = f"none of the ids {ids}" if ids else "no marker"
         searched = plural(len(self.pictures) - len(self.unusable), "picture")
         return CameraError(
-            f"{wanted} of {self.command.dictionary} in {searched}",
-            hint=self.hint or "is the marker too small, blurred, or without white around it?",
+            f"{missing} of {self.command.dictionary} in {searched}",
+            hint=self.hint
+            or "check that the marker is large, sharp, and has white paper around it",
         )
 
     @property

@@ -85,7 +85,7 @@ class CameraLocateReport(Report):
     """The pose of the camera.
 
     Attributes:
-        out: The file. It is written only if the pose is believed.
+        out: The file. It is written only if a picture agrees with the pose.
         result: The measurement.
     """
 
@@ -110,31 +110,32 @@ class CameraLocateReport(Report):
     def tables(self) -> Iterable[Table]:
         if not self.ok:
             return
-        found = self.result.extrinsics
-        sigma = f"{1e3 * found.sigma_position:.2f} mm, {math.degrees(found.sigma_angle):.3f} deg"
+        extrinsics = self.result.extrinsics
+        sigma_angle = math.degrees(extrinsics.sigma_angle)
+        sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {sigma_angle:.3f} deg"
         count = len(self.result.errors)
         yield pairs_table(
             [
-                (f"camera seen from {found.parent}", pose_text(found.pose_parent_camera)),
+                (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
                 ("uncertainty", f"{sigma} (one sigma; the board's pose is assumed to be exact)"),
                 (
                     "reprojection error",
-                    f"{found.residual_px:.3f} px, {found.residual_mm:.3f} mm (RMS)",
+                    f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)",
                 ),
                 ("pictures", f"{count} of {self.result.searched} show the board"),
             ]
         )
 
     def facts(self) -> dict[str, Any]:
-        found = self.result.extrinsics
+        extrinsics = self.result.extrinsics
         return {
             "file": self.out if self.ok else None,
-            "parent": found.parent,
-            "camera": found.pose_parent_camera,
-            "sigma_position_m": found.sigma_position,
-            "sigma_angle_rad": found.sigma_angle,
-            "residual_px": found.residual_px,
-            "residual_mm": found.residual_mm,
+            "parent": extrinsics.parent,
+            "camera": extrinsics.pose_parent_camera,
+            "sigma_position_m": extrinsics.sigma_position,
+            "sigma_angle_rad": extrinsics.sigma_angle,
+            "residual_px": extrinsics.residual_px,
+            "residual_mm": extrinsics.residual_mm,
             "doubt": self.result.doubt,
             "pictures": self.result.searched,
             "used": len(self.result.errors),

@@ -183,8 +183,8 @@ class CameraVerify(ArmCameraOptions):
         if not self.yes and not terminal.confirm(f"write them to {self.arm}?"):
             terminal.say(f"{self.arm} is not changed", "yellow")
             return False
-        kept = write_zeros(arm, config, offsets)
-        terminal.say(f"wrote {self.arm}; before: {', '.join(map(str, kept))}", "green")
+        backups = write_zeros(arm, config, offsets)
+        terminal.say(f"wrote {self.arm}; before: {', '.join(map(str, backups))}", "green")
         return True
 
 
@@ -235,7 +235,7 @@ class CameraVerifyReport(Report):
             yield self._verdict("with the new zeros", corrected=True)
 
     def _verdict(self, label: str, *, corrected: bool) -> str:
-        largest = 1e3 * max(one.distance for one in self.measured.judged(corrected=corrected))
+        largest = 1e3 * max(error.distance for error in self.measured.judged(corrected=corrected))
         tolerance = self.command.tolerance_mm
         verdict = "within" if largest <= tolerance else "beyond"
         return (

@@ -73,7 +73,7 @@ class Figure(OverwriteOption, JsonOption):
         robot-ik figure --ball 0.5 -0.2 0.2 --video bend.mp4
         robot-ik figure --camera 0 --intrinsics camera.yaml --video ar.mp4
 
-    Exit code 0: every hand came to its ball within 5 mm. 1: one did not, or cannot.
+    Exit code 0: every hand reached its ball within 5 mm. 1: a hand did not, or cannot.
     """
 
     robot: RobotName = "humanoid"
@@ -110,7 +110,7 @@ class Figure(OverwriteOption, JsonOption):
         if robot.file.figure is None and is_lion(robot):
             if self.path or self.camera:
                 option = "--path" if self.path else "--camera"
-                raise OptionError(option, f"{robot.name} stands where it is", "with --ball")
+                raise OptionError(option, f"{robot.name} does not walk", "with --ball")
             lion = Lion(robot)
             report = self._run_lion(lion, terminal)
         else:
@@ -242,7 +242,7 @@ class Figure(OverwriteOption, JsonOption):
         frames: Iterator[FigureFrame],
         terminal: Terminal,
     ) -> Performance:
-        """Run through the frames, in a window if it is wanted."""
+        """Run through the frames, in a window with ``--viewer``."""
         from robot_ik.jobs.figure import watch
 
         if not self.viewer:

@@ -135,7 +135,7 @@ ExitPolicy = Annotated[
     Parameter(
         metavar="POLICY",
         help="State of the arm at the end. park: back to the start pose, then torque off. "
-        "Default: as the arm file says.",
+        "Default: on_exit of the arm file.",
     ),
 ]
 MarkerIds = Annotated[

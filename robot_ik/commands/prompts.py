@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 NO_ENTER = "standard input has ended, so Enter cannot be pressed"
 """Reason why a step cannot end with Enter."""
 
-ENTER = "a terminal, or a pipe that sends one line for each step"
+INPUT_WITH_ENTER = "a terminal, or a pipe that sends one line for each step"
 """Standard input with which steps can end."""
 
 SAMPLE_PERIOD = 0.02
@@ -51,7 +51,7 @@ class Prompts:
         clock: Clock,
         seconds: float | None = None,
         period: float = SAMPLE_PERIOD,
-        alternative: str = ENTER,
+        alternative: str = INPUT_WITH_ENTER,
     ) -> None:
         self._terminal = terminal
         self._alternative = alternative
@@ -66,7 +66,7 @@ class Prompts:
                 raise OptionError("standard input", NO_ENTER, alternative)
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
-        """Print an instruction, sample until the step is done, and sample once more then.
+        """Print an instruction, sample until the step is done, and sample once afterwards.
 
         Args:
             text: Instruction to the person.

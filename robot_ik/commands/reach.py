@@ -1,7 +1,7 @@
 """``robot-ik reach``: detect a marker, reach it, and verify the result with a camera.
 
 The phases are functions: prepare, look, solve, move, follow, judge. Each returns its result, and
-the report (``reach_report``) keeps the results, so that it tells how far a run got.
+the report (``reach_report``) keeps the results. It shows how far a run got.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from robot_ik.execution import Execution
     from robot_ik.geometry import Pose
     from robot_ik.goals import Goal, Tolerance
-    from robot_ik.jobs.marker_turn import AxisPromise
+    from robot_ik.jobs.marker_turn import AxisPrediction
     from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup
     from robot_ik.jobs.verdict import Bound
     from robot_ik.jobs.vision import SeenTarget, Vision
@@ -166,7 +166,7 @@ class Reach(FolderOption, JsonOption):
 
         Raises:
             RobotIkError: The input or the environment is wrong. Nothing was sent to a servo, or the
-                arm was left as its exit policy says.
+                arm was left by its exit policy.
         """
         folder = self.result_folder(terminal)
         with ExitStack() as stack:
@@ -279,8 +279,8 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
     if command.scene is not None or command.avoid:
         from robot_ik.workcell.motion_condition import motion_condition  # kernels: 50 ms
 
-        of_arm = setup.collisions
-        collisions = motion_condition(setup.robot, command.scene, command.avoid, of_arm)
+        arm_condition = setup.collisions
+        collisions = motion_condition(setup.robot, command.scene, command.avoid, arm_condition)
     return Cell(command, solver, setup, vision, window, compilation, collisions)
 
 
@@ -301,7 +301,7 @@ def require_possible(command: Reach) -> None:
         others = ("follow", "line", "scene", "avoid")
         used = next((name for name in others if getattr(command, name)), None)
         if used is not None:
-            problem = "joints that are held hold for one motion to a goal"
+            problem = "held joints are supported for one motion to a goal only"
             raise OptionError("--joints", problem, f"without --{used}")
     if command.avoid and command.line:
         raise OptionError("--line", "a planned motion is not straight", "without --avoid")
@@ -325,7 +325,7 @@ def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
     report.solved = solve(cell, report.goal)
     solution = report.solved.solution
     tolerance = accepted_error(cell, report.seen, solution)
-    report.promise = promise(cell, report.goal, report.seen, solution, terminal)
+    report.prediction = predict(cell, report.goal, report.seen, solution, terminal)
     if setup.guard is not None:
         plan_motion(cell, report.goal, solution)  # a blocked motion is refused before torque is on
 
@@ -343,8 +343,8 @@ def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
 
     terminal.progress("looking again")
     best_angle = 0.0
-    if report.promise is not None:
-        best_angle = report.promise.angle
+    if report.prediction is not None:
+        best_angle = report.prediction.angle
         if report.followed is not None:
             best_angle = solve(cell, report.goal).solution.error.angle
     report.judged = judge(cell, report.goal, tolerance, sigma, best_angle)
@@ -424,18 +424,18 @@ def accepted_error(cell: Cell, seen: SeenTarget | None, solution: Solution) -> T
     return SOLVE_TOLERANCE
 
 
-def promise(
+def predict(
     cell: Cell, goal: Goal, seen: SeenTarget | None, solution: Solution, terminal: Terminal
-) -> AxisPromise | None:
-    """Return how near the tool axis comes to the marker's, and print it if it stays off.
+) -> AxisPrediction | None:
+    """Return the predicted axis error, and print it if the axis is not met.
 
     Raises:
         NotConvergedError: The angle is larger than ``--max-angle``.
     """
-    from robot_ik.jobs.marker_turn import promise_axis, require_angle
+    from robot_ik.jobs.marker_turn import predict_axis, require_angle
 
     marker = None if seen is None else seen.pose_world_marker
-    axis = promise_axis(cell.setup.robot, goal, solution, marker)
+    axis = predict_axis(cell.setup.robot, goal, solution, marker)
     limit = cell.command.max_angle
     require_angle(axis, None if limit is None else math.radians(limit), solution)
     if axis is not None and not axis.is_met:
@@ -558,7 +558,7 @@ def judge(
         goal: The goal.
         tolerance: Accepted error of the solution.
         sigma: Standard deviation of the goal.
-        best_angle: Angle that the arm promised, rad.
+        best_angle: Predicted angle between both axes, rad.
     """
     from robot_ik.jobs.verdict import judge_by_camera, judge_read_back, quantisation
 

@@ -130,10 +130,10 @@ def outcome_text(report: ReachReport) -> str:
     outcome = "reached" if report.ok else "NOT reached"
     if report.judged is not None and report.judged.by_camera is not None:
         judged = report.judged.by_camera
-        miss, allowed = distinct_texts(
+        error, allowed = distinct_texts(
             1e3 * judged.position, 1e3 * judged.allowed.position, digits=2
         )
-        distance = f"{miss} mm from the goal, {allowed} mm allowed"
+        distance = f"{error} mm from the goal, {allowed} mm allowed"
         return f"{outcome}\nthe camera sees {report.frame} {distance}"
     return outcome if report.error is not None else f"{outcome}\n{report.verdict}"
 

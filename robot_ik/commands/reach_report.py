@@ -1,4 +1,4 @@
-"""What a reach found: the results of its phases, as tables for people and as ``summary.json``."""
+"""The results of the phases of a reach, as tables and as ``summary.json``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_ik.execution import Execution, FollowReport
     from robot_ik.geometry import Pose
     from robot_ik.goals import Goal
-    from robot_ik.jobs.marker_turn import AxisPromise
+    from robot_ik.jobs.marker_turn import AxisPrediction
     from robot_ik.jobs.robot_setup import JointLimits, RobotSetup
     from robot_ik.jobs.verdict import Bound, Judgement
     from robot_ik.jobs.vision import SeenTarget, Vision
@@ -86,7 +86,7 @@ class ReachReport(Report):
         seen: The sighting of the target marker. None if the goal was given.
         q_start: (nq,) joint angles before the motion.
         solved: The solution.
-        promise: How near the tool axis of an arm with five joints comes to the marker's.
+        prediction: Predicted axis error of an arm with five joints.
         trajectory: The planned motion.
         execution: The motion.
         followed: What happened during ``--follow``.
@@ -105,7 +105,7 @@ class ReachReport(Report):
     seen: SeenTarget | None = None
     q_start: Array | None = None
     solved: Solved | None = None
-    promise: AxisPromise | None = None
+    prediction: AxisPrediction | None = None
     trajectory: Trajectory | None = None
     execution: Execution | None = None
     followed: Followed | None = None
@@ -141,7 +141,7 @@ class ReachReport(Report):
 
     @property
     def verdict(self) -> str:
-        """One sentence on the result; empty if ``error`` says it."""
+        """One sentence on the result; empty if ``error`` describes it."""
         return self.decision[1]
 
     @property
@@ -234,8 +234,8 @@ class ReachReport(Report):
         yield "solver", ", ".join(parts)
         angle = math.degrees(solution.error.angle)
         yield "its error", f"{1e3 * solution.error.position:.4f} mm, {angle:.4f}°  (by MuJoCo)"
-        if self.promise is not None and not self.promise.is_met:
-            yield "axis", self.promise.sentence()
+        if self.prediction is not None and not self.prediction.is_met:
+            yield "axis", self.prediction.sentence()
 
     def _motion_rows(self) -> Iterator[tuple[str, str]]:
         run = self.execution
@@ -275,12 +275,12 @@ class ReachReport(Report):
         allowed = "servo ticks" if servos else "tolerance of the solver"
         if read_back.sigma.position > 0.0:
             allowed = f"3 σ of the goal + {allowed}"
-        yield "read back", f"{_miss(read_back)} ({allowed})"
+        yield "read back", f"{_error_text(read_back)} ({allowed})"
         if by_camera is not None:
             allowed = "ticks" if servos else "tolerance"
             angle = math.degrees(by_camera.sigma.angle)
             sigma = f"σ {1e3 * by_camera.sigma.position:.2f} mm {angle:.2f}°"
-            yield "camera", f"{_miss(by_camera)} (3 σ + {allowed}, {sigma})"
+            yield "camera", f"{_error_text(by_camera)} (3 σ + {allowed}, {sigma})"
 
     def facts(self) -> dict[str, Any]:
         """Return the content of ``summary.json``: SI units, quaternions w x y z, world frame."""
@@ -388,7 +388,7 @@ class ReachReport(Report):
 
 
 def judgement_facts(judged: Judgement | None) -> dict[str, Any] | None:
-    """Return one measurement of the miss for ``summary.json``."""
+    """Return one measurement of the error for ``summary.json``."""
     if judged is None:
         return None
     return {
@@ -430,10 +430,12 @@ def _millimetres(pose: Pose) -> str:
     return " ".join(f"{1e3 * float(value):z.1f}" for value in pose.position)
 
 
-def _miss(judged: Judgement) -> str:
-    """Return a miss and what is allowed, with enough digits to tell the two apart."""
-    position, most = distinct_texts(1e3 * judged.position, 1e3 * judged.allowed.position, digits=2)
-    angle, widest = distinct_texts(
+def _error_text(judged: Judgement) -> str:
+    """Return the error and the allowed error, with enough digits to distinguish them."""
+    position, max_position = distinct_texts(
+        1e3 * judged.position, 1e3 * judged.allowed.position, digits=2
+    )
+    angle, max_angle = distinct_texts(
         math.degrees(judged.angle), math.degrees(judged.allowed.angle), digits=2
     )
-    return f"{position} mm, {angle}°; allowed {most} mm, {widest}°"
+    return f"{position} mm, {angle}°; allowed {max_position} mm, {max_angle}°"

@@ -34,7 +34,7 @@ class ServoMove(MovingBusOptions, JsonOption):
 
     The second form names all joints in order. If the arm file has a table [collisions], all joints
     move together on a straight path, and a path that would touch is refused. At the end, and on
-    Ctrl-C, the arm is left as --on-exit says: with torque_off it falls.
+    Ctrl-C, --on-exit applies: with torque_off the arm falls.
 
     Exit code 1: a joint did not arrive, or the path is blocked.
     """
@@ -47,7 +47,7 @@ class ServoMove(MovingBusOptions, JsonOption):
     on_exit: ExitPolicy = field(default=None, kw_only=True)
 
     def run(self, terminal: Terminal = QUIET) -> ServoMoveReport:
-        """Enable the arm, move it, and leave it as its exit policy says.
+        """Enable the arm, move it, and leave it by its exit policy.
 
         Raises:
             RobotIkError: The input is wrong, or the arm cannot be connected. Nothing moved.

@@ -115,7 +115,7 @@ class ServoRecordReport(ServoReport):
     @property
     def notes(self) -> list[str]:
         return [
-            f"{joint.name} was {joint.text(excess)} beyond its limits: servo replay refuses that"
+            f"{joint.name} was {joint.text(excess)} beyond its limits, so servo replay rejects it"
             for joint, excess in self.beyond
         ]
 

@@ -37,8 +37,7 @@ class ServoReplay(MovingBusOptions, OverwriteOption, JsonOption):
     A recording that leaves the limits of the arm file is refused. A recording that is too fast is
     replayed slower. A recording without the joints of the gripper, such as reach writes it, moves
     the arm and holds the gripper. If the arm file has a table [collisions], a recording that would
-    touch is refused. At the end, and on Ctrl-C, the arm is left as --on-exit says: with torque_off
-    it falls.
+    touch is refused. At the end, and on Ctrl-C, --on-exit applies: with torque_off the arm falls.
 
     Exit code 1: the arm did not reach the end of the recording.
     """
@@ -100,7 +99,7 @@ class ServoReplayReport(ServoReport):
     def tables(self) -> Iterable[str]:
         if self.result is None:
             return
-        error = joint_text(self.result.late, self.result.tracking_error)
+        error = joint_text(self.result.lagging_joint, self.result.tracking_error)
         yield (
             f"replayed {len(self.motion)} samples in {self.motion.duration:.2f} s "
             f"({self.stretch:.2f} x the recorded time); largest tracking error {error}"

@@ -102,11 +102,11 @@ class ServoTorqueReport(ServoReport):
     confirmed: Sequence[str] = ()
     doubt: str = ""
 
-    def set_exit(self, left: ExitReport | None) -> None:
-        """Take over how the arm was left. None: it was not connected."""
-        if left is not None:
-            self.confirmed = left.verified
-            self.doubt = "" if left.ok else left.doubt
+    def set_exit(self, exit_report: ExitReport | None) -> None:
+        """Store the result of the exit policy. None: the arm was not connected."""
+        if exit_report is not None:
+            self.confirmed = exit_report.verified
+            self.doubt = "" if exit_report.ok else exit_report.doubt
 
     @property
     def ok(self) -> bool:

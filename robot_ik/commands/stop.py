@@ -40,7 +40,7 @@ class Stop(JsonOption):
         arms = running_arms(os.path.expanduser(self.bus) or None)
         if arms and self.torque_off and not self.yes:
             if not sys.stdin.isatty():
-                problem = "there is no terminal to ask at"
+                problem = "there is no terminal for the confirmation"
                 raise OptionError("--torque-off", problem, "--torque-off --yes")
             names = ", ".join(arm.name for arm in arms)
             question = f"{names}: without torque an arm falls. Support it. Torque off?"
@@ -79,7 +79,7 @@ class StopReport(Report):
         bus: Port of the request. Empty: all.
         torque_off: Torque off was requested.
         answers: One for each arm.
-        declined: The user said no.
+        declined: The user did not confirm.
     """
 
     bus: str

@@ -1,4 +1,4 @@
-"""Tables in the one style of all commands, readable on narrow terminals."""
+"""Tables of the commands, in one style and readable on narrow terminals."""
 
 from __future__ import annotations
 

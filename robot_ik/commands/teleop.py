@@ -45,14 +45,14 @@ MAX_SCALE = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Teleop(JsonOption):
-    """Lead an arm by another arm that a person guides, by a gamepad, or by the keys here.
+    """Lead an arm by another arm that a person guides, by a gamepad, or by keys of the terminal.
 
         robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
         robot-ik teleop --follower tabletop_puma --follower-bus pty
 
     The follower moves slowly to the pose of the leader, then follows within its limits and caps.
-    While the leader is lost no command is sent: the follower holds, then does what `on_stale` of
-    its arm file says. When the leader is back the follower moves slowly to its pose again. With
+    While the leader is lost no command is sent: the follower holds, then `on_stale` of its arm
+    file applies. When the leader is back the follower moves slowly to its pose again. With
     [collisions] in its arm file the follower stops before it would touch. Ctrl-C ends it. The
     leader is always left without torque. Time is virtual if both arms are on `sim`, else real.
 
@@ -171,7 +171,7 @@ class Teleop(JsonOption):
         sticks = "left stick x, y; triggers z; right stick and shoulders turn"
         terminal.say(f"{device.name}: {sticks}", "dim")
         terminal.say(
-            "in joints the same six move one each; up and down: the gripper; "
+            "in joint mode each of these six moves one joint; up and down: the gripper; "
             f"Y: {_other_mode(pad)}; B: stop and hold; Start ends",
             "dim",
         )

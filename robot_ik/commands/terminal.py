@@ -189,7 +189,7 @@ class Terminal:
         self._advance(description=phase, total=1.0, completed=share, seconds=None)
 
     def counting(self, noun: str) -> Callable[[int, int], None]:
-        """Return a function that shows how many things of how many (0: unknown) are done."""
+        """Return ``show(done, total)``, which shows a count of things. Total 0: it is unknown."""
 
         def show(done: int, total: int) -> None:
             self._advance(description=plural(done, noun), total=total or None, completed=done)

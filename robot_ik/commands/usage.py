@@ -244,7 +244,7 @@ def _range(argument: Any) -> str:
 
 
 def _form(argument: Any) -> str:
-    """Return the form of a value, empty where the name of the value says nothing."""
+    """Return the form of a value, empty if it is a single word."""
     metavar = (argument.parameter.metavar or "") if argument is not None else ""
     return metavar if re.search(r"[ |=]", metavar) else ""
 

@@ -19,7 +19,7 @@ from robot_ik.camera.targets import Observation, Target
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import Progress
-from robot_ik.jobs.pictures import GUESSED_FROM, frames_of, hint_of_other_markers
+from robot_ik.jobs.pictures import MAX_BLANK, frames_of, hint_of_other_markers
 from robot_ik.ports import Image
 
 # A picture is doubtful if the median error of its corners is larger, px. With a good calibration
@@ -108,7 +108,7 @@ def run_locate(
     intrinsics = CameraIntrinsics.load(request.intrinsics)
     views: list[Observation] = []
     searched = 0
-    without_board: deque[Image] = deque(maxlen=GUESSED_FROM)
+    without_board: deque[Image] = deque(maxlen=MAX_BLANK)
     # A source that stops early is no error: the pictures read so far are used.
     with open_source(request.source) as source, contextlib.suppress(FrameTimeoutError):
         for frame in frames_of(source):

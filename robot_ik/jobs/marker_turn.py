@@ -1,8 +1,7 @@
-"""What an arm with five joints does before a marker whose axis it cannot meet.
+"""The axis error of an arm with five joints in front of a marker, before the motion.
 
-Such an arm reaches the position, and brings its tool axis as near to the marker's as a
-configuration inside the limits can. ``AxisPromise`` says before the motion how far the axis stays
-off, and how to turn the marker so that the arm meets it.
+Such an arm reaches the position with the smallest axis error that the joint limits allow.
+``AxisPrediction`` holds this error, and a turn of the marker after which the error is zero.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ TURN_STEPS = 12
 """Turns of the marker that are tried. Each follows the axis that the arm reached before."""
 
 PROVEN_GAP = math.radians(0.01)
-"""rad. The closed form proves its angle to this."""
+"""rad. Accuracy to which the closed form proves an angle."""
 
 SHOWN_ANGLE = math.radians(0.5)
-"""rad. A smaller part of a turn is not named, and a marker that is turned so far is met."""
+"""rad. Smaller parts of a turn are not named, and a smaller axis error counts as zero."""
 
 COLUMNS = {"x": 0, "y": 1, "z": 2}
 """Axis of a frame -> column of its rotation matrix."""
 
 
 @dataclass(frozen=True)
-class AxisPromise:
+class AxisPrediction:
     """How near an arm brings its tool axis to the axis of a goal.
 
     Attributes:
@@ -67,10 +66,10 @@ class AxisPromise:
         return text
 
 
-def promise_axis(
+def predict_axis(
     robot: Robot, goal: Goal, solution: Solution, pose_world_marker: Pose | None
-) -> AxisPromise | None:
-    """Return what the arm promises for the axis of a goal with ``orientation="best"``.
+) -> AxisPrediction | None:
+    """Return the axis error of the solution of a goal with ``orientation="best"``.
 
     Args:
         robot: The robot.
@@ -89,24 +88,26 @@ def promise_axis(
     turn = None
     if angle > LARGEST_ANGLE and pose_world_marker is not None:
         turn = marker_turn(robot, goal, solution.q, pose_world_marker)
-    return AxisPromise(angle, proven, turn)
+    return AxisPrediction(angle, proven, turn)
 
 
-def require_angle(promise: AxisPromise | None, max_angle: float | None, solution: Solution) -> None:
-    """Check the promised angle before anything moves.
+def require_angle(
+    prediction: AxisPrediction | None, max_angle: float | None, solution: Solution
+) -> None:
+    """Check the predicted angle before anything moves.
 
     Args:
-        promise: See ``promise_axis``.
+        prediction: See ``predict_axis``.
         max_angle: Largest accepted angle, rad. None: any.
         solution: Solution, for the error.
 
     Raises:
         NotConvergedError: The angle is larger.
     """
-    if promise is None or max_angle is None or promise.angle <= max_angle:
+    if prediction is None or max_angle is None or prediction.angle <= max_angle:
         return
     raise NotConvergedError(
-        f"{promise.sentence()} Allowed are {math.degrees(max_angle):g}°; nothing was moved",
+        f"{prediction.sentence()} Allowed are {math.degrees(max_angle):g}°; nothing was moved",
         solution=solution,
     )
 
@@ -144,9 +145,9 @@ def marker_turn(
         if solution.error.angle < SHOWN_ANGLE:
             turned = pose_world_marker.inverse().compose(marker)
             return np.array(rotation_log(turned.wxyz))
-        wanted = target.rotation[:, column]
-        reached = robot.measure(q, goal.frame).rotation[:, column]
-        turn = Pose((0.0, 0.0, 0.0), rotation_exp(_rotation_between(wanted, reached)))
+        target_axis = target.rotation[:, column]
+        tool_axis = robot.measure(q, goal.frame).rotation[:, column]
+        turn = Pose((0.0, 0.0, 0.0), rotation_exp(_rotation_between(target_axis, tool_axis)))
         marker = Pose(marker.position, turn.compose(marker).wxyz)
     return None
 

@@ -40,14 +40,14 @@ from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError
 from robot_ik.files import make_folder
 from robot_ik.ports import Image
 
-MOST_VIEWS = 40
+MAX_VIEWS = 40
 """Largest number of views. More views do not improve a calibration."""
 
-UNSEEN = 60
+MAX_UNSEEN = 60
 """Number of successive pictures of a live camera without the board before a message appears."""
 
-GUESSED_FROM = 3
-"""Number of pictures without a marker in which other dictionaries are tried."""
+MAX_BLANK = 3
+"""Largest number of pictures without a marker in which other dictionaries are tried."""
 
 _AXES = 0.6
 """Length of drawn axes in marker sizes."""
@@ -100,8 +100,8 @@ class MarkerFinder:
         size: Side of the black squares, metres. Those of bodies are known.
         ids: Ids to report. If empty: all, or those of the bodies if only bodies are given.
         bodies: Bodies to find.
-        film: Whether the pictures are successive frames. Then the two poses of a marker are told
-            apart by the last pictures too.
+        film: Whether the pictures are successive frames. Then the last pictures help to choose
+            between the two poses of a marker.
 
     Raises:
         CameraError: Unknown dictionary, an id that it does not have, an impossible or missing size,
@@ -128,7 +128,7 @@ class MarkerFinder:
                 raise CameraError(
                     f"the markers of the body {body.name!r} are of {body.dictionary}, but "
                     f"{self.dictionary} is searched",
-                    hint=f"search theirs: --dictionary {body.dictionary}",
+                    hint=f"search the dictionary of the body: --dictionary {body.dictionary}",
                 )
             self._sizes |= {i: side for i, (side, _) in body.markers.items()}
         if size is not None:
@@ -153,7 +153,7 @@ class MarkerFinder:
                 f"the size of marker {', '.join(map(str, unknown))} is unknown",
                 hint="give the side of the black square in metres",
             )
-        # Ids that are searched, and by target what the last pictures say about its two poses.
+        # Ids that are searched, and target -> memory that chooses one of its two poses.
         self._search = None if self._ids is None else self._ids.union(self._sizes)
         self._memories: dict[int | str, PoseMemory] | None = {} if film else None
 
@@ -164,14 +164,14 @@ class MarkerFinder:
             CalibrationError: The picture does not have the size of the intrinsics.
         """
         require_frame(frame)
-        intrinsics = self.intrinsics or _straight(*frame.size)
+        intrinsics = self.intrinsics or _undistorted(*frame.size)
         corners = find_corners(frame, intrinsics, self.dictionary, self._search)
-        wanted = [(i, c) for i, c in corners if self._ids is None or i in self._ids]
+        reported = [(i, c) for i, c in corners if self._ids is None or i in self._ids]
         if self.intrinsics is None:
-            return Sighting([SeenMarker(i, c) for i, c in wanted], {})
+            return Sighting([SeenMarker(i, c) for i, c in reported], {})
         single = unique(corners)
         markers = []
-        for i, c in wanted:
+        for i, c in reported:
             size = self._sizes.get(i, self._size)
             if size is not None:
                 fits = marker(i, size, self.dictionary).fit({i: c}, intrinsics, frame.time)
@@ -195,7 +195,7 @@ class MarkerFinder:
         return self._memories.setdefault(name, PoseMemory()).choose(fits)
 
 
-def _straight(width: int, height: int) -> CameraIntrinsics:
+def _undistorted(width: int, height: int) -> CameraIntrinsics:
     """Return intrinsics without distortion for a camera whose lens is unknown."""
     return CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
 
@@ -464,14 +464,14 @@ def gather_views(
         unseen = 0
         if source.live:
             say("show the board, hold it still, move it on; Ctrl-C when done")
-        while not source.exhausted and len(gatherer.views) < MOST_VIEWS:
+        while not source.exhausted and len(gatherer.views) < MAX_VIEWS:
             frame = source.read()
             taken = gatherer.offer(
                 frame, f"{Path(name).name or name} {frame.sequence}", selective=True
             )
             unseen = 0 if gatherer.in_view else unseen + 1
-            if source.live and unseen == UNSEEN:
-                say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?")
+            if source.live and unseen == MAX_UNSEEN:
+                say(f"no {describe(gatherer.pattern)} in view: check pattern, light and focus")
             if not taken:
                 continue
             if source.live:

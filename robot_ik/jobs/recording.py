@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,9 @@ FRAME = "world"
 
 _GOAL = ("goal_x", "goal_y", "goal_z", "goal_qw", "goal_qx", "goal_qy", "goal_qz")
 """Columns of the goal: position in metres, then the quaternion."""
+
+Measured = Callable[[], Mapping[str, float]]
+"""Returns the last measured joint positions by joint name, rad for hinges and metres for slides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,11 +286,12 @@ class RecordingSink:
     Args:
         recording: The open recording.
         joints: Names of the joints, in the order of the commands.
-        measured: Function that returns the last measured angles, rad, by joint name. None: only
-            commands are recorded.
+        measured: Returns the last measurement. None: only commands are recorded.
     """
 
-    def __init__(self, recording: Recording, joints: Sequence[str], measured: Any = None) -> None:
+    def __init__(
+        self, recording: Recording, joints: Sequence[str], measured: Measured | None = None
+    ) -> None:
         self._recording = recording
         self._joints = tuple(joints)
         self._measured = measured
@@ -299,7 +303,7 @@ class RecordingSink:
             self._begin = now
         measured = None
         if self._measured is not None:
-            angles = self._measured()
-            measured = np.array([angles[name] for name in self._joints])
+            positions = self._measured()
+            measured = np.array([positions[name] for name in self._joints])
         moment = Moment(now - self._begin, commanded=np.asarray(q), measured=measured)
         self._recording.write(moment)

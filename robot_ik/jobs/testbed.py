@@ -46,11 +46,11 @@ _BALL_RADIUS = 18
 """Pixels of the circle around the ball."""
 
 _LARGEST_COORDINATE = 1 << 20
-"""Subpixels. OpenCV's coordinates overflow not far beyond."""
+"""Largest coordinate that is drawn, subpixels. Far larger ones overflow in OpenCV."""
 
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
-    """Return the servo arm of a robot on a bus, connected. Torque stays as it is.
+    """Return the servo arm of a robot on a bus, connected. Torque stays unchanged.
 
     Args:
         name: Name or path of the robot.
@@ -133,9 +133,9 @@ def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Arr
 
 
 def film_in_process(log: CommandLog) -> bytes:
-    """Return the film of a command log, a file in MP4, made by another process.
+    """Return the film of a command log, the bytes of an MP4 file.
 
-    The session goes on meanwhile: drawing in this process would hold it up.
+    Another process draws it, so the session continues without a delay.
 
     Raises:
         ConfigError: The film cannot be made; the message is that of ``robot-ik video``.
@@ -181,19 +181,23 @@ def film(
         ConfigError: Nothing happens in the log and no length is given.
         OutputError: Something cannot be written.
     """
-    wanted = log.ticks if seconds is None else round(seconds * RATE)
-    if not wanted:
-        problem = "it says nothing of its length"
+    tick_count = log.ticks if seconds is None else round(seconds * RATE)
+    if not tick_count:
+        problem = "the length of the film is unknown"
         raise ConfigError(problem, file="command log", key="end", allowed="--seconds N")
-    log = replace(log, ticks=wanted, commands=tuple(c for c in log.commands if c[0] < wanted))
+    log = replace(
+        log, ticks=tick_count, commands=tuple(c for c in log.commands if c[0] < tick_count)
+    )
     if record is not None:
         require_recording(record)
-    every = max(1, round(RATE / rate_hz))
+    ticks_per_picture = max(1, round(RATE / rate_hz))
     view: View | None = None
     with contextlib.ExitStack() as stack:
         write = None
         if out is not None:
-            sink = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite))
+            sink = stack.enter_context(
+                open_sink(out, RATE / ticks_per_picture, overwrite=overwrite)
+            )
             write = sink.write
         recorder: Recorder | None = None
         rows: Recording | None = None
@@ -201,7 +205,7 @@ def film(
         for session in replayed(log):
             recorder = recorder or Recorder(session, size, write)
             view = session.view()
-            if (view.tick - 1) % every == 0:
+            if (view.tick - 1) % ticks_per_picture == 0:
                 recorder.draw(view)
                 if record is not None and rows is None:
                     names = column_names(session.robot)
@@ -209,7 +213,7 @@ def film(
                 if rows is not None and column_names(session.robot) == names:  # of one robot
                     _write_moments(rows, view)
             if progress is not None:
-                progress("", view.tick / wanted)
+                progress("", view.tick / tick_count)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
     if view is None:
@@ -219,7 +223,7 @@ def film(
 
 def _write_moments(rows: Recording, view: View) -> None:
     """Write a row for each instance of a view."""
-    for k, one in enumerate(view.instances):
+    for k, instance in enumerate(view.instances):
         text = view.message if k == 0 else ""
         robot = k + 1 if view.count > 1 else 0
-        rows.write(Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot))
+        rows.write(Moment(view.now, commanded=instance.q, goal=view.ball, text=text, robot=robot))

@@ -125,7 +125,7 @@ def judge_read_back(
         bound: Result of ``quantisation``.
         goal_sigma: Standard deviation of the goal relative to the pose to which the arm was sent.
             Zeros if both are the same.
-        best_angle: Angle that the arm promised, rad. It is added to the allowed angle.
+        best_angle: Predicted angle between both axes, rad. It is added to the allowed angle.
     """
     pose = robot.measure(q, frame)
     position, angle = frame_error(goal.rows(robot), goal.weights, pose, goal.target)

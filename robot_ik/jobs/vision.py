@@ -1,4 +1,4 @@
-"""The camera's side of a job: what it looks at, where it stands, and what it may be asked."""
+"""The camera of a job: its scene, its pose, and the detection of target and gripper."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Vision:
     delays: tuple[Delays, Delays] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        # Recordings and cameras have their own rate. A synthetic camera has a usual one.
+        # Recordings and cameras have a rate of their own.
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
         self.last_image: Any = None
         self._cube = MarkerTarget(self.scene.cube, self.scene.dictionary, "cube on the gripper")
@@ -175,8 +175,8 @@ class Vision:
         """Return the target marker in the next pictures.
 
         Raises:
-            MarkerNotFoundError: Not there, or not told apart from its mirror image; says what is
-                there.
+            MarkerNotFoundError: The marker is not in view, or its orientation is ambiguous. The
+                message names the markers in view.
         """
         tries = _SYNTHETIC_TRIES if self.synthetic is not None else _LIVE_TRIES
         # A recording is searched to its end.
@@ -218,7 +218,7 @@ class Vision:
         return self._cube.find(self.picture(), self.scene.intrinsics)
 
     def pose_body_tool(self, q: Array) -> Pose:
-        """Return the tool in the frame of the marker body at ``q`` (nq,). Both sit on the hand."""
+        """Return the tool in the frame of the gripper's marker body at ``q`` (nq,)."""
         robot = self.setup.robot
         body = robot.forward(q, self.scene.cube_frame).compose(self.scene.cube_offset)
         return body.inverse().compose(robot.forward(q, self.setup.frame))
@@ -252,20 +252,20 @@ class Vision:
         return PositionGoal(self.setup.frame, goal.position, weight=goal.position_weight)
 
     def _not_found(self) -> MarkerNotFoundError:
-        wanted = f"marker {self.scene.marker_id} of {self.scene.dictionary}"
+        target = f"marker {self.scene.marker_id} of {self.scene.dictionary}"
         image = self.last_image
         if self._goals.last is not None:
             return MarkerNotFoundError(
-                f"{wanted} is in view, but its two possible orientations cannot be told apart",
+                f"{target} is in view, but its two possible orientations cannot be told apart",
                 hint="show it larger, sharper or more from the side",
             )
-        found = [] if image is None else MarkerDetector(self.scene.dictionary).detect(image)
-        others = ", ".join(str(id) for id in sorted({detection.id for detection in found}))
-        there = f"in view: {others}" if others else "no marker of that dictionary is in view"
+        detections = [] if image is None else MarkerDetector(self.scene.dictionary).detect(image)
+        others = ", ".join(str(id) for id in sorted({detection.id for detection in detections}))
+        in_view = f"in view: {others}" if others else "no marker of that dictionary is in view"
         return MarkerNotFoundError(
-            f"{wanted} was not found; {there}",
+            f"{target} was not found; {in_view}",
             hint="check id (--marker), dictionary (--dictionary), light, focus "
-            "and the white margin round it",
+            "and the white margin around it",
         )
 
 
@@ -381,15 +381,15 @@ def _real_camera(
     elif not setup.has_real_servos:
         why = "the arm is simulated, so a real camera cannot see it"
     elif scene.generated:
-        why = "robot.toml says of no marker on this robot's gripper"
+        why = "robot.toml describes no marker on the gripper of this robot"
     return scene, source, why
 
 
 def _scene(request: CameraRequest, setup: RobotSetup) -> Scene:
     """Return the robot's scene with the target marker of the request."""
     scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
-    asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
-    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    given = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     scene = replace(scene, **changes)
     place = request.rehearsal.marker_at
     return scene if place is None else scene.with_marker_at(*place)

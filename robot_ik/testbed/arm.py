@@ -1,4 +1,4 @@
-"""A servo arm that follows the first instance of the testbed, or repeats the motion of a hand.
+"""A servo arm that follows the first instance of the testbed, or repeats a recorded motion.
 
 One thread drives the arm at the arm's own rate. The session only stores the newest joint angles for
 it. So a slow page does not delay a bus cycle, and a silent session makes the arm hold.
@@ -32,7 +32,7 @@ TEACH_LIMIT = 600.0
 """Seconds that a recording may take."""
 
 _SETTLE = 1.0
-"""Seconds for which the end of a recording is sent: the limiter follows a quick hand late."""
+"""Seconds for which the end of a recording is sent: after a fast motion the limiter lags."""
 
 _TELEMETRY_PERIOD = 0.5
 """Seconds between two readings of currents and temperatures."""
@@ -47,9 +47,9 @@ class ArmView:
 
     Attributes:
         robot: The arm's robot. ``xpos`` and ``xquat`` are of its bodies.
-        is_shown: Whether the session's robot is this one.
+        is_shown: Whether the session shows this robot.
         state: State of the arm's life cycle.
-        mode: The last mode that was asked for.
+        mode: The last mode that was set.
         port: Name of its bus.
         q: (nq,) measured joint angles in the robot's order. None before the first reading.
         xpos: (nbody, 3) positions of bodies at the measured angles. None before the first reading.
@@ -106,7 +106,7 @@ class ArmLink:
         self.recording: Trajectory | None = None
         self._plan: Iterator[Array] | None = None
         self._collision_guard = guard_of(opened.config, robot.path)
-        self._streaming = False  # whether the last cycle sent what the session wants
+        self._streaming = False  # whether the last cycle sent joint angles of the session
         self._guard = ExitGuard(self.close)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._drive, name="testbed-arm", daemon=True)
@@ -141,21 +141,21 @@ class ArmLink:
         """Make a moving arm hold, until a person presses Follow or Replay again.
 
         Args:
-            reason: What the page says about it.
+            reason: Why it holds, for the message on the page.
         """
         if self._mode in ("follow", "replay"):
             self._message = f"{reason}, and press {self._mode.capitalize()} to move the arm again"
             self._mode = "hold"
 
     def follow(self, robot: Robot, q: Array, running: bool) -> None:
-        """Take the newest joint angles of the session's first robot, as what the arm is to follow.
+        """Take the newest joint angles of the session's first robot, which the arm follows.
 
         Another robot than the arm's stops the arm.
 
         Args:
             robot: The session's robot.
             q: (nq,) its joint angles, rad or m.
-            running: Whether the session runs; while it does not, the arm holds.
+            running: Whether the session runs. The arm holds while it does not run.
         """
         self._is_shown = robot.joints == self._robot.joints and robot.path == self._robot.path
         if not self._is_shown:
@@ -271,19 +271,19 @@ class ArmLink:
         if mode == "teach" and arm.state is ArmState.CONNECTED:
             self._record(self._measured)
 
-    def _follow(self, q: Array, goes_on: bool) -> None:
-        """Send joint angles (n,) of the session, or hold where the next step would touch.
+    def _follow(self, q: Array, is_continued: bool) -> None:
+        """Send joint angles of the session, or hold where the next step would be in collision.
 
         Args:
-            q: What the session wants.
-            goes_on: Whether the last cycle followed the session too.
+            q: Joint angles (n,) of the session, rad or m.
+            is_continued: Whether the last cycle followed the session too.
         """
         self._streaming = True
         guard = self._collision_guard
         if guard is None:
             self._opened.send(q, self._arm.clock.now())
             return
-        if not goes_on:
+        if not is_continued:
             guard.begin(self._arm.positions())
         before = guard.contact
         wanted = dict(zip(self._opened.robot.joints, q.tolist(), strict=True))
@@ -315,7 +315,7 @@ class ArmLink:
             self._opened.send(q, arm.clock.now())
 
     def _record(self, q: Array) -> None:
-        """Record one sample (n,) of a hand. The page's first robot guides simulated servos."""
+        """Record one sample (n,). The first instance moves simulated servos as a hand would."""
         arm = self._arm
         self._recorder.send(q, arm.clock.now())
         servos = self._opened.virtual_bus
@@ -343,7 +343,7 @@ class ArmLink:
 
     def _let_go(self) -> None:
         """Switch torque off and connect again."""
-        self._servos = ()  # the last reading says that torque is on
+        self._servos = ()  # in the last reading torque is on
         policy = self._arm.on_exit
         self._arm.on_exit = "torque_off"
         try:

@@ -23,16 +23,19 @@ INSTANCE_COLOURS: tuple[Colour, ...] = (
     (147, 51, 234),
     (219, 39, 119),
 )
-"""Of plate, trail, card, plot line and joint mark. Colour-blind people can distinguish them."""
+"""Colours of plate, trail, card, plot line and joint mark of each instance.
+
+Colour-blind people can distinguish them.
+"""
 
 GOAL_COLOUR: Colour = (245, 130, 32)
-"""Orange, as in the gallery. No instance has it."""
+"""Orange, as in the gallery. No instance has this colour."""
 
 LIMIT_COLOUR: Colour = (220, 38, 38)
-"""Of a joint at its limit and of an obstacle that touches the robot."""
+"""Colour of a joint at its limit and of an obstacle that touches the robot."""
 
 BALL_RADIUS = 0.03
-"""Of the model's extent."""
+"""Radius of the ball, in extents of the model."""
 
 FIELD_OF_VIEW = math.radians(38.0)
 """Vertical, radians."""
@@ -44,11 +47,14 @@ _PLATE_DISTANCE = 0.24
 """Distance of the label in front of the base, in extents of the model."""
 
 _MARGIN = 0.9
-"""Part of the picture that is used: balls and hands reach beyond their centres."""
+"""Part of the picture that is used. Bodies extend beyond the points that are fitted."""
 
 _BOUND_PART = 0.7
-"""Of a geom's bounding radius. The bounding ball of a long geom is much larger than the geom; this
-part holds the bundled robots."""
+"""Part of a geom's bounding radius that is fitted.
+
+The bounding ball of a long geom is much larger than the geom. With this part the bundled robots are
+in the picture.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +67,7 @@ class Arrangement:
         labels: (n, 3) on the floor in front of each instance, m.
         forward: (2,) unit vector on the floor, away from the camera.
         right: (2,) unit vector on the floor, to the right of the camera.
-        extent: Of the model, m.
+        extent: Extent of the model, m.
     """
 
     robot: Robot

@@ -1,4 +1,4 @@
-"""A picture of a camera, and what is detected in it, as front ends show it."""
+"""A picture of a camera and the markers that are detected in it."""
 
 from __future__ import annotations
 

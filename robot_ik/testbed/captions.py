@@ -1,4 +1,4 @@
-"""What a figure does and why, in words: for the picture of the camera and for MuJoCo's window."""
+"""Texts about ball, mode and decision, for the camera's picture and for MuJoCo's window."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from robot_ik.testbed.view import FigureView, View
 
 
 def mode_text(view: View) -> str:
-    """Return the mode, and what moves the ball in it."""
+    """Return the mode of the figure, or the state of the method without a figure."""
     figure = view.figure
     if figure is None:
         one = view.instances[0]

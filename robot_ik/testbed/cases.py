@@ -1,7 +1,6 @@
 """Runs the four cases of table 4.1 of thesis S12 in a session, with the thesis's parameters.
 
-The runner sends commands as a person would, and reads the statistics of the views. It decides
-nothing that a command log would not hold.
+The runner sends commands and reads the statistics of the views. A command log has all its commands.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ from robot_ik.theses.table_4_1 import (
 )
 
 FRAMES = 1000
-"""Frames of a case: the statistics of the thesis's program cover as many."""
+"""Frames of a case, as many as the statistics of the thesis's program cover."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ class CaseRunner:
             self._send(SetLimits(CASES[index].limited))
 
     def step(self, view: View) -> None:
-        """Look at a view, and go on if a case is ready or done. The loop calls it with each view.
+        """Take a view. Start the next stage if a case is ready or done. The loop calls it.
 
         A person who stops the session or chooses another robot ends the run.
         """
@@ -132,7 +131,7 @@ class CaseRunner:
         elif not self._is_set_up(view, case):
             return
         elif self._stage == "setup":
-            # Not before: another robot has the usual budgets.
+            # Only now: a robot that was just loaded has the default budgets.
             for k in range(len(METHODS)):
                 self._send(SetBudget(k, ITERATIONS, DISTANCE))
             for command in (SetRestarts(False), SetPace(0.0), SetSpeed(1.0)):

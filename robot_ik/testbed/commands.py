@@ -1,4 +1,4 @@
-"""What people ask of the testbed: one frozen dataclass a command, and the log that keeps them.
+"""The commands of the testbed, one frozen dataclass each, and the command log.
 
 A log is a text file with one JSON object a line: what the session began with, each command with the
 tick at which it took effect, and the digest of the view at the end. It replays to the same bits.
@@ -63,7 +63,7 @@ RATE = 60
 """Ticks a second."""
 
 LAST_TICK = 1 << 40
-"""No session runs longer."""
+"""Largest tick of a log."""
 
 MAX_MESH_VERTICES = 2000
 """Vertices of the convex hull of a mesh obstacle."""
@@ -115,7 +115,7 @@ def _table_of(kind: type[Any]) -> type[Table]:
 @dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class Command(Checked):
-    """Something that a person asked for. Every subclass is a frozen dataclass."""
+    """A command of a user. Every subclass is a frozen dataclass."""
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True)(cls)
@@ -186,7 +186,7 @@ class SetLimits(SetupCommand):
 
 
 class SetTool(SetupCommand):
-    """Let another frame follow the ball, such as a paw. The goals beside it are the usual ones."""
+    """Let another frame follow the ball, such as a paw. The other goals become the default ones."""
 
     frame: Name
 
@@ -255,7 +255,7 @@ class SetPace(Command):
 
 
 class SetRunning(Command):
-    """Go on, or hold still. False is STOP."""
+    """Run the session, or hold all robots still. False is STOP."""
 
     running: bool
 
@@ -323,7 +323,7 @@ class Reset(Command):
 
 
 class PickBranch(Command):
-    """Let the first instance go on from a branch."""
+    """Put the first instance to a branch, from which it continues."""
 
     index: Annotated[int, Field(ge=0, le=63)]
 
@@ -423,7 +423,7 @@ class PlanMotion(Command):
     """Plan a motion of the first instance around the obstacles, to where the ball is.
 
     Without values the session takes the marked start and the ball. A log has the values, because
-    the plan takes effect later than it was asked for.
+    the plan takes effect later than its command.
     """
 
     start: Annotated[tuple[Number, ...], Field(strict=False, max_length=1000)] = ()
@@ -503,13 +503,13 @@ class Start(Checked):
 
 @dataclass(frozen=True)
 class CommandLog:
-    """Everything that decides what a session does.
+    """The commands of a session. With the start they determine all its views.
 
     Attributes:
         start: What it began with.
         commands: Commands and the ticks before which they took effect, in order.
-        ticks: How many it ran. 0 if the file does not say.
-        digest: Of its last view. Empty if the file does not say.
+        ticks: Number of ticks that it ran. 0: unknown.
+        digest: Digest of its last view. Empty: unknown.
     """
 
     start: Start
@@ -573,7 +573,7 @@ class CommandLog:
 
 
 def _start_of(rows: Sequence[tuple[str, dict[str, Any]]], file: Path | str) -> Start:
-    """Return what the first line of a log says."""
+    """Return the start of a session from the first line of its log."""
     first = dict(rows[0][1]) if rows else {}
     if first.pop("testbed_log", None) != FORMAT:
         raise ConfigError(
@@ -590,5 +590,5 @@ def _checked_tick(tick: Any, first_tick: int, place: str) -> int:
     is_whole = isinstance(tick, int) and not isinstance(tick, bool)
     if not is_whole or not first_tick <= tick < LAST_TICK:
         allowed = f"whole numbers from {first_tick}"
-        raise ConfigError(f"{tick!r} is no tick", file=place, key="tick", allowed=allowed)
+        raise ConfigError(f"{tick!r} is not a tick", file=place, key="tick", allowed=allowed)
     return int(tick)

@@ -12,7 +12,7 @@ from robot_ik.ports import Array
 from robot_ik.theses.courses import THESIS_RESULTS, Course
 
 _ROUNDING = 1e-9
-"""Frames. Sums of small steps come out slightly below whole numbers."""
+"""Frames. The sum of small steps can be slightly below a whole number."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CourseView:
         frames: Frames of the course.
         place: How far the goal has moved, such as ``20.1°``.
         met: Share of the frames so far in which each instance met the goal, 0 to 1.
-        lost: Where each instance first lost the goal. Empty where it never did.
+        lost: Where each instance first lost the goal. Empty: it has not lost the goal.
     """
 
     number: int
@@ -52,7 +52,7 @@ class CourseRun:
         self.begin()
 
     def begin(self) -> None:
-        """Begin anew."""
+        """Start the course at its first frame."""
         self._passed = 0.0
         self._frame = -1
         self._judged = -1

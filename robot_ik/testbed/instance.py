@@ -46,17 +46,17 @@ _DRAG_SPEED = 10.0
 its limiter."""
 
 _STUCK_STATUSES = ("blocked by limits", "stalled", "iteration limit")
-"""How a solve ends that another start could solve."""
+"""Statuses of solves that may succeed from another start."""
 
 _HARMLESS_STATUSES = ("converged", "stalled", "iteration limit", "")
-"""Statuses that say nothing if every goal is met."""
+"""Statuses that are not shown if every goal is met."""
 
 
 @dataclass(frozen=True)
 class Statistics:
     """Statistics of the last solves, at most ``WINDOW``.
 
-    A frame counts if something was asked in it: the ball moved, or it was not met before.
+    A frame counts if the ball moved in it, or if the last solve did not meet the ball.
 
     Attributes:
         count: Number of solves.
@@ -85,7 +85,7 @@ class Statistics:
 
 
 _ALWAYS_MISSED = ("ball", "posture", NATURAL_POSE)
-"""Goals that explain no status: the ball is met, and a posture is only approached."""
+"""Goals that do not explain a status: the ball is met, and a posture is only approached."""
 
 
 def appended(rows: Array, row: ArrayLike, length: int) -> Array:
@@ -107,7 +107,7 @@ class InstanceView:
         xquat: (nbody, 4) their orientations, wxyz.
         status: How the last solve ended, or why nothing can be solved.
         able: Whether its method can serve the goals.
-        note: How its goals differ from those of the others.
+        note: How its goals differ from those of the other instances.
         limited: Whether its joint limits hold.
         error: Metres between the tool and what the ball asks, by MuJoCo's kinematics.
         angle: Radians, likewise.
@@ -150,7 +150,7 @@ class InstanceView:
 
     @property
     def words(self) -> str:
-        """How it does, in words that agree with the numbers."""
+        """The state of the instance in words, which agree with the numbers."""
         if not self.able:
             return self.status
         if not self.met:
@@ -170,7 +170,7 @@ class InstanceView:
 
     @property
     def summary(self) -> str:
-        """What its last solve gave, in one line, or why its method cannot serve the goals."""
+        """The result of the last solve in one line, or why the method cannot serve the goals."""
         if not self.able:
             return self.status
         solved = f", {100.0 * self.statistics.solved:.0f} % solved" if self.statistics.count else ""
@@ -178,10 +178,10 @@ class InstanceView:
 
 
 class Instance:
-    """One robot with its method. It does not move until it has one.
+    """One robot with its method. Without a method it does not move.
 
     Args:
-        robot: Within the limits that hold.
+        robot: The robot, with the limits that hold for it.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -235,7 +235,7 @@ class Instance:
         note: str,
         limb: Limb | None = None,
     ) -> None:
-        """Go on with another method, options, tool or limits.
+        """Continue with another method, options, tool or limits.
 
         A changed method or robot begins new statistics.
 
@@ -244,7 +244,7 @@ class Instance:
             solver: The method.
             limited: Whether the joint limits hold.
             refused: Why the method cannot serve the goals. Empty if it can.
-            note: How its goals differ from those of the others.
+            note: How its goals differ from those of the other instances.
             limb: The limb that the method moves alone, towards the ball. None: all goals are served
                 with all joints.
         """
@@ -272,7 +272,7 @@ class Instance:
         self._begin_statistics()
 
     def move_to(self, q: Array) -> None:
-        """Stand at ``q`` (nq,)."""
+        """Put the robot to ``q`` (nq,)."""
         self.q = np.array(q, dtype=float)
         self.data.qpos[:] = self.robot.qpos(self.q)
         mujoco.mj_kinematics(self.robot.model, self.data)
@@ -289,7 +289,7 @@ class Instance:
         return rotation @ self._local.rotation, position
 
     def solve(self, goals: RobotGoals, ball: Pose, *, restarts: bool = False) -> None:
-        """Go to what the ball asks for.
+        """Solve the goals once and move to the solution.
 
         Args:
             goals: The goals.
@@ -303,7 +303,7 @@ class Instance:
             self._restarts = restarts
             self._problem = None
         solution = None
-        asked = self._is_asked(ball)
+        is_requested = self._is_requested(ball)
         self._status = self.refused
         before = self.q
         if not self.refused:
@@ -317,7 +317,7 @@ class Instance:
         if solution is not None:
             met = self.is_met
             self._unmet_ticks = 0 if met else self._unmet_ticks + 1
-        if solution is not None and asked:
+        if solution is not None and is_requested:
             change = float(np.abs(self._change_from(before)).max(initial=0.0))
             row = (self._seconds, solution.iterations, met, change)
             self._solves = appended(self._solves, row, WINDOW)
@@ -339,7 +339,7 @@ class Instance:
             return np.asarray(self.q - before)
         return self.robot.difference(before, self.q)
 
-    def _is_asked(self, ball: Pose) -> bool:
+    def _is_requested(self, ball: Pose) -> bool:
         """Return whether the ball has moved since the last solve, or that solve did not meet it."""
         last = self._last_ball
         self._last_ball = ball
@@ -354,7 +354,14 @@ class Instance:
         return self.error <= self.distance and self.angle <= _TOLERANCE.angle
 
     def stand(self, q: Array, action: str, goals: RobotGoals, ball: Pose) -> None:
-        """Stand at ``q`` (nq,) without solving, as a figure that decides by itself does."""
+        """Put the robot to ``q`` (nq,) without solving, and measure its error.
+
+        Args:
+            q: Joint angles, rad or m.
+            action: Status that is shown.
+            goals: The goals.
+            ball: Pose of the ball, world.
+        """
         self._drag = None
         self._status = action
         self._iterations = 0

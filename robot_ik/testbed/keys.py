@@ -2,8 +2,8 @@
 
 The keys are those of the first thesis (Pađen 2011): up and down move the ball along y, left and
 right along x, W and S in height. Space starts, R resets, I changes the mode, L shows the overlay.
-On the page they come before viser's camera keys. While a method solves, the page's arrows move the
-ball as it is seen.
+On the page they replace viser's camera keys. While a method solves, the arrow keys of the page move
+the ball relative to the view.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class Key:
         group: Heading in the list of keys.
         code: Its ``KeyboardEvent.code`` on the page. Empty: the page has no such key.
         window: Its name in MuJoCo's window. Empty: the window has no such key.
-        command: Returns the command in the present state. None: the front end does it itself.
-        label: How the page writes it.
+        command: Returns the command for a view. None: the front end executes the key.
+        label: Text of the key on the page.
     """
 
     about: str
@@ -63,7 +63,7 @@ class Key:
 
 
 def next_of(values: tuple[Value, ...], value: object) -> Value:
-    """Return the value after another one, the first after the last."""
+    """Return the next value of a cycle, or the first one if ``value`` is not in it."""
     return values[(values.index(value) + 1) % len(values) if value in values else 0]
 
 

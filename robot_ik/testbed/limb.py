@@ -60,7 +60,7 @@ class Limb:
 
 
 def _addresses(robot: Robot) -> NDArray[np.int64]:
-    """Return where ``qpos`` has the numbers of ``q``."""
+    """Return the index in ``qpos`` of each number of ``q``."""
     numbers = np.arange(robot.model.nq)
     widths = {int(mujoco.mjtJoint.mjJNT_FREE): 7, int(mujoco.mjtJoint.mjJNT_BALL): 4}
     parts = []

@@ -51,7 +51,9 @@ def _surviving(session: Session, draw: Callable[[View], object]) -> Callable[[Vi
             problem = f"{type(error).__name__}: {error}".splitlines()[0]
             if problem not in logged:
                 logged.add(problem)
-                _log.exception("the view cannot be drawn; the session goes on: it holds an arm")
+                _log.exception(
+                    "the view cannot be drawn; the session continues because it has an arm"
+                )
             session.report(f"the view cannot be drawn ({problem}); STOP still works")
             return None
 
@@ -69,10 +71,10 @@ def run(
     """Tick a session in real time and draw each ``every``-th view: the only loop of a front end.
 
     It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set, or ``draw``
-    returns False, as that of a closed window does. After a stall it does not hurry.
+    returns False, which a closed window does. After a stall it continues at the normal rate.
 
     An exception of ``draw`` ends a session without an arm. A session with an arm logs it, shows it
-    as its message and goes on: commands, STOP among them, still arrive.
+    as its message and continues, so that STOP and other commands still take effect.
     """
     step = 1.0 / commands.RATE
     due = now()

@@ -1,7 +1,6 @@
-"""Obstacles beside the robot, and how near the robot is to them. ``collision.Scene`` judges.
+"""Obstacles beside the robot, and the distances to them, measured by ``collision.Scene``.
 
-No method of the testbed avoids them: they show distances and contacts. A planned motion does
-(``testbed.planning``).
+The methods of the testbed do not avoid obstacles. Planned motions do (``testbed.planning``).
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from robot_ik.testbed.convex_hull import ConvexHull
 ObstacleShape = Literal[Shape, "mesh"]
 
 MAX_OBSTACLES = 8
-"""Obstacles of a session. Each costs about 0.2 ms a measurement."""
+"""Largest number of obstacles. Each costs about 0.2 ms a measurement."""
 
 MAX_CONTACTS = 8
-"""Contacts that are shown, the deepest ones."""
+"""Largest number of contacts that are shown. The deepest ones are shown."""
 
 _EDGE = 0.18
 """Edge length or diameter of a new obstacle, in extents of the model."""
 
-_PLACE = np.array((0.45, 0.0, 0.30))
+_NEW_POSITION = np.array((0.45, 0.0, 0.30))
 """Position of a new obstacle, in extents of the model."""
 
-_BESIDE = 0.28
+_SPACING = 0.28
 """Distance between two new obstacles along y, in extents of the model."""
 
 
@@ -71,7 +70,7 @@ class PlacedObstacle:
         return Cylinder(self.name, radius=0.5 * length_x, length=length_z, pose=pose)
 
     def resized(self, size: tuple[float, float, float]) -> PlacedObstacle:
-        """Return it with other edge lengths, of which a round shape does not use all."""
+        """Return it with other edge lengths (see ``ResizeObstacle``)."""
         length_x, _, length_z = size
         if self.shape == "sphere":
             size = (length_x, length_x, length_x)
@@ -104,7 +103,7 @@ class ContactView:
 
     Attributes:
         parts: Their names.
-        bodies: Those of the two parts that are bodies of the robot that move.
+        bodies: Ids of the two parts' bodies, as far as they are moving bodies of the robot.
         depth: m.
         point: (3,) the middle of the contact, world, m.
     """
@@ -143,7 +142,7 @@ class Obstacles:
         """Add an obstacle beside the robot.
 
         Raises:
-            CollisionError: There are too many.
+            CollisionError: There are ``MAX_OBSTACLES`` already.
             RobotIkError: As ``Scene``.
         """
         edge = _EDGE * self._extent
@@ -165,11 +164,11 @@ class Obstacles:
         count = len(self.placed)
         if count >= MAX_OBSTACLES:
             raise CollisionError(
-                f"there are {MAX_OBSTACLES} obstacles, the largest number; remove one first"
+                f"a session has at most {MAX_OBSTACLES} obstacles; remove one first"
             )
         self._added += 1
-        side = _BESIDE * ((count + 1) // 2) * (-1.0) ** count
-        position = (_PLACE + np.array((0.0, side, 0.0))) * self._extent
+        side = _SPACING * ((count + 1) // 2) * (-1.0) ** count
+        position = (_NEW_POSITION + np.array((0.0, side, 0.0))) * self._extent
         name = f"{title} {self._added}"
         self._build((*self.placed, PlacedObstacle(name, shape, size, position, hull)))
 

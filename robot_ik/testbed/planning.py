@@ -26,6 +26,7 @@ from robot_ik.motion.plan import Plan, plan
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.commands import RATE, PlanMotion
+from robot_ik.testbed.playback import Playback
 
 _log = logging.getLogger(__name__)
 
@@ -45,13 +46,13 @@ _KERNELS = (
     path_edges.unproven_edge,
     path_shortcut.shorten,
 )
-"""What a plan compiles. Without one of them another process compiles all of it."""
+"""Kernels of a plan. If one is not compiled, another process compiles all of them."""
 
 _NICENESS = 10
-"""Of that process: the page comes first."""
+"""Niceness of that process: the page comes first."""
 
 _TRIES = 8
-"""Plans that are tried to compile the planner: the goal of one may touch."""
+"""Largest number of plans that compile the planner: a goal may be in collision."""
 
 _CHANGE = 0.3
 """rad or m. Typical change of a joint in these plans."""
@@ -77,7 +78,7 @@ class PlanView:
     """The plan of a session at one tick.
 
     Attributes:
-        state: How far it has come.
+        state: Whether a plan is being made, or how the last one ended.
         text: Description for people.
         path: (n, 3) positions of the tool, world, m. Empty without a motion.
         ghosts: Postures along the motion; without a motion the start alone, if one is marked.
@@ -118,8 +119,8 @@ class PlanDone:
 
     Attributes:
         task: The task.
-        plan: The plan. None if the robot or the goal allow none.
-        error: Why not.
+        plan: The plan. None if it could not be made.
+        error: Why it could not be made. Empty with a plan.
     """
 
     task: PlanTask
@@ -138,7 +139,7 @@ def planned(task: PlanTask) -> PlanDone:
         return PlanDone(task, None, str(error).splitlines()[0])
     except Exception as error:  # without a result the page would wait forever
         _log.exception("no plan for %s", task.command)
-        return PlanDone(task, None, f"cannot plan that: {error}")
+        return PlanDone(task, None, f"the motion cannot be planned: {error}")
 
 
 class Planner:
@@ -190,7 +191,7 @@ class Planner:
         self._compiler.wait()
 
 
-class PlannedMotion:
+class PlannedMotion(Playback):
     """The plan of one robot, its start, and a cursor.
 
     Args:
@@ -198,20 +199,18 @@ class PlannedMotion:
 
     Attributes:
         start: (nq,) the posture at which a plan starts.
-        playing: Whether the cursor moves.
     """
 
     def __init__(self, robot: Robot) -> None:
+        super().__init__()
         self._robot = robot
         self.start = robot.home.copy()
-        self.playing = False
         self._task: PlanTask | None = None
         self._state: PlanState = "none"
         self._text = ""
         self._plan: Plan | None = None
         self._path: Array = np.zeros((0, 3))
         self._ghosts: tuple[GhostPose, ...] = ()
-        self._now = 0.0
 
     @property
     def has_motion(self) -> bool:
@@ -239,7 +238,7 @@ class PlannedMotion:
         self._text = "planning …"
 
     def take(self, done: PlanDone) -> bool:
-        """Show a result. Return False if it is not that of the last task, or is out of date."""
+        """Show a result. Return False for the result of a task that was replaced or removed."""
         if done.task is not self._task:
             return False
         self._task = None
@@ -256,7 +255,7 @@ class PlannedMotion:
         trajectory = result.trajectory
         self._state = "found"
         self._plan = result
-        self._now = 0.0
+        self.now = 0.0
         proof = "not proven"
         if trajectory.clearance is not None:
             proof = f"proven to keep {1e3 * trajectory.clearance:.0f} mm"
@@ -286,34 +285,18 @@ class PlannedMotion:
         self._plan = None
         self._path = np.zeros((0, 3))
         self._ghosts = ()
-        self._now = 0.0
+        self.now = 0.0
 
     def _ghost(self, q: Array) -> GhostPose:
         data = self._robot.data_at(q)
         return GhostPose(data.xpos.copy(), data.xquat.copy())
-
-    def seek(self, time: float) -> None:
-        """Put the cursor at a time in seconds and stop it."""
-        self._now = min(time, self.duration)
-        self.playing = False
-
-    def play(self, playing: bool) -> None:
-        """Start or stop the cursor. At the end it begins anew."""
-        self.playing = playing and self.has_motion
-        if self.playing and self._now >= self.duration:
-            self._now = 0.0
 
     def step(self, seconds: float) -> Array | None:
         """Advance the cursor and return the posture (nq,) there, or None without a motion."""
         trajectory = None if self._plan is None else self._plan.trajectory
         if trajectory is None:
             return None
-        if self.playing:
-            self._now += seconds
-            if self._now >= self.duration:
-                self._now = self.duration
-                self.playing = False
-        return np.asarray(trajectory.at(self._now))
+        return np.asarray(trajectory.at(self.advance(seconds)))
 
     def view(self) -> PlanView:
         """Return what a front end shows."""
@@ -323,7 +306,7 @@ class PlannedMotion:
             path=self._path,
             ghosts=self._ghosts,
             duration=self.duration,
-            now=self._now,
+            now=self.now,
             playing=self.playing,
         )
 

@@ -1,7 +1,7 @@
 """Prepares a setup beside the session's loop, and compiles its kernels in other processes.
 
-The session loads what these processes (``kernels.precompile``) have compiled from the cache. If a
-process fails, the session compiles.
+The processes (``kernels.precompile``) write the kernels to the cache, from which the session loads
+them. If a process fails, the session compiles.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NICENESS = 10
 """Niceness of the processes. The page, and the browser that loads it, come first."""
 
 _SETUP = TypeAdapter(Setup)
-"""Converts the setup for the processes."""
+"""Converts a setup to JSON for the processes, and back."""
 
 
 def is_compiled(goals: Sequence[Goal], solver: Solver) -> bool:
@@ -143,7 +143,7 @@ class Preparer:
 
     @property
     def doing(self) -> str:
-        """What is prepared now. Empty: nothing."""
+        """Description of the present preparation. Empty without one."""
         return self._text if self._jobs.unfinished_tasks else ""
 
     def begin(self) -> None:
@@ -183,7 +183,7 @@ class Preparer:
             self._done(SetupDone(command, error=str(error).splitlines()[0]))
         except Exception as error:  # without a result the page would wait forever
             _log.exception("cannot prepare %s", command)
-            self._done(SetupDone(command, error=f"cannot do that: {error}"))
+            self._done(SetupDone(command, error=f"the command cannot be prepared: {error}"))
         else:
             self._setup = ready.setup
             self._robot = robot

@@ -1,4 +1,4 @@
-"""Ways to begin a session with one word: the programs of the theses."""
+"""Presets: named starts of a session, such as the programs of the theses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Preset:
     Attributes:
         about: What it shows, in one line.
         robot: Name of the robot.
-        commands: What the session gets at first.
+        commands: First commands of the session.
         ar: Whether the robot is drawn into the pictures of the synthetic camera.
     """
 

@@ -25,11 +25,10 @@ DIRECTIONS = 24
 """Directions of the tool's z axis."""
 
 ROLLS = 4
-"""Turns about each direction."""
+"""Rotations of the tool about each direction."""
 
 THREADS = 1
 """Threads of a sweep: the session's loop needs the other cores."""
-
 
 _NICENESS = 10
 """Of the process that compiles the sweep: the page comes first."""
@@ -53,11 +52,11 @@ class ReachState:
 
 
 class _Cancelled(Exception):
-    """The map is not wanted any more."""
+    """The map was cancelled or replaced."""
 
 
 class ReachMaps:
-    """Computes one map at a time. Asking for another map ends the one before.
+    """Computes one map at a time. A new map cancels the one before.
 
     Args:
         changed: Called with each new state, from the thread of the map.
@@ -84,7 +83,7 @@ class ReachMaps:
             return self._number
 
     def _say(self, number: int, state: ReachState) -> None:
-        """Give a state to the page, unless another map is wanted."""
+        """Report a state, unless the map was cancelled or replaced."""
         with self._lock:
             if number != self._number:
                 raise _Cancelled

@@ -21,13 +21,13 @@ CELLS = 19
 """Points of the grid of a shell along each axis."""
 
 _BUDGET = Budget(iterations=200, restarts=2)
-"""Of the test whether the tool reaches a point. A point that is missed leaves a dent."""
+"""Budget of the test of a point. A reachable point without a solution leaves a dent."""
 
-_FARTHEST = 1.05
-"""Size of the grid in distances that the tool cannot exceed."""
+_GRID_RADIUS = 1.05
+"""Radius of the grid, as a multiple of the reach of the tool."""
 
 _JUMP_SIDE = 3
-"""Points of the grid to each side of the shoulder that a jump is tried at."""
+"""Grid points to each side of the shoulder at which a jump is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def reach_shell(robot: Robot) -> Iterator[Region]:
     if ball is None:
         return
     centre, radius = ball
-    points, origin, cell = grid_around(centre, _FARTHEST * radius, CELLS)
+    points, origin, cell = grid_around(centre, _GRID_RADIUS * radius, CELLS)
     near = np.linalg.norm(points - centre, axis=1) <= radius
     solved = solve_batch(standing, points[near], solver="lm", budget=_BUDGET)
     filled = np.zeros(len(points), bool)
@@ -59,7 +59,7 @@ def reach_shell(robot: Robot) -> Iterator[Region]:
 
 
 def figure_regions(robot: Robot) -> Iterator[Region]:
-    """Yield where a figure reaches, where it bends to reach, and where it jumps, at home."""
+    """Yield the regions that a figure at home reaches standing, bending and jumping."""
     abilities = load_abilities(load_figure(robot))
     taken = np.zeros(reach_map.SHAPE, bool)
     for kind in ("reach", "bend"):

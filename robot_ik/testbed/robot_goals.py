@@ -1,4 +1,4 @@
-"""The goals of one robot in the testbed: the ball's, the goals beside it, and pins."""
+"""The goals of one robot in the testbed: the goal of the ball, further goals, and pins."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.gallery_scene import gallery_scene
 
 _HOLD_GOALS = 6
-"""Frames beside the tool that are offered to be held."""
+"""Largest number of ``hold`` goals that are offered."""
 
 _GAZE = "gaze"
 
@@ -37,7 +37,7 @@ NATURAL_POSE = "natural pose"
 """Name of the goal that prefers poses like the learned ones."""
 
 _PIN = "pin "
-"""Begins the name of a pin's goal."""
+"""Prefix of the name of a pin's goal."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def _arm_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
 
 
 def _figure_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
-    """Return the goals of a figure. Those that contradict the ball are off."""
+    """Return the goals of a figure. Goals that conflict with the ball are off."""
     keep = robot.file.keep
     free = supported_frames(robot, (robot.tool,))
     extras = [

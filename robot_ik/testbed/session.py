@@ -1,9 +1,9 @@
-"""The testbed without any window: commands go into a queue, an immutable ``View`` comes out.
+"""The testbed without a window: a session takes commands from a queue and returns views.
 
 Only ``tick`` solves, and only its thread touches robots and solvers. Front ends call ``send`` from
-any thread. Time is the number of ticks, so the same commands at the same ticks give the same bits,
-whichever front end they came from (``CommandLog``). What must load or compile is prepared beside
-the loop, and takes effect at the tick where it is ready.
+any thread. Time is the number of ticks, so the same commands at the same ticks give the same bits
+from every front end (``CommandLog``). Models and kernels are loaded and compiled beside the loop.
+A command that needs them takes effect at the tick where they are ready.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 MESSAGE_SECONDS = 6.0
-"""How long an error is shown."""
+"""Seconds for which an error is shown."""
 
 RANDOM_PACE = 2.0
 """Seconds of ball time at each random position, unless ``SetPace`` says otherwise."""
@@ -60,11 +60,11 @@ _SLOW_TICKS = 6
 _BRANCH_TICKS = 12
 """Ticks between two searches for branches."""
 
-_REACH = 3.0
-"""Extents of the model. A ball that is farther away is of no use."""
+_MAX_BALL_DISTANCE = 3.0
+"""Extents of the model. A ball that is farther away is moved to this distance."""
 
 _SHORTEST_QUATERNION = 1e-6
-"""A shorter quaternion has no orientation."""
+"""A quaternion that is shorter than this does not define an orientation."""
 
 _LOCKED = "the ball is locked while the figure acts: press R, or leave the passive mode (I)"
 
@@ -73,8 +73,9 @@ class Session(Closing):
     """One model, one ball, and one to four instances that follow it.
 
     Args:
-        start: What it begins with.
-        beside: Prepare what must compile on a thread, while the loop goes on. Else at once.
+        start: Start of the session.
+        beside: Load and compile on a thread while the loop continues. False: load and compile at
+            once.
         arm: A servo arm that follows the first instance.
 
     Raises:
@@ -154,13 +155,13 @@ class Session(Closing):
 
     @property
     def ready(self) -> bool:
-        """Whether something can be solved. Until then time does not pass."""
+        """Whether the first setup is prepared. Until then ``tick`` does not count."""
         return self._ready is not None
 
     def tick(self) -> None:
         """Take commands, move the ball and solve every instance once.
 
-        The first tick lets preparing begin: a front end draws before a compiler runs.
+        The first tick starts the preparation, so that a front end draws before a compiler runs.
         """
         self._preparer.begin()
         while not self._queue.empty():
@@ -211,7 +212,7 @@ class Session(Closing):
             self._find_branches(ready)
 
     def _solve(self, ready: Ready) -> None:
-        """Solve all instances but a first one that a figure or a joint bar moves."""
+        """Solve all instances, except a first one that a figure or a joint bar moves."""
         restarts = self._restarts and self._motion == "random"
         solved = self.instances
         if self._figure is not None:
@@ -266,7 +267,7 @@ class Session(Closing):
         return moved if ready.goals.kind == "pose" else Pose(moved.position, self._ball.wxyz)
 
     def view(self) -> View:
-        """Return what is seen now."""
+        """Return the session at the present tick."""
         setup = self._setup
         if setup.kind is None or setup.extras is None:
             raise RuntimeError("the setup is not completed")
@@ -325,7 +326,7 @@ class Session(Closing):
 
     @property
     def _is_locked(self) -> bool:
-        """Whether a passive figure acts: the ball stays where it is until it is done."""
+        """Whether a passive figure acts: until it has finished, the ball cannot be moved."""
         figure = self._figure
         return figure is not None and figure.mode == "passive" and figure.ball is not None
 
@@ -335,7 +336,7 @@ class Session(Closing):
         return commands.CommandLog(self.start, tuple(self._log), self._tick, digest)
 
     def ball_path(self) -> Array:
-        """Return positions (n, 3) of the ball on its curve, for a camera that shows all of it."""
+        """Return positions (n, 3) of the ball along its curve, to which a camera is fitted."""
         if self._ready is None:
             return np.array([self._ball.position])
         if self._course_run is not None:
@@ -356,7 +357,7 @@ class Session(Closing):
         elif isinstance(command, commands.SetupCommand):
             self._preparer.ask(command)
         elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
-            self.report("parts can be dragged in a moment: the kernels are being compiled")
+            self.report("the kernels of dragging are being compiled: drag again in some seconds")
         else:
             self._log.append((self._tick, command))
             try:
@@ -501,7 +502,7 @@ class Session(Closing):
         if index < len(self._branches):
             self.instances[0].move_to(self._branches[index].q)
         else:
-            self.report("there is no branch of that number")
+            self.report(f"there is no branch {index + 1}: {len(self._branches)} are shown")
 
     def _set_joint(self, joint: str, value: float) -> None:
         """Set a joint of the first instance within its limits. The ball goes to the tool."""
@@ -515,7 +516,7 @@ class Session(Closing):
             return
         number = self.robot.joints.index(joint)
         if int(self.robot.tree.kind[number]) not in (HINGE, SLIDE):
-            self.report(f"{joint} is neither a hinge nor a slide")
+            self.report(f"{joint} is neither a hinge nor a slide: drag the ball or a part instead")
             return
         q = first.q.copy()
         q[int(self.robot.tree.qadr[number])] = value
@@ -526,7 +527,7 @@ class Session(Closing):
         self._stop_playing()
 
     def _may_show_timeline(self) -> bool:
-        """Let the robots follow the timeline, if it has poses and no figure decides."""
+        """Return whether the timeline can be shown. If so, the robots follow it."""
         if self._figure is not None:
             self.report("the figure decides by itself: choose Methods at the top to play poses")
             return False
@@ -538,7 +539,7 @@ class Session(Closing):
         return True
 
     def _may_show_plan(self) -> bool:
-        """Let the first instance follow the plan, if there is one."""
+        """Return whether there is a plan to show. If so, the first instance follows it."""
         if not self._planned.has_motion:
             self.report("there is no planned motion: press Plan to the ball first")
             return False
@@ -548,7 +549,7 @@ class Session(Closing):
         return True
 
     def _ask_plan(self, command: commands.PlanMotion) -> None:
-        """Plan beside the loop. The values of the command are those of now."""
+        """Plan beside the loop. Without values the command gets the present start and ball."""
         if self._ready is None or self._figure is not None:
             self.report("a figure that decides by itself plans its own motions")
             return
@@ -570,7 +571,7 @@ class Session(Closing):
         self._planner.ask(task)
 
     def _adopt_plan(self, done: PlanDone) -> None:
-        """Show a plan, unless obstacles, robot or goal have changed since it was asked for."""
+        """Show a plan, unless obstacles, robot or goal have changed since its command."""
         if self._planned.take(done):
             self._log.append((self._tick, done.task.command))
 
@@ -587,13 +588,13 @@ class Session(Closing):
             self._motion = "hand"
 
     def _move_ball(self, position: Array, wxyz: Sequence[float] | None) -> None:
-        """Move the ball by hand, no farther away than a robot of this size could use."""
+        """Move the ball by hand, up to ``_MAX_BALL_DISTANCE``."""
         if self._is_locked:
             self.report(_LOCKED)
             return
         self._motion = "hand"
         self._stop_playing()
-        radius = _REACH * float(self.robot.model.stat.extent)
+        radius = _MAX_BALL_DISTANCE * float(self.robot.model.stat.extent)
         middle = self.robot.model.stat.center
         offset = position - middle
         distance = float(np.linalg.norm(offset))
@@ -607,9 +608,9 @@ class Session(Closing):
     def _grab(self, command: commands.DragLink) -> None:
         body = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body)
         if body <= 0:
-            self.report(f"this part cannot be dragged: {command.body or 'it has no name'}")
+            self.report(f"{command.body!r} cannot be dragged: drag a part of the robot")
         elif self._figure is not None:
-            self.report("the figure decides by itself: drag the ball")
+            self.report("the figure decides by itself: drag the ball instead")
         else:
             self._drag = command
             if self._motion in ("joints", "timeline"):
@@ -617,7 +618,7 @@ class Session(Closing):
                 self._stop_playing()
 
     def _adopt(self, result: SetupDone) -> None:
-        """Let what was prepared take effect now."""
+        """Apply a prepared setup, or report why it could not be prepared."""
         if result.ready is None:
             self.report(result.error)
             return
@@ -656,7 +657,7 @@ class Session(Closing):
                 self.report(f"robot {k + 1}: {reason}")
 
     def _is_another_robot(self, command: commands.SetupCommand | None, ready: Ready) -> bool:
-        """Return whether the instances must be made anew: other joints, or another model."""
+        """Return whether new instances are needed: for other joints, or for another model."""
         if isinstance(command, commands.SetRobot | commands.SetCourse):
             return True
         is_same_model = self.robot.model is ready.robot.model
@@ -688,7 +689,7 @@ class Session(Closing):
             )
 
     def _set_figure(self, before: Ready | None, ready: Ready) -> None:
-        """Begin or end that a figure decides by itself. It begins at home and ends there."""
+        """Start or end a figure session. The first instance is at home before and after it."""
         wanted = ready.setup.figure
         is_same_robot = before is not None and before.loaded is ready.loaded
         if before is not None and is_same_robot and before.setup.figure == wanted:

@@ -1,8 +1,8 @@
 """What a session solves: robot, methods, goals.
 
-``Setup`` is the choice, as names and numbers. Commands change it. ``prepare`` makes what the loop
-needs from it. It loads models and compiles, which takes seconds, so the session runs it beside the
-loop.
+``Setup`` holds the choices as names and numbers. Commands change it. ``prepare`` builds the robots,
+goals and solvers of a setup. It loads models and compiles, which takes seconds, so the session runs
+it beside the loop.
 """
 
 from __future__ import annotations
@@ -46,14 +46,17 @@ from robot_ik.testbed.robot_goals import (
 from robot_ik.theses.courses import Course, make_course
 
 BUDGET = Budget(iterations=200, restarts=0)
-"""Of one solve. Iterations instead of seconds, so that a replay gives the same bits. Without
-restarts, because an arm that follows must not jump."""
+"""Budget of one solve.
+
+It limits iterations, not seconds, so that a replay gives the same bits. It has no restarts, because
+an arm that follows must not jump.
+"""
 
 MOST_INSTANCES = 4
 """Instances that have a method and limits, shown or not."""
 
 POSE_FREEDOMS = 6
-"""Degrees of freedom that meet a pose."""
+"""Degrees of freedom of a pose."""
 
 RESTART_ITERATIONS = 5
 """Factor of the iterations of a solve that may restart."""
@@ -68,7 +71,7 @@ CURVE_PERIOD = 8.0
 """Seconds of ball time for one round of the curve."""
 
 _CURVE_METHOD = "dls"
-"""Tries the curve if no instance's own method can."""
+"""Method that tries the curve if the methods of the instances cannot serve the goals."""
 
 _CURVE_RADIUS = 0.15
 """Radius of the curve in extents of the model."""
@@ -86,7 +89,7 @@ _SHRINK = 0.7
 """Factor of a curve that the tool cannot follow."""
 
 _SHRINKS = 5
-"""How often a curve may shrink."""
+"""Largest number of times that a curve shrinks."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ class Setup:
             case commands.SetStiffness(joint, value):
                 values = dict(self.stiffness) | {joint: value}
                 return replace(self, stiffness=tuple(sorted(values.items())))
-        raise TypeError(f"{command!r} changes no setup")
+        raise TypeError(f"{command!r} does not change the setup")
 
     def _with_course(self, number: int) -> Setup:
         course = make_course(number)
@@ -369,7 +372,7 @@ def prepare(
     if setup.branches:
         with contextlib.suppress(RobotIkError):
             branches_of(robots[0], goals.main(home), robots[0].home)
-    if before is not None and kept and _asks_same(before, setup, robots[0]):
+    if before is not None and kept and _has_same_goals(before, setup, robots[0]):
         curve = before.curve
     else:
         able = [solver for solver, reason in zip(solvers, refused, strict=True) if not reason]
@@ -410,8 +413,8 @@ def _same_selection(before: Ready, loaded: Robot, setup: Setup) -> bool:
     )
 
 
-def _asks_same(before: Ready, setup: Setup, robot: Robot) -> bool:
-    """Return whether the first instance is asked for the same as by the last setup."""
+def _has_same_goals(before: Ready, setup: Setup, robot: Robot) -> bool:
+    """Return whether the first instance has the same robot and goals as in the last setup."""
     old = before.setup
     same_goals = (old.kind, old.extras, old.pins) == (setup.kind, setup.extras, setup.pins)
     return same_goals and before.robot is robot
@@ -457,7 +460,7 @@ def warm_drag(robot: Robot) -> None:
 
 
 def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
-    """Compile what the goals need. Return why the method cannot serve them, empty if it can."""
+    """Compile the kernels of the goals. Return why the method cannot serve them, or empty."""
     try:
         wanted = goals.all(ball, solver)
         problem = Problem(robot, wanted, solver=solver, budget=BUDGET)
@@ -479,9 +482,9 @@ def _limb(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> Limb |
 
 
 def retarget(problem: Problem, goals: list[Goal]) -> None:
-    """Move the targets of a problem that was made for such goals."""
+    """Move the targets of a problem to those of goals of the same kinds."""
     for index, goal in enumerate(goals):
-        # The others stay where they are.
+        # The targets of these goals do not move.
         if not isinstance(goal, PostureGoal | CenterOfMassGoal | PosePriorGoal):
             problem.retarget(goal, index)
 

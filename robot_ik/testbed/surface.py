@@ -90,8 +90,8 @@ def _add_edges(
         cells = tuple(quads[:, corner].T)
         np.add.at(counts, cells, 1.0)
         np.add.at(sums, cells, points)
-    leaves = inside[tuple(crossed.T)]  # the edge goes out of the volume
-    quads[~leaves] = quads[~leaves][:, ::-1]
+    is_outwards = inside[tuple(crossed.T)]  # the edge begins in the volume and ends outside
+    quads[~is_outwards] = quads[~is_outwards][:, ::-1]
     return quads
 
 

@@ -1,4 +1,4 @@
-"""Key poses on a time axis: record, scrub and play a motion without solving anything."""
+"""Key poses on a time axis: a motion that is recorded, scrubbed and played without solving."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
+from robot_ik.testbed.playback import Playback
 
 SPACING = 1.0
 """Seconds between a new key pose and the one before it."""
@@ -21,7 +22,7 @@ MIN_INTERVAL = 0.05
 MOTION = "timeline"
 """Name of the motion in a saved file."""
 
-_LONGEST = 1000
+_MAX_KEY_POSES = 1000
 """Key poses of a timeline."""
 
 
@@ -51,23 +52,19 @@ class _Key:
     q: Array
 
 
-class Timeline:
+class Timeline(Playback):
     """Key poses of one robot and a cursor.
 
     Args:
         robot: The robot of the poses.
-
-    Attributes:
-        playing: Whether the cursor moves.
     """
 
     def __init__(self, robot: Robot) -> None:
+        super().__init__()
         self._robot = robot
         self._keys: list[_Key] = []
         self._motion: Keyframes | None = None
         self._recorded = 0
-        self._now = 0.0
-        self.playing = False
 
     @property
     def is_empty(self) -> bool:
@@ -76,7 +73,7 @@ class Timeline:
 
     @property
     def duration(self) -> float:
-        """Seconds of the last key pose."""
+        """Seconds of the last key pose, 0 without one."""
         return self._keys[-1].time if self._keys else 0.0
 
     def record(self, q: Array) -> None:
@@ -85,13 +82,13 @@ class Timeline:
         Raises:
             TrajectoryError: A joint is outside its limits, or there are too many poses.
         """
-        if len(self._keys) >= _LONGEST:
-            raise TrajectoryError(f"the timeline has {_LONGEST} poses", hint="remove some")
+        if len(self._keys) >= _MAX_KEY_POSES:
+            raise TrajectoryError(f"the timeline has {_MAX_KEY_POSES} poses", hint="remove some")
         name = f"pose {self._recorded + 1}"
         time = self._keys[-1].time + SPACING if self._keys else 0.0
         self._set([*self._keys, _Key(time, name, np.array(q))])
         self._recorded += 1
-        self._now = time
+        self.now = time
 
     def remove(self, index: int) -> None:
         """Remove a key pose. The others keep their distances, and the first is at 0 s."""
@@ -117,30 +114,14 @@ class Timeline:
         poses = [key.q for key in spread]
         self._motion = Keyframes(self._robot, times, poses) if spread else None
         self._keys = spread
-        self._now = min(self._now, self.duration)
+        self.now = min(self.now, self.duration)
         self.playing = self.playing and self._motion is not None
-
-    def seek(self, time: float) -> None:
-        """Put the cursor at a time in seconds and stop it."""
-        self._now = min(time, self.duration)
-        self.playing = False
-
-    def play(self, playing: bool) -> None:
-        """Start or stop the cursor. At the end it begins anew."""
-        self.playing = playing and len(self._keys) > 1
-        if self.playing and self._now >= self.duration:
-            self._now = 0.0
 
     def step(self, seconds: float) -> Array | None:
         """Advance the cursor and return the pose (nq,) there, or None without key poses."""
         if self._motion is None:
             return None
-        if self.playing:
-            self._now += seconds
-            if self._now >= self.duration:
-                self._now = self.duration
-                self.playing = False
-        return self._motion.at(self._now)
+        return self._motion.at(self.advance(seconds))
 
     def at(self, time: float) -> Array:
         """Return the pose (nq,) at a time in seconds.
@@ -181,13 +162,13 @@ class Timeline:
         spans = durations or [SPACING] * (len(names) - 1)
         times = [0.0, *np.cumsum(spans[: len(names) - 1]).tolist()][: len(names)]
         keys = [_Key(time, name, book[name]) for time, name in zip(times, names, strict=True)]
-        self._set(keys[:_LONGEST])
+        self._set(keys[:_MAX_KEY_POSES])
         self._recorded = len(names)
-        self._now = 0.0
+        self.now = 0.0
         self.playing = False
 
     def view(self) -> TimelineView:
         """Return what a front end shows."""
         times = tuple(key.time for key in self._keys)
         names = tuple(key.name for key in self._keys)
-        return TimelineView(times, names, self._now, self.playing)
+        return TimelineView(times, names, self.now, self.playing)

@@ -1,4 +1,4 @@
-"""What is seen of a session at one tick. Nothing in a view changes any more."""
+"""``View``: an immutable snapshot of a session at one tick."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class BranchView:
 
 @dataclass(frozen=True)
 class FigureView:
-    """A figure that decides by itself.
+    """The state of a figure that decides by itself.
 
     Attributes:
         mode: ``active``: it follows the ball. ``passive``: it acts on the ball on demand.
-        action: What it does now.
-        phase: How far that has come, 0 to 1.
-        decision: What it decided to do, and why.
+        action: Its present action.
+        phase: Progress of the action, 0 to 1.
+        decision: Its latest decision.
         waiting: Whether it is passive and waits for the command to act.
         locked: Whether it is passive and acts, so that the ball cannot be moved.
     """

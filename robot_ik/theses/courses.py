@@ -115,7 +115,9 @@ def make_course(number: int, seed: int = 0, frames: int | None = None) -> Course
         ConfigError: There is no such test.
     """
     if number not in NUMBERS:
-        raise ConfigError(f"{number}", file="course", key="number", allowed="1 … 13")
+        raise ConfigError(
+            f"there is no test {number}", file="course", key="number", allowed="1 to 13"
+        )
     if number in (11, 12):
         return _lines(number, 3 if number == 11 else 5, seed, frames)
     return _square(frames) if number == 13 else _circle(number, frames)
@@ -148,7 +150,7 @@ def _turned(axis: Array, degrees: float, wxyz: Array | None = None) -> Array:
 
 
 def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
-    """Return straight lines through the tips of random configurations, at an even pace."""
+    """Return straight lines through the tips of random configurations, at constant speed."""
     robot = make_chain(joints)
     rng = np.random.default_rng([seed, number])
     corners = np.array([robot.forward(robot.sample(rng)).position for _ in range(POINTS)])
@@ -165,9 +167,9 @@ def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
 
 
 def _square(frames: int | None) -> Course:
-    """Return test 13: six freedoms and six numbers wanted.
+    """Return test 13: a chain of six degrees of freedom with a pose goal.
 
-    Two ball joints have rank 5 at every pose, so goals can only be made from joint angles.
+    The Jacobian of two ball joints has rank 5 at every pose, so joint angles define the goals.
     """
 
     def q(at: float) -> Array:

@@ -42,10 +42,10 @@ MAX_STEP = math.pi / 16.0
 """Largest angle of a step of DLS, rad."""
 
 FREE = 1e6
-"""Clamp and largest step of methods for which the thesis states none."""
+"""Clamp and largest step of methods for which the thesis states none: no limit in practice."""
 
 PATIENCE = 1000
-"""Iterations without progress that end a solve: the program of the thesis does not give up."""
+"""Iterations without progress that end a solve. The program of the thesis has no such limit."""
 
 METHODS = ("ccd", "transpose", "pseudoinverse", "dls")
 

@@ -59,7 +59,7 @@ class ArmGuard:
         self._stream = GuardedStream(
             self._guard, velocity_limits, acceleration_limits, config.rate_hz
         )
-        self._wanted = np.zeros(len(config.names))
+        self._target = np.zeros(len(config.names))
 
     def checked(self, trajectory: Trajectory, positions: Mapping[str, float]) -> Trajectory:
         """Return a trajectory of some joints of the arm, if it is allowed.
@@ -82,18 +82,18 @@ class ArmGuard:
 
     def begin(self, positions: Mapping[str, float]) -> None:
         """Begin a stream of commands where the joints (rad, m of a slide) are now, at rest."""
-        self._wanted = np.array([positions[name] for name in self._names])
-        self._stream.begin(self._posture(self._wanted))
+        self._target = np.array([positions[name] for name in self._names])
+        self._stream.begin(self._posture(self._target))
 
-    def send(self, arm: Arm, wanted: Mapping[str, float]) -> dict[str, float]:
+    def send(self, arm: Arm, target: Mapping[str, float]) -> dict[str, float]:
         """Send the next command of a stream, which can always stop before parts touch.
 
-        The joints follow ``wanted`` within their limits, and brake before they bring parts nearer
+        The joints follow ``target`` within their limits, and brake before they bring parts nearer
         than allowed. ``contact`` names the parts that limit the command.
 
         Args:
             arm: Enabled.
-            wanted: Joint -> rad (m of a slide). The other joints stay.
+            target: Joint -> rad (m of a slide). The other joints stay.
 
         Returns:
             Joint -> sent command, for every joint of the arm.
@@ -101,14 +101,14 @@ class ArmGuard:
         Raises:
             UnsafeCommandError: A value is not finite; nothing was sent.
         """
-        if not all(map(math.isfinite, wanted.values())):
-            arm.send(wanted, arm.clock.now())  # raises UnsafeCommandError
-        for name, value in wanted.items():
-            self._wanted[self._names.index(name)] = value
-        posture = self._stream.next(self._posture(self._wanted))
-        command = self._wanted.copy()
+        if not all(map(math.isfinite, target.values())):
+            arm.send(target, arm.clock.now())  # raises UnsafeCommandError
+        for name, value in target.items():
+            self._target[self._names.index(name)] = value
+        posture = self._stream.next(self._posture(self._target))
+        command = self._target.copy()
         command[self._arm_indices] = posture[self._robot_indices]
-        named = {name: float(command[self._names.index(name)]) for name in wanted}
+        named = {name: float(command[self._names.index(name)]) for name in target}
         sent = arm.send(named, arm.clock.now())
         self._stream.was_sent(self._posture(sent))
         return dict(zip(self._names, sent.tolist(), strict=True))

@@ -38,7 +38,7 @@ FULL_DEFLECTION = 32767.0
 POLL_PERIOD = 0.2
 """s between two searches for a gamepad."""
 
-LOOK_HINT = "check its cable and its battery"
+RECONNECT_HINT = "check its cable and its battery"
 
 BUTTONS = {
     "a": "A",
@@ -84,7 +84,7 @@ class PadState:
 class Gamepad(Jog):
     """Sticks, triggers and shoulders jog the tool in the axes of the world, or joints.
 
-    B stops and holds, Y changes between joints and tool, up and down move the gripper, Start ends.
+    B stops and holds, Y switches between joints and tool, up and down move the gripper, Start ends.
 
     Args:
         config: Arm file of the follower.
@@ -115,13 +115,13 @@ class Gamepad(Jog):
 
     def command(self, now: float) -> Angles:
         state = self._read()
-        fresh = state.pressed - self._down
+        newly_pressed = state.pressed - self._down
         self._down = state.pressed
-        if "b" in fresh:
+        if "b" in newly_pressed:
             self.stop()
-        if "y" in fresh:
-            self.change()
-        self.over |= "start" in fresh
+        if "y" in newly_pressed:
+            self.switch_mode()
+        self.over |= "start" in newly_pressed
         passed = 0.0 if self._last is None else min(now - self._last, LONGEST_STEP)
         self._last = now
         axes = passed * state.axes()
@@ -195,7 +195,7 @@ class PadDevice(Closing):
         pad = self._pad
         pygame.event.pump()
         if pad is None or not pad.attached():
-            raise HardwareError("the gamepad is disconnected", hint=LOOK_HINT)
+            raise HardwareError("the gamepad is disconnected", hint=RECONNECT_HINT)
 
         def axis(name: str) -> float:
             value = float(pad.get_axis(getattr(pygame, f"CONTROLLER_AXIS_{name}")))
@@ -226,7 +226,7 @@ class PadDevice(Closing):
         while not self._find():
             if time.monotonic() > end:
                 raise HardwareError(
-                    f"no gamepad was connected again within {timeout:g} s", hint=LOOK_HINT
+                    f"no gamepad was connected again within {timeout:g} s", hint=RECONNECT_HINT
                 )
             time.sleep(POLL_PERIOD)
 

@@ -18,7 +18,10 @@ from robot_ik.workcell.guided_motion import playable
 from robot_ik.workcell.hand_calibration import require_limp
 
 ALLOWED_OUTSIDE = math.radians(1.0)
-"""rad by which a recording may pass a limit, as a soft stop does. It is replayed at the limit."""
+"""rad by which a recording may exceed a limit, because stops are soft.
+
+It is replayed at the limit.
+"""
 
 
 class GuidedRecording:
@@ -83,10 +86,10 @@ def load_motion(path: Path, joints: Sequence[str], arm_joints: Sequence[str] = (
         joints = arm_joints
     if sorted(motion.joints) != sorted(joints):
         raise ConfigError(
-            f"it is a motion of {', '.join(motion.joints)}",
+            f"the motion has the joints {', '.join(motion.joints)}",
             file=path,
-            allowed=f"of {', '.join(joints)}",
-            hint="the gripper's joints may be missing, no others; "
+            allowed=", ".join(joints),
+            hint="only joints of the gripper may be missing; "
             "ar --motion draws any motion of the robot",
         )
     order = [motion.joints.index(name) for name in joints]
@@ -115,7 +118,7 @@ def load_playable(path: Path, arm: ArmConfig, speed: float) -> tuple[ArmConfig, 
     for joint, excess in outside(motion, config):
         low, high = joint.limits
         raise ConfigError(
-            f"it leaves the limits by {joint.text(excess)}; nothing was moved",
+            f"the motion leaves the limits by {joint.text(excess)}; nothing was moved",
             file=path,
             key=joint.name,
             allowed=f"{low / joint.per_unit:.1f} to {joint.text(high)}",

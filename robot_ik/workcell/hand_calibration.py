@@ -12,7 +12,7 @@ from robot_ik.errors import ArmStateError
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.arm_registers import read_all, shared_register
 from robot_ik.hardware.calibration import (
-    ASKED_WIGGLE,
+    PROMPTED_WIGGLE,
     STILL_TICKS,
     OperatorError,
     Sweep,
@@ -43,7 +43,7 @@ class Prompter(Protocol):
     """Shows instructions to the person who moves the arm."""
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
-        """Show an instruction, call ``sample`` until the step is done, and once more then."""
+        """Show an instruction, call ``sample`` until the step is done, and once afterwards."""
 
     def note(self, text: str) -> None:
         """Show the result of a step."""
@@ -108,7 +108,7 @@ def calibrate_by_hand(
     check_ranges()  # the pose may be beyond the swept ranges
     directions: dict[int, Sign] = {}
     for k, joint in enumerate(config.joints, 1):
-        about = joint.text(ASKED_WIGGLE * joint.lever, 0)
+        about = joint.text(PROMPTED_WIGGLE * joint.lever, 0)
         text = (
             f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
         )

@@ -33,7 +33,7 @@ TOOL_KEYS: Mapping[str, tuple[int, int]] = {
 """Key -> axis of the world (0 to 2: along, 3 to 5: about) and its sign."""
 
 MODE_KEY = "\t"
-"""Changes between joints and tool."""
+"""Switches between joints and tool."""
 
 FINER = "-"
 """Halves the steps."""
@@ -48,15 +48,15 @@ QUIT = "\x1b"
 """Ends the command."""
 
 STEP = 0.01
-"""m of one key press."""
+"""Distance of one key press, m."""
 
 ROTATION = np.radians(3.0)
-"""rad of one key press."""
+"""Rotation of one key press, rad."""
 
-FINEST = 0.1
+MIN_FACTOR = 0.1
 """Smallest factor of the steps."""
 
-COARSEST = 4.0
+MAX_FACTOR = 4.0
 """Largest factor of the steps."""
 
 
@@ -99,7 +99,7 @@ class Jog(Operator):
         self.angles |= command
         self._tool.engage(self.angles)
 
-    def change(self) -> None:
+    def switch_mode(self) -> None:
         """Move the tool instead of joints, or joints instead of the tool."""
         self.moves_tool = not self.moves_tool
         self._tool.engage(self.angles)
@@ -152,10 +152,10 @@ class KeyboardJog(Jog):
         elif key == QUIT:
             self.over = True
         elif key == MODE_KEY:
-            self.change()
+            self.switch_mode()
         elif key in (FINER, COARSER):
             factor = self._factor * (2.0 if key == COARSER else 0.5)
-            self._factor = float(np.clip(factor, FINEST, COARSEST))
+            self._factor = float(np.clip(factor, MIN_FACTOR, MAX_FACTOR))
         elif not self.moves_tool:
             self._press_joint(key)
         elif key in TOOL_KEYS:

@@ -1,8 +1,8 @@
 """An arm that a person guides, as the leader of another arm.
 
-Joint to joint, a value of the leader goes to the follower's joint of the same name, each range onto
-the other's.  Tool to tool, the follower's tool repeats the motion of the leader's tool since both
-were engaged.
+In the mode ``joints`` each joint of the follower takes the value of the leader's joint of the same
+name, mapped from the range of the leader to that of the follower.  In the mode ``tool`` the
+follower's tool repeats the motion of the leader's tool since both were engaged.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _Limits = Mapping[str, tuple[float, float]]
 
 
 class JointCoupling:
-    """Maps values of a leader to those of a follower: by name, each range onto the other's.
+    """Maps joint values of a leader to a follower, by joint name, from range to range.
 
     Args:
         leader: Arm file.
@@ -82,7 +82,7 @@ class LeaderArm(Operator):
         arm: Connected.
         follower: Arm file of the follower.
         mode: ``joints`` or ``tool``.
-        scale: Tool to tool: metres of the follower for one of the leader.
+        scale: In the mode ``tool``: metres of the follower for one metre of the leader.
 
     Raises:
         ConfigError: The two arms share no joint.

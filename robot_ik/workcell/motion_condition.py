@@ -35,19 +35,19 @@ def condition_among(
 
 
 def motion_condition(
-    robot: Robot, file: Path | None, avoid: bool, of_arm: CollisionAvoidance | None
+    robot: Robot, file: Path | None, avoid: bool, arm_condition: CollisionAvoidance | None
 ) -> CollisionAvoidance | None:
     """Return the condition on a motion; None if it has none.
 
-    A file of obstacles comes first. A motion that shall avoid collisions and has no file takes the
-    condition of the arm file, with its scene, its ground and its margin. Without an arm file it is
-    the robot alone.
+    The obstacles of ``file`` have precedence. Without a file, an avoiding motion has the condition
+    of the arm file, with its scene, its ground and its margin. Without an arm file, the condition
+    covers collisions of the robot with itself.
 
     Args:
         robot: The robot.
         file: MJCF file of obstacles.
         avoid: Whether the motion is planned around the obstacles and the robot itself.
-        of_arm: Condition of the table ``[collisions]`` of the arm file.
+        arm_condition: Condition of the table ``[collisions]`` of the arm file.
 
     Raises:
         ModelError: The file cannot be read.
@@ -55,6 +55,6 @@ def motion_condition(
     """
     if file is None and not avoid:
         return None
-    if file is None and of_arm is not None:
-        return of_arm
+    if file is None and arm_condition is not None:
+        return arm_condition
     return condition_among(robot, file)

@@ -37,15 +37,15 @@ class ReplayResult:
     """Errors of a replay. The travel of a slide is compared as the rotation of its pinion.
 
     Attributes:
-        late: Joint with the largest tracking error.
+        lagging_joint: Joint with the largest tracking error.
         tracking_error: That error, rad (slides: m).
-        worst: Joint that ended farthest from its goal.
+        farthest_joint: Joint that ended farthest from its goal.
         final_error: That distance, rad (slides: m).
     """
 
-    late: Joint
+    lagging_joint: Joint
     tracking_error: float
-    worst: Joint
+    farthest_joint: Joint
     final_error: float
 
     def require_arrived(self) -> None:
@@ -54,11 +54,11 @@ class ReplayResult:
         Raises:
             HardwareError: A joint did not get to the end of the recording.
         """
-        if self.final_error > ARRIVED * self.worst.lever:
-            error = self.worst.text(self.final_error)
+        if self.final_error > ARRIVED * self.farthest_joint.lever:
+            error = self.farthest_joint.text(self.final_error)
             raise HardwareError(
-                f"{self.worst.name!r} ended {error} from its goal",
-                hint="is something in its way, or is it too weak?",
+                f"{self.farthest_joint.name!r} ended {error} from its goal",
+                hint="check whether an obstacle blocks it, or reduce its load",
             )
 
 
@@ -91,21 +91,22 @@ def replay(
     path = _checked_approach(arm, part, motion.q[0], guard)
     with busy("moving to the start", path.duration):
         execute(path, targets, source=part, clock=arm.clock, settle=START_SETTLE)
-    # A recording has each time once.
+    # A recorder needs increasing times, so the replay begins one cycle later.
     arm.clock.sleep_until(arm.clock.now() + 1.0 / arm.config.rate_hz)
     with busy("replaying", motion.duration):
-        done = execute(motion, targets, source=part, clock=arm.clock, settle=END_SETTLE)
-    if done.final_error is None or done.tracking_error is None:
+        execution = execute(motion, targets, source=part, clock=arm.clock, settle=END_SETTLE)
+    if execution.final_error is None or execution.tracking_error is None:
         raise RuntimeError("the motion was not measured")
     joints = part.config.joints
     # An object may hold fingers that press.
     free = [not joint.servo.presses for joint in joints]
     share = np.array(free) / [joint.lever for joint in joints]
-    error = np.abs(done.final_error)
-    late = int(np.argmax(share * done.tracking_error))
-    worst = int(np.argmax(share * error))
-    final_error = float(free[worst] * error[worst])
-    return ReplayResult(joints[late], float(done.tracking_error[late]), joints[worst], final_error)
+    error = np.abs(execution.final_error)
+    lagging = int(np.argmax(share * execution.tracking_error))
+    farthest = int(np.argmax(share * error))
+    final_error = float(free[farthest] * error[farthest])
+    tracking_error = float(execution.tracking_error[lagging])
+    return ReplayResult(joints[lagging], tracking_error, joints[farthest], final_error)
 
 
 def move_straight(arm: Arm, goal: Mapping[str, float], guard: ArmGuard, busy: Busy) -> None:

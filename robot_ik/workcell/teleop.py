@@ -53,7 +53,7 @@ class Blend:
         self.seconds = approach_profile(distance, config).duration
 
     def __call__(self, operator: Angles, now: float) -> dict[str, float]:
-        """Return the command of a moment.
+        """Return the command at a time.
 
         Args:
             operator: Values of the operator.
@@ -78,7 +78,7 @@ class TeleopReport:
         engaged: How often leader and follower were engaged.
         lost: How often the leader was lost.
         seconds: Duration.
-        delay: Median of the s from reading the leader to the follower's packet.
+        delay: Median time from reading the leader to the follower's packet, s.
         blocked: Number of commands that were limited, because parts would have touched.
         end: Reason of the end, as text.  The default stays after a failed arm or Ctrl-C.
     """
@@ -139,7 +139,7 @@ def teleoperate(
                     if guard is not None:
                         guard.begin(present)
                     report.engaged += 1
-                read = time.perf_counter()
+                read_time = time.perf_counter()
                 command = operator.command(now)
             except (UnsafeCommandError, ArmStateError):
                 raise
@@ -154,7 +154,7 @@ def teleoperate(
             else:
                 _send_guarded(follower, blend(command, now), guard, operator, report)
             if len(delays) < DELAYS:
-                delays.append(time.perf_counter() - read)
+                delays.append(time.perf_counter() - read_time)
         report.end = "ended by the operator" if over() else "end of the given time"
     finally:
         report.seconds = clock.now() - begin
@@ -179,7 +179,7 @@ def _send_guarded(
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:
-    """Command nothing until the leader is back.
+    """Send no command until the leader is back.
 
     The follower's heartbeat holds it, and later carries out ``on_stale``.  On virtual time no
     heartbeat runs, so the arm is held here at the same moment.

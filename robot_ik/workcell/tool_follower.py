@@ -27,9 +27,9 @@ ANGLE_TOLERANCE = 1e-2
 
 
 class ToolFollower:
-    """The tool of a follower, led from the last command on.
+    """Moves the tool of a follower from the pose of the last command to the next pose.
 
-    An arm with fewer degrees of freedom reaches the position with the best orientation there.
+    An arm with fewer than six degrees of freedom reaches the position with the best orientation.
 
     Args:
         config: Arm file of the follower.

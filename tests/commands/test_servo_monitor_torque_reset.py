@@ -64,6 +64,15 @@ def test_monitor_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any)
     robot_ik("servo", "monitor", *desk.at, *options).assert_one_screen_error()
 
 
+def test_torque_on_requires_a_bus(robot_ik: Any, desk: Any, ports: Any) -> None:
+    ports(desk.port)
+    run = robot_ik("servo", "torque", "on", "--arm", desk.arm)
+    run.assert_one_screen_error()
+    assert "--bus: torque on can move an arm" in run.err
+    assert desk.bus.schedule.packets == 0
+    assert robot_ik("servo", "torque", "off", "--arm", desk.arm).code == 0
+
+
 def test_torque_on_holds_and_off_lets_go(robot_ik: Any, desk: Any) -> None:
     desk.turn("joint3", 25.0)
     run = robot_ik("servo", "torque", "on", *desk.at)

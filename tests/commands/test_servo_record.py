@@ -233,10 +233,11 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
         assert child.stderr is not None and "recording" in child.stderr.readline()
         time.sleep(0.2)
         child.send_signal(signal.SIGINT)
-        _, err = child.communicate()
+        out, err = child.communicate()
     finally:
         child.kill()
     assert child.returncode == 130 and "Traceback" not in err
+    assert f"{file}: " in out and "samples" in out
     assert len(guided_recording.load_motion(file, JOINTS)) > 2
 
 

@@ -279,7 +279,7 @@ def test_the_lion_is_a_figure_of_the_command(
         ("--seconds 0", "--seconds"),
         ("--path circle --seconds nan", "--seconds"),
         ("--robot puma560", ""),
-        ("--robot lion --path circle", "--path: lion stands where it is"),
+        ("--robot lion --path circle", "--path: lion does not walk"),
         ("--camera synthetic --video a.mp4 --viewer", "--viewer"),
         ("--camera missing.mp4 --video a.mp4", "missing.mp4"),
         ("--camera synthetic --scale -1", "--scale"),

@@ -188,13 +188,13 @@ def test_a_scene_of_the_request_comes_before_that_of_the_arm_file(
 ) -> None:
     (tmp_path / "other.xml").write_text(BALL.format(radius=0.05, x=1, y=0, z=0), encoding="utf-8")
     other = tmp_path / "other.xml"
-    of_arm = rik.CollisionAvoidance(rik.Scene(robot), margin=0.004)
-    assert motion_condition(robot, None, False, of_arm) is None
-    assert motion_condition(robot, None, True, of_arm) is of_arm
+    arm_condition = rik.CollisionAvoidance(rik.Scene(robot), margin=0.004)
+    assert motion_condition(robot, None, False, arm_condition) is None
+    assert motion_condition(robot, None, True, arm_condition) is arm_condition
     alone = motion_condition(robot, None, True, None)
     assert alone is not None and alone.scene.obstacles == ()
     for avoid in (False, True):
-        given = motion_condition(robot, other, avoid, of_arm)
+        given = motion_condition(robot, other, avoid, arm_condition)
         assert given is not None and [one.name for one in given.scene.obstacles] == ["ball"]
 
 

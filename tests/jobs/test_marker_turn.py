@@ -1,4 +1,4 @@
-"""What a five-joint arm promises for the axis of a marker, and the turn that lets it meet it."""
+"""The predicted axis error of a five-joint arm, and the turn of the marker that removes it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.marker_turn import (
     SHOWN_ANGLE,
     marker_turn,
-    promise_axis,
+    predict_axis,
     require_angle,
     turn_directions,
 )
@@ -41,7 +41,7 @@ def solved(robot, marker):
 
 
 @pytest.mark.parametrize("name", ["koch_v11", "so101"])
-def test_the_arm_meets_the_axis_of_a_marker_that_is_turned_as_promised(name):
+def test_the_arm_meets_the_axis_of_a_marker_that_is_turned_as_predicted(name):
     robot = load(name)
     rng = np.random.default_rng(3)
     tried = 0
@@ -50,47 +50,47 @@ def test_the_arm_meets_the_axis_of_a_marker_that_is_turned_as_promised(name):
         goal, solution = solved(robot, marker)
         if not solution.converged or solution.error.angle < math.radians(3.0):
             continue
-        promise = promise_axis(robot, goal, solution, marker)
-        assert promise.proven
-        assert promise.angle == solution.error.angle
-        if promise.turn is None:
+        prediction = predict_axis(robot, goal, solution, marker)
+        assert prediction.proven
+        assert prediction.angle == solution.error.angle
+        if prediction.turn is None:
             continue
         tried += 1
-        after, meets = solved(robot, turned(marker, promise.turn))
+        after, meets = solved(robot, turned(marker, prediction.turn))
         assert meets.converged
         pose = robot.measure(meets.q)
         cosine = float(pose.rotation[:, 2] @ after.target.rotation[:, 2])
         assert math.acos(min(1.0, cosine)) < SHOWN_ANGLE
-        assert "turn the marker: " in promise.sentence()
+        assert "turn the marker: " in prediction.sentence()
 
 
 def test_a_marker_that_the_arm_meets_needs_no_turn():
     robot = load("so101")
     marker = reachable_marker(robot, np.random.default_rng(4))
     goal, solution = solved(robot, marker)
-    promise = promise_axis(robot, goal, solution, marker)
-    assert promise.is_met
-    assert promise.turn is None
-    require_angle(promise, 0.01, solution)
+    prediction = predict_axis(robot, goal, solution, marker)
+    assert prediction.is_met
+    assert prediction.turn is None
+    require_angle(prediction, 0.01, solution)
 
 
 def test_a_larger_angle_than_allowed_is_refused_with_the_turn():
     robot = load("so101")
     marker = turned(reachable_marker(robot, np.random.default_rng(5)), (0.2, 0.3, 0.0))
     goal, solution = solved(robot, marker)
-    promise = promise_axis(robot, goal, solution, marker)
-    assert promise.angle > math.radians(2.0)
-    require_angle(promise, None, solution)
-    require_angle(promise, promise.angle + 1e-6, solution)
+    prediction = predict_axis(robot, goal, solution, marker)
+    assert prediction.angle > math.radians(2.0)
+    require_angle(prediction, None, solution)
+    require_angle(prediction, prediction.angle + 1e-6, solution)
     with pytest.raises(NotConvergedError, match="nothing was moved") as caught:
-        require_angle(promise, math.radians(1.0), solution)
-    assert f"{math.degrees(promise.angle):.1f}° off" in str(caught.value)
+        require_angle(prediction, math.radians(1.0), solution)
+    assert f"{math.degrees(prediction.angle):.1f}° off" in str(caught.value)
 
 
 def test_other_goals_have_no_promise():
     robot = load("so101")
     goal = rik.PositionGoal(robot.tool, robot.forward(robot.home).position)
-    assert promise_axis(robot, goal, rik.solve(robot, goal), None) is None
+    assert predict_axis(robot, goal, rik.solve(robot, goal), None) is None
 
 
 def test_a_turn_without_a_free_axis_is_not_named():

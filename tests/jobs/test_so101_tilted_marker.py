@@ -38,7 +38,7 @@ def tilt(monkeypatch):
     return tilted
 
 
-class Told(Terminal):
+class RecordedTerminal(Terminal):
     """A terminal that keeps its lines."""
 
     def __init__(self) -> None:
@@ -49,26 +49,26 @@ class Told(Terminal):
         self.lines.append(text)
 
 
-def test_the_angle_is_told_before_the_motion_and_judged_against_the_promise(tilt):
+def test_the_angle_is_printed_before_the_motion_and_the_result_is_judged_against_it(tilt):
     tilt(TILT)
-    terminal = Told()
+    terminal = RecordedTerminal()
     report = Reach(robot="so101", bus="sim").run(terminal)
     assert report.ok, report.verdict
-    promise = report.promise
-    assert promise.proven
-    assert promise.angle > math.radians(2.0)
-    assert report.judged.read_back.angle == pytest.approx(promise.angle, abs=math.radians(1.0))
+    prediction = report.prediction
+    assert prediction.proven
+    assert prediction.angle > math.radians(2.0)
+    assert report.judged.read_back.angle == pytest.approx(prediction.angle, abs=math.radians(1.0))
     assert report.judged.by_camera.passed
     (line,) = [line for line in terminal.lines if "stays" in line]
-    assert line == promise.sentence()
+    assert line == prediction.sentence()
     facts = report.facts()
     assert facts["goal"]["orientation"] == "best"
-    assert facts["solution"]["angle_bound_rad"] == pytest.approx(promise.angle, abs=2e-4)
+    assert facts["solution"]["angle_bound_rad"] == pytest.approx(prediction.angle, abs=2e-4)
 
 
 def test_a_larger_angle_than_allowed_moves_nothing(tilt):
     tilt(TILT)
-    report = Reach(robot="so101", bus="sim", max_angle=1.0).run(Told())
+    report = Reach(robot="so101", bus="sim", max_angle=1.0).run(RecordedTerminal())
     assert not report.ok
     assert isinstance(report.error, NotConvergedError)
     assert report.execution is None
@@ -77,11 +77,11 @@ def test_a_larger_angle_than_allowed_moves_nothing(tilt):
 
 def test_the_arm_meets_the_marker_after_the_turn_that_the_report_names(tilt):
     tilt(TILT)
-    promise = Reach(robot="so101", bus="sim", max_angle=180.0).run(Told()).promise
+    prediction = Reach(robot="so101", bus="sim", max_angle=180.0).run(RecordedTerminal()).prediction
     turned = Pose((0.0, 0.0, 0.0), rotation_exp(TILT)).compose(
-        Pose((0.0, 0.0, 0.0), rotation_exp(promise.turn))
+        Pose((0.0, 0.0, 0.0), rotation_exp(prediction.turn))
     )
     tilt(np.asarray(turned.log()[3:]))
-    report = Reach(robot="so101", bus="sim", max_angle=1.0).run(Told())
+    report = Reach(robot="so101", bus="sim", max_angle=1.0).run(RecordedTerminal())
     assert report.ok, report.verdict
-    assert report.promise.is_met
+    assert report.prediction.is_met

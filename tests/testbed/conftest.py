@@ -1,7 +1,8 @@
-"""A page in this process, browsers that look at it, and a screen for windows."""
+"""Sessions with their page in this process, a browser, and a screen for windows."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -15,10 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import Command, Start
 from robot_ik.testbed.loop import run
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
+from tests.testbed.browser_window import measure_page
 from tests.waiting import LONG, wait_for
 
 
@@ -35,13 +38,53 @@ class Bed:
         return self.page._view
 
     def until(
-        self, holds: Callable[[View], Any], what: str = "the session never came to that"
+        self, holds: Callable[[View], Any], failure: str = "the condition never held"
     ) -> View:
-        """Waits until the session is so; fails with what it was waiting for."""
-        return wait_for(lambda: view if holds(view := self.view) else None, what)
+        """Return the first view for which ``holds(view)``; fail with ``failure`` after ``LONG``."""
+        return wait_for(lambda: view if holds(view := self.view) else None, failure)
 
     def count(self, kind: type[Command]) -> int:
         return sum(isinstance(command, kind) for command in self.sent)
+
+
+@contextlib.contextmanager
+def looped(session: Session, page: Any) -> Iterator[None]:
+    """Run the loop of a session on a thread during the block.
+
+    It draws at 15 Hz: a browser without a GPU is not faster.
+    """
+    stop = threading.Event()
+    loop = threading.Thread(
+        target=run, args=(session, page.draw, stop), kwargs={"every": 4}, name="testbed-loop"
+    )
+    loop.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        loop.join()
+
+
+@contextlib.contextmanager
+def running_bed(start: Start, port: int, arm: ArmLink | None = None) -> Iterator[Bed]:
+    """Yield a session with its page and its loop, after the first tick."""
+    from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
+
+    with (
+        Session(start, arm=arm) as session,
+        Page(session, PageServer(port=port, shadows=False)) as page,
+        looped(session, page),
+    ):
+        bed = Bed(session, page)
+        bed.until(lambda view: view.tick > 0, "the kernels were never ready")
+        yield bed
+
+
+@pytest.fixture
+def session() -> Session:
+    """A session without a window or a thread."""
+    return Session(Start(), beside=False)
 
 
 @pytest.fixture(scope="session")
@@ -68,19 +111,8 @@ def _opened() -> Iterator[Bed]:
 @pytest.fixture(scope="module")
 def bed(_opened: Bed) -> Iterator[Bed]:
     """The page with its loop, which stops at the end of a file to free the processor."""
-    stop = threading.Event()
-    loop = threading.Thread(  # drawn at 15 Hz: a browser without a GPU is no quicker
-        target=run,
-        args=(_opened.session, _opened.page.draw, stop),
-        kwargs={"every": 4},
-        name="testbed-loop",
-    )
-    loop.start()
-    try:
+    with looped(_opened.session, _opened.page):
         yield _opened
-    finally:
-        stop.set()
-        loop.join()
 
 
 @pytest.fixture(scope="session")
@@ -91,6 +123,17 @@ def guarded(_opened: Bed) -> Iterator[Any]:
 
     with Page(_opened.session, PageServer(port=8611, shadows=False, token=True)) as page:
         yield page
+
+
+@pytest.fixture(scope="module")
+def chromium(require: Callable[..., str]) -> Iterator[Any]:
+    """A headless Chromium, driven by Playwright."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright (the extra dev)")
+    path = require("browser", "opens the page")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=list(measure_page.CHROMIUM))
+        yield browser
+        browser.close()
 
 
 @dataclass(frozen=True)
@@ -109,7 +152,10 @@ class Screen:
         return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
 
     def settled(self, differs_from: Any = None) -> Any:
-        """A picture at rest that differs from ``differs_from``, or shows a window."""
+        """Return a picture that no longer changes.
+
+        It differs from the picture ``differs_from``. Without one, it shows a window.
+        """
         end = time.monotonic() + LONG
         last = self.shot()
         while time.monotonic() < end:
@@ -134,7 +180,7 @@ def changed(a: Any, b: Any) -> int:
 def screen(
     require: Callable[..., str], tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Screen]:
-    """A display of its own, on a number that the server finds free by itself."""
+    """A separate display, on a free number that the server chooses."""
     xvfb = require("xvfb", "opens the viewer window")
     reading, writing = os.pipe()
     folder = tmp_path_factory.mktemp("screen")
@@ -164,7 +210,7 @@ def screen(
         server.wait()
 
 
-# Runs one program after the other, each in a namespace of its own, and says how each ended.
+# Runs one program after the other, each in its own namespace, and prints how each ended.
 OPENER = """
 import sys, traceback
 print("ready", flush=True)
@@ -179,9 +225,9 @@ while line := sys.stdin.readline():
 
 
 class Windows:
-    """A process that opens windows on the screen: none may open in that of the tests.
+    """A process that opens windows on the screen. The process of the tests must not open any.
 
-    One for all tests, because it takes longer to start than what they do in it.
+    All tests share the process, because its start takes longer than the tests.
     """
 
     def __init__(self, screen: Screen, folder: Path) -> None:
@@ -240,11 +286,11 @@ class Windows:
 
 @pytest.fixture(scope="session")
 def opener(screen: Screen, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Windows]]:
-    made: list[Windows] = []
-    yield made
-    for one in made:
-        one.process.kill()
-        one.process.communicate()
+    opened: list[Windows] = []
+    yield opened
+    for windows in opened:
+        windows.process.kill()
+        windows.process.communicate()
 
 
 @pytest.fixture

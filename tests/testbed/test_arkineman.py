@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,19 +17,12 @@ from robot_ik.testbed.commands import (
     SetRunning,
     Start,
 )
-from robot_ik.testbed.loop import run
 from robot_ik.testbed.robot_goals import NATURAL_POSE
-from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
-from tests.testbed.conftest import Bed
-from tests.testbed.test_browser import Window, chromium, open_tab, open_window, wrong
+from tests.testbed.browser_window import Window, open_window
+from tests.testbed.conftest import Bed, running_bed
 
 pytest.importorskip("viser", reason="needs the extra web")
-from robot_ik.testbed.frontends.browser import Page
-from robot_ik.testbed.frontends.page_server import PageServer
-
-__all__ = ["chromium"]  # a fixture of ``test_browser``
-
 BALL = (0.45, -0.30, 1.25)
 """In reach of the right hand of the figure that stands at the origin, metres."""
 
@@ -38,28 +30,15 @@ BALL = (0.45, -0.30, 1.25)
 @pytest.fixture(scope="module")
 def figure_bed() -> Iterator[Bed]:
     """The figure with its page, whose loop runs on a thread."""
-    stop = threading.Event()
-    with (
-        Session(Start("humanoid")) as session,
-        Page(session, PageServer(port=8617, shadows=False)) as page,
-    ):
-        keywords = {"every": 4}
-        loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs=keywords)
-        loop.start()
-        bed = Bed(session, page)
-        try:
-            bed.until(lambda view: view.tick > 0, "kernels were never ready")
-            yield bed
-        finally:
-            stop.set()
-            loop.join()
+    with running_bed(Start("humanoid"), 8617) as bed:
+        yield bed
 
 
 @pytest.fixture(scope="module")
 def window(chromium: Any, figure_bed: Bed) -> Iterator[Window]:
     opened = open_window(chromium, figure_bed.page.url, scene=False, width=1280, height=720)
     yield opened
-    assert wrong(opened) == []
+    assert opened.errors() == []
     opened.page.close()
 
 
@@ -78,13 +57,9 @@ def hand_distance(bed: Bed, view: View) -> float:
     return min(float(np.linalg.norm(hand - view.ball.position)) for hand in hands)
 
 
-def leave_fields(window: Window) -> None:
-    window.page.evaluate("document.activeElement && document.activeElement.blur()")
-
-
 def test_one_button_begins_arkineman_in_the_picture(window: Window, figure_bed: Bed) -> None:
     page = window.page
-    open_tab(window, "AR")
+    window.open_tab("AR")
     page.get_by_role("button", name="ARKineMan").click()
     figure_bed.until(lambda view: view.figure and view.figure.mode == "active", "nothing decides")
     picture = page.get_by_role("img", name="augmented reality")
@@ -97,7 +72,7 @@ def test_one_button_begins_arkineman_in_the_picture(window: Window, figure_bed: 
 
 def test_keys_move_the_ball_along_the_axes_of_the_board(window: Window, figure_bed: Bed) -> None:
     in_mode(figure_bed, "active")
-    leave_fields(window)
+    window.blur()
     for key, axis, sign in (
         ("ArrowRight", 0, 1.0),
         ("ArrowLeft", 0, -1.0),
@@ -138,7 +113,7 @@ def test_the_mouse_drags_the_ball_in_the_picture(window: Window, figure_bed: Bed
         page.mouse.move(x + 40.0, y - 25.0, steps=4)
         page.mouse.up()
 
-    window.again(
+    window.repeat_until(
         drag,
         lambda: float(np.linalg.norm(figure_bed.view.ball.position - BALL)) > 0.05,
         "the ball was not dragged in the picture",
@@ -148,7 +123,7 @@ def test_the_mouse_drags_the_ball_in_the_picture(window: Window, figure_bed: Bed
 
 def test_delay_and_remedies_are_switched_and_shown(window: Window, figure_bed: Bed) -> None:
     page = window.page
-    open_tab(window, "AR")
+    window.open_tab("AR")
     page.get_by_role("combobox", name="delay of the tracker").select_option("200")
     page.get_by_role("switch", name="Delayed video").click(force=True)
     figures = page.locator(".rk-ar-tab .rk-stats")
@@ -162,46 +137,52 @@ def test_delay_and_remedies_are_switched_and_shown(window: Window, figure_bed: B
     )
     for name in ("Prediction", "Image shift"):
         page.get_by_role("switch", name=name).click(force=True)
-        leave_fields(window)
+        window.blur()
     assert figures.is_visible()
     wanted = {"seconds": 0.2, "sync": "latest", "predict": True, "shift": True}
     settings = figure_bed.page.ar.settings
-    window.again(lambda: None, lambda: settings() | wanted == settings(), "not all are switched")
+    window.repeat_until(
+        lambda: None, lambda: settings() | wanted == settings(), "not all are switched"
+    )
     for name in ("Prediction", "Image shift"):
         page.get_by_role("switch", name=name).click(force=True)
     page.get_by_role("switch", name="Delayed video").click(force=True)
     page.get_by_role("combobox", name="delay of the tracker").select_option("0")
     usual = {"seconds": 0.0, "sync": "tracked", "predict": False, "shift": False}
-    window.again(lambda: None, lambda: settings() | usual == settings(), "not all are back")
+    window.wait_until(lambda: settings() | usual == settings(), "not all are back")
 
 
 def test_a_marker_is_the_ball(window: Window, figure_bed: Bed) -> None:
     in_mode(figure_bed, "active")
-    open_tab(window, "AR")
+    window.open_tab("AR")
     before = np.array(figure_bed.view.ball.position)
     window.page.get_by_role("button", name="Marker", exact=True).click()
     window.page.get_by_label("Marker id").wait_for()
     figure_bed.until(lambda view: np.linalg.norm(view.ball.position - before) > 0.1)
     window.page.get_by_role("button", name="Keys, mouse").click()
-    window.again(lambda: None, lambda: figure_bed.page.ar.settings()["ball"] == "virtual", "stays")
+    window.repeat_until(
+        lambda: None, lambda: figure_bed.page.ar.settings()["ball"] == "virtual", "stays"
+    )
 
 
 def test_the_picture_goes_into_the_corner_and_away(window: Window, figure_bed: Bed) -> None:
     page = window.page
     picture = page.get_by_role("img", name="augmented reality")
-    open_tab(window, "AR")
+    window.open_tab("AR")
     page.get_by_role("button", name="Corner", exact=True).click()
     page.wait_for_function("document.querySelector('.rk-ar').getBoundingClientRect().width < 400")
-    leave_fields(window)
+    window.blur()
     page.keyboard.press("x")
     picture.wait_for(state="hidden")
-    window.again(lambda: None, lambda: not figure_bed.page.ar.is_on, "the camera is still on")
+    window.repeat_until(
+        lambda: None, lambda: not figure_bed.page.ar.is_on, "the camera is still on"
+    )
 
 
 def test_passive_mode_locks_the_ball_until_it_is_left(window: Window, figure_bed: Bed) -> None:
     in_mode(figure_bed, "active")
     page = window.page
-    leave_fields(window)
+    window.blur()
     bed = figure_bed
     window.press("i", lambda: bed.view.figure.mode == "passive", "I does not change the mode")
     bed.session.send(MoveGoal(BALL))
@@ -229,7 +210,7 @@ def test_reset_returns_figure_and_ball(window: Window, figure_bed: Bed) -> None:
     bed = figure_bed
     bed.session.send(MoveGoal(BALL))
     bed.until(lambda view: view.figure.action != "stand")
-    leave_fields(window)
+    window.blur()
     start = np.array(bed.session.robot.home)
 
     def is_back() -> bool:
@@ -253,7 +234,7 @@ def test_the_overlay_shows_ball_mode_and_decision_and_is_switched(
     assert "0.450" in ball.inner_text() and "-0.300" in ball.inner_text()
     page.get_by_text("active · follows the ball").wait_for()
     page.locator(".rk-decision").get_by_text("reach", exact=False).first.wait_for()
-    leave_fields(window)
+    window.blur()
     page.keyboard.press("l")
     ball.wait_for(state="hidden")
     page.keyboard.press("l")
@@ -263,7 +244,7 @@ def test_the_overlay_shows_ball_mode_and_decision_and_is_switched(
 def test_ccd_and_other_methods_drive_an_arm_of_the_figure(window: Window, figure_bed: Bed) -> None:
     in_mode(figure_bed, "off")
     page = window.page
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     bed = figure_bed
     robot = bed.session.robot
     legs = [
@@ -291,7 +272,7 @@ def test_ccd_and_other_methods_drive_an_arm_of_the_figure(window: Window, figure
 
 def test_the_learned_prior_is_a_goal_of_the_page(window: Window, figure_bed: Bed) -> None:
     in_mode(figure_bed, "off")
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     switch = window.page.get_by_role("switch", name=NATURAL_POSE)
     switch.click(force=True)
     figure_bed.until(
@@ -305,7 +286,7 @@ def test_the_learned_prior_is_a_goal_of_the_page(window: Window, figure_bed: Bed
 
 
 def test_robots_are_drawn_as_wire(window: Window, figure_bed: Bed) -> None:
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     window.page.get_by_role("switch", name="Wire").click(force=True)
     there = "on => Boolean(window.__viserMutable.nodeRefFromName['/robot/wire']) === on"
     window.page.wait_for_function(there, arg=True)

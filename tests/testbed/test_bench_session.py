@@ -8,7 +8,6 @@ import pytest
 from robot_ik.testbed.commands import (
     AddObstacle,
     Command,
-    CommandLog,
     MoveGoal,
     RemovePin,
     Reset,
@@ -30,17 +29,9 @@ from robot_ik.testbed.commands import (
     SetTool,
     Start,
 )
-from robot_ik.testbed.loop import replayed
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
-
-
-def view_after(session: Session, *commands: Command, ticks: int = 10) -> View:
-    for command in commands:
-        session.send(command)
-    for _ in range(ticks):
-        session.tick()
-    return session.view()
+from tests.testbed.session_runs import require_equal_replay, run_script, view_after
 
 
 def opened(robot: str = "puma560", **start: object) -> Session:
@@ -256,16 +247,9 @@ def test_the_bench_replays_to_the_same_bits() -> None:
         (110, SetCourse(6)),
         (120, SetExtraGoal("posture", True, 1, 0.1)),
     ]
-    waiting = list(script)
-    for tick in range(160):
-        while waiting and waiting[0][0] == tick:
-            session.send(waiting.pop(0)[1])
-        session.tick()
-    log = session.log()
+    log = run_script(session, script, ticks=160)
     assert len(log.commands) == len(script)
-    again = CommandLog.parse(log.text().splitlines(), "log")
-    *_, last = replayed(again)
-    assert last.view().digest() == log.digest
+    require_equal_replay(log)
 
 
 def test_the_success_distance_ends_a_solve() -> None:

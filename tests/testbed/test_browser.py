@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import re
 import threading
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -33,24 +30,14 @@ from robot_ik.testbed.commands import (
     SetRunning,
     Start,
 )
-from robot_ik.testbed.loop import run
 from robot_ik.testbed.session import Session
-from tests.doc_pages import script
-from tests.testbed.conftest import Bed
-from tests.waiting import LONG
+from tests.testbed.browser_window import Window, open_window
+from tests.testbed.conftest import Bed, looped, running_bed
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
 
-measure_page = script("measure_page")
-
-HARMLESS = (
-    "THREE.Clock: This module has been deprecated",
-    "GL Driver Message",  # software rendering is slow, says the driver
-    "Unable to preventDefault inside passive event listener invocation.",  # viser's own
-    "GL_INVALID_OPERATION: glDrawElementsInstanced",  # viser's outline, in software
-)
 BALL = (-0.45, -0.3, 0.9)
 # As the hand is turned at home: what was before must not decide whether `dls` arrives.
 TURNED = (0.258819, 0.0, -0.965926, 0.0)
@@ -65,129 +52,6 @@ AT = """async place => {
     for (let k = 0; k < 3; k++) await new Promise(requestAnimationFrame);
     return true;
 }"""
-# What the mouse is over, as the browser shows it: "pointer" over what can be dragged, else "auto".
-CURSOR = """shown => document.querySelector("canvas[data-engine]").style.cursor === shown"""
-# Where a point of the world is on the screen.
-PIXEL = """([x, y, z]) => {
-    const { camera, nodeRefFromName } = window.__viserMutable;
-    const world = nodeRefFromName["/robot"];
-    const point = world.localToWorld(camera.position.clone().set(x, y, z)).project(camera);
-    const box = document.querySelector("canvas[data-engine]").getBoundingClientRect();
-    return [box.left + (point.x + 1) / 2 * box.width, box.top + (1 - point.y) / 2 * box.height];
-}"""
-
-
-@dataclass
-class Window:
-    """A browser window that looks at the page, and all that it said and asked for."""
-
-    page: Any
-    said: list[str] = field(default_factory=list)
-    requests: list[str] = field(default_factory=list)
-
-    def pixel(self, position: Any) -> tuple[float, float]:
-        x, y = self.page.evaluate(PIXEL, [float(value) for value in position])
-        return x, y
-
-    def leave_fields(self) -> None:
-        """To the scene: while somebody types in a field, letters are no keys of the page."""
-        self.page.evaluate("document.activeElement && document.activeElement.blur()")
-        self.page.locator("canvas[data-engine]").hover()
-
-    def drag(
-        self,
-        position: Callable[[], Any],
-        way: tuple[float, float],
-        came: Callable[[], bool],
-        what: str,
-    ) -> None:
-        """Drags what the browser draws at ``position``, a point of the world, by ``way`` pixels.
-
-        Where frames are late, one may miss the press.
-        """
-        end = time.monotonic() + LONG
-        self.again(lambda: self._drag_once(position, way, end), came, what)
-
-    def press(self, key: str, came: Callable[[], bool], what: str, on: Any = None) -> None:
-        """Presses a key, with the focus ``on`` a widget or where it is."""
-
-        def once() -> None:
-            if on is not None:
-                on.focus()
-            self.page.keyboard.press(key)
-
-        self.again(once, came, what)
-
-    def again(self, act: Callable[[], None], came: Callable[[], bool], what: str) -> None:
-        """Acts until it ``came`` to the session: a busy browser may have lost its connection."""
-        end = time.monotonic() + LONG
-        while not came():
-            assert time.monotonic() < end, what
-            act()
-            for _ in range(100):
-                if not came():
-                    self.page.wait_for_timeout(100)
-
-    def _drag_once(self, position: Callable[[], Any], way: tuple[float, float], end: float) -> None:
-        """A press needs a hover ray first, and what is drawn may be behind the session.
-
-        The mouse goes there until the browser shows that it is over something that can be dragged.
-        """
-        mouse = self.page.mouse
-        mouse.move(10, self.page.viewport_size["height"] - 10)
-        self.page.wait_for_function(CURSOR, arg="auto")
-        while True:
-            begin = self.pixel(position())
-            mouse.move(*begin)
-            self.page.wait_for_timeout(300)
-            if self.page.evaluate(CURSOR, "pointer"):
-                break
-            assert time.monotonic() < end, f"nothing to drag is drawn at {begin}"
-            mouse.move(begin[0] + 1, begin[1])
-        mouse.down()
-        for k in range(1, 5):
-            mouse.move(begin[0] + way[0] * k / 4, begin[1] + way[1] * k / 4)
-            self.page.wait_for_timeout(60)
-        mouse.up()
-
-
-@pytest.fixture(scope="module")
-def chromium(require: Callable[..., str]) -> Iterator[Any]:
-    sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright (the extra dev)")
-    path = require("browser", "opens the page")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(measure_page.CHROMIUM))
-        yield browser
-        browser.close()
-
-
-INTRO_SEEN = "localStorage.setItem('robot_ik.intro.seen', '1')"
-
-
-def open_window(
-    chromium: Any,
-    url: str,
-    *,
-    scene: bool,
-    width: int = 1000,
-    height: int = 560,
-    first_visit: bool = False,
-) -> Window:
-    """Opens the page. It waits for the scene, or only for the panel."""
-    page = chromium.new_page(viewport={"width": width, "height": height})
-    page.set_default_timeout(1e3 * LONG)
-    if not first_visit:
-        page.add_init_script(INTRO_SEEN)
-    window = Window(page)
-    page.on("console", lambda message: window.said.append(f"{message.type}: {message.text}"))
-    page.on("pageerror", lambda error: window.said.append(f"error: {error}"))
-    page.on("request", lambda request: window.requests.append(request.url))
-    page.goto(url)
-    page.get_by_role("button", name="STOP").wait_for()
-    page.get_by_role("tab", name="Methods", exact=True).wait_for()
-    if scene:
-        page.wait_for_function(measure_page.DRAWN)
-    return window
 
 
 @pytest.fixture(scope="module")
@@ -227,12 +91,8 @@ def test_all_requests_go_to_the_program(window: Window, bed: Bed) -> None:
     assert len(asked) > 10 and all(url.startswith(bed.page.url) for url in asked)
 
 
-def open_tab(window: Window, name: str) -> None:
-    window.page.get_by_role("tab", name=name, exact=True).click()
-
-
 def test_the_card_says_in_words_and_numbers_how_the_method_does(window: Window) -> None:
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     card = window.page.locator(".rk-method").first
     card.get_by_text("ball met", exact=True).wait_for()
     card.get_by_text(re.compile(r"^0\.\d\d")).first.wait_for()
@@ -241,7 +101,7 @@ def test_the_card_says_in_words_and_numbers_how_the_method_does(window: Window) 
 
 
 def test_a_slider_changes_the_solvers_option(window: Window, bed: Bed) -> None:
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     window.page.get_by_role("button", name="parameters of robot 1").click()
     slider = window.page.get_by_role("slider", name="damping", exact=True).first
     before = dict(bed.view.instances[0].options)
@@ -255,7 +115,7 @@ def test_a_slider_changes_the_solvers_option(window: Window, bed: Bed) -> None:
 
 
 def test_a_menu_changes_the_method(window: Window, bed: Bed) -> None:
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     menu = window.page.get_by_role("combobox", name="method of robot 1")
     window.page.wait_for_function("menu => menu.value === 'dls'", arg=menu.element_handle())
     menu.select_option("ccd")
@@ -306,7 +166,7 @@ def test_keys_move_the_ball_and_not_the_camera_until_c_is_pressed(window: Window
     assert bed.sent == []
     window.page.keyboard.press("c")
     window.page.locator(".rk-hint").get_by_text("keys move the camera").wait_for()
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     window.page.get_by_role("button", name="Fit the camera").click()
     window.page.wait_for_function(
         "before => window.__viserMutable.camera.position.toArray().every("
@@ -343,7 +203,7 @@ def test_dragging_a_link_takes_the_arm_along(window: Window, bed: Bed) -> None:
 
 
 def test_a_joint_bar_turns_its_joint_and_the_ball_follows(window: Window, bed: Bed) -> None:
-    open_tab(window, "Joints")
+    window.open_tab("Joints")
     bar = window.page.get_by_role("slider", name="joint2", exact=True)
     box = bar.bounding_box()
     before = bed.view
@@ -370,7 +230,7 @@ def test_key_poses_are_recorded_scrubbed_and_played(window: Window, bed: Bed) ->
     page.get_by_role("button", name="Record pose").click()
     bed.until(lambda view: len(view.timeline.times) == 1)
     first = bed.view.instances[0].q
-    open_tab(window, "Joints")
+    window.open_tab("Joints")
     value = page.get_by_role("textbox", name="value of joint1")
     value.fill("40")
     value.press("Enter")
@@ -393,7 +253,7 @@ def test_key_poses_are_recorded_scrubbed_and_played(window: Window, bed: Bed) ->
         lambda view: view.timeline.now == 1.0 and not view.timeline.playing, "it does not play"
     )
     assert bed.view.instances[0].q[0] == pytest.approx(np.radians(40.0), abs=1e-9)
-    open_tab(window, "Record")
+    window.open_tab("Record")
     for _ in range(2):
         page.get_by_role("button", name="remove pose").first.click()
         page.wait_for_timeout(200)
@@ -401,7 +261,7 @@ def test_key_poses_are_recorded_scrubbed_and_played(window: Window, bed: Bed) ->
 
 
 def test_an_obstacle_is_added_measured_and_removed(window: Window, bed: Bed) -> None:
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     window.page.get_by_role("button", name="Cylinder").click()
     window.page.get_by_role("cell", name="cylinder 1", exact=True).wait_for()
     window.page.get_by_role("cell", name=re.compile("cm to|touches")).wait_for()
@@ -429,7 +289,7 @@ def test_a_mesh_that_the_arm_touches_turns_the_parts_red_with_the_depth(
     window: Window, bed: Bed
 ) -> None:
     page = window.page
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     file = {"name": "cube.obj", "mimeType": "text/plain", "buffer": CUBE.encode()}
     page.get_by_label("mesh file").set_input_files(file)
     page.get_by_role("cell", name=re.compile("^cube ")).wait_for()
@@ -452,7 +312,7 @@ def test_a_mesh_that_the_arm_touches_turns_the_parts_red_with_the_depth(
 
 def test_a_motion_is_planned_shown_scrubbed_and_played(window: Window, bed: Bed) -> None:
     page = window.page
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     page.get_by_role("button", name="Plan to the ball").click()
     page.get_by_text("proven to keep 3 mm").wait_for()
     view = bed.until(lambda view: view.plan.state == "found")
@@ -465,6 +325,8 @@ def test_a_motion_is_planned_shown_scrubbed_and_played(window: Window, bed: Bed)
             "the slider does not show its end",
             on=slider,
         )
+    page.locator(".rk-mode").get_by_text("at the goal of the plan").wait_for()
+    page.locator(".rk-state").get_by_text("on the planned motion").wait_for()
     home = bed.session.robot.home
     bed.until(lambda view: np.allclose(view.instances[0].q, home, atol=1e-9))
     page.get_by_role("button", name="Play the planned motion").click()
@@ -478,7 +340,7 @@ def test_a_motion_is_planned_shown_scrubbed_and_played(window: Window, bed: Bed)
 
 def test_the_reach_is_a_cloud_or_a_shell_with_its_scale(window: Window, bed: Bed) -> None:
     page = window.page
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     node = "window.__viserMutable.nodeRefFromName['/robot/reach_map']"
     for name in ("Cloud", "Shell"):
         page.get_by_role("button", name=name, exact=True).click()
@@ -490,7 +352,7 @@ def test_the_reach_is_a_cloud_or_a_shell_with_its_scale(window: Window, bed: Bed
 
 
 def test_a_file_is_saved_by_the_browser(window: Window) -> None:
-    open_tab(window, "Record")
+    window.open_tab("Record")
     with window.page.expect_download() as download:
         window.page.get_by_role("button", name="Save the command log").click()
     assert download.value.suggested_filename == "testbed.jsonl"
@@ -499,7 +361,7 @@ def test_a_file_is_saved_by_the_browser(window: Window) -> None:
 
 
 def test_compare_four_shows_four_cards_and_labels(window: Window, bed: Bed) -> None:
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     window.leave_fields()
     window.press("4", lambda: bed.view.count == 4, "there are not four")
     for k, name in enumerate(("dls", "lm", "pseudoinverse", "ccd")):
@@ -612,7 +474,7 @@ def test_every_control_asks_for_something(chromium: Any, bed: Bed) -> None:
     window = open_window(chromium, bed.page.url, scene=False, width=1280, height=800)
     count, silent = window.page.evaluate(CONTROLS)
     assert count > 60 and silent == []
-    assert wrong(window) == []
+    assert window.errors() == []
     window.page.close()
 
 
@@ -634,19 +496,11 @@ def test_a_second_browser_watches_and_its_stop_works(
     bed.until(lambda view: not view.running, "a watcher's STOP does nothing")
     assert window.page.get_by_text("You watch.").is_hidden()
     page.close()
-    assert wrong(watcher) == []
-
-
-def wrong(window: Window) -> list[str]:
-    return [
-        line
-        for line in window.said
-        if line.startswith(("error", "warning")) and not any(text in line for text in HARMLESS)
-    ]
+    assert watcher.errors() == []
 
 
 def test_no_error_was_said_by_any_of_this(window: Window) -> None:
-    assert wrong(window) == []
+    assert window.errors() == []
 
 
 def test_the_page_opens_with_its_token(chromium: Any, guarded: Any) -> None:
@@ -658,40 +512,16 @@ def test_the_page_opens_with_its_token(chromium: Any, guarded: Any) -> None:
 @pytest.fixture
 def arm_bed(real_time: None) -> Iterator[Bed]:
     """A session with simulated servos, its page, and its loop on a thread."""
-    with (
-        Session(Start("tabletop_puma"), arm=arm_link("tabletop_puma", None, "sim")) as session,
-        Page(session, PageServer(port=8612, shadows=False)) as page,
-        looped(session, page),
-    ):
-        bed = Bed(session, page)
-        bed.until(lambda view: view.tick > 0, "kernels were never ready")
+    link = arm_link("tabletop_puma", None, "sim")
+    with running_bed(Start("tabletop_puma"), 8612, link) as bed:
         yield bed
 
 
 @pytest.fixture(scope="module")
 def plain_bed() -> Iterator[Bed]:
     """Another session without servos, its page, and its loop on a thread."""
-    with (
-        Session(Start("tabletop_puma")) as session,
-        Page(session, PageServer(port=8614, shadows=False)) as page,
-        looped(session, page),
-    ):
-        bed = Bed(session, page)
-        bed.until(lambda view: view.tick > 0, "kernels were never ready")
+    with running_bed(Start("tabletop_puma"), 8614) as bed:
         yield bed
-
-
-@contextlib.contextmanager
-def looped(session: Session, page: Page) -> Iterator[None]:
-    """The loop of a session, on a thread as long as the block runs."""
-    stop = threading.Event()
-    loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})
-    loop.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        loop.join()
 
 
 WIDTHS = (390, 1000, 1280, 1920)
@@ -722,7 +552,7 @@ def test_stop_has_one_place_at_every_width_and_above_every_dialog(
     plain_bed.session.report("a message of many lines " * 20)
     page.get_by_text("a message of many lines").wait_for()
     for name in ("Joints", "Goals", "Arm", "Scene", "Record"):
-        open_tab(window, name)
+        window.open_tab(name)
         assert stop.bounding_box() == before
     page.reload()
     page.get_by_role("tab", name="Methods", exact=True).wait_for()
@@ -782,7 +612,7 @@ def test_a_robot_is_chosen_in_the_gallery(chromium: Any, plain_bed: Bed) -> None
     gallery.locator("[data-robot=srs_arm]").click()
     plain_bed.until(lambda view: view.robot == "srs_arm", "the robot stayed")
     page.get_by_role("button", name="robot", exact=True).get_by_text("srs arm").wait_for()
-    assert wrong(window) == []
+    assert window.errors() == []
     window.page.close()
 
 
@@ -804,13 +634,13 @@ def test_pictures_of_the_camera_follow_each_other(chromium: Any, plain_bed: Bed)
         )
         window.page.keyboard.press("v")
         image.wait_for(state="hidden")
-        assert wrong(window) == []
+        assert window.errors() == []
         window.page.close()
 
 
 def test_hold_after_torque_off_says_that_the_arm_is_limp(chromium: Any, arm_bed: Bed) -> None:
     window = open_window(chromium, arm_bed.page.url, scene=False)
-    open_tab(window, "Arm")
+    window.open_tab("Arm")
     for button, holds in (
         ("Follow", lambda view: view.arm.state == "enabled"),
         ("Torque off", lambda view: view.arm.mode == "release" and view.arm.limp),

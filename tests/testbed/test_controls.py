@@ -305,7 +305,7 @@ def test_a_mesh_file_becomes_the_command_of_its_hull(
     for name, content, problem in (
         ("cup.dae", "", "not a mesh file"),
         ("cup.stl", "AAAA", "cannot be an obstacle"),
-        ("cup.stl", "?", "did not arrive whole"),
+        ("cup.stl", "?", "was not uploaded completely"),
     ):
         client.action("load_mesh", file=name, base64=content)
         client.until(lambda one, problem=problem: any(problem in text for text in one.notices))

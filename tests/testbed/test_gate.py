@@ -26,12 +26,10 @@ from robot_ik.errors import CameraError
 from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.camera_picture import CameraPicture
 from robot_ik.testbed.commands import COMMANDS, SetCount, SetRunning, Start
-from robot_ik.testbed.loop import run
-from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 from tests.memory import resident_memory
 from tests.testbed.channel_client import ChannelClient
-from tests.testbed.conftest import Bed
+from tests.testbed.conftest import Bed, running_bed
 from tests.waiting import LONG, wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
@@ -536,7 +534,7 @@ def test_a_page_gets_the_next_picture_when_it_has_shown_the_last(bed: Bed) -> No
         quick.until(lambda one: "role" in one.latest)
         slow.until(lambda one: "role" in one.latest)
         for k in range(3):
-            channel.picture(b"%d" % k)
+            channel.send_picture(b"%d" % k)
             quick.until(lambda one, k=k: one.pictures and one.pictures[-1] == b"%d" % k)
             quick.send({"shown": k})
             quick.command("set_running", running=False)  # STOP: its effect shows that it was read
@@ -548,36 +546,22 @@ def test_a_page_gets_the_next_picture_when_it_has_shown_the_last(bed: Bed) -> No
 
 def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: None) -> None:
     """By a real serial line; the page that drove is a browser whose connection breaks."""
-    from robot_ik.testbed.frontends.browser import Page
-    from robot_ik.testbed.frontends.page_server import PageServer
-
     link = arm_link("tabletop_puma", None, "pty")
-    stop = threading.Event()
-    with (
-        Session(Start("tabletop_puma"), arm=link) as session,
-        Page(session, PageServer(port=8613, shadows=False)) as page,
-    ):
-        bed = Bed(session, page)
-        loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})
-        loop.start()
-        try:
-            bed.until(lambda view: not view.busy and view.tick > 0)
-            for lose in (ChannelClient.close, lambda client: client.action("hand_over")):
-                with ChannelClient(page.url) as client:
-                    client.command("set_arm", state="follow")
-                    bed.until(lambda view: arm_is("enabled", view), "it does not follow")
-                    lose(client)
-                    bed.until(
-                        lambda view: arm_is("hold", view) and view.arm.mode == "hold",
-                        "it goes on following a page that is gone",
-                    )
-        finally:
-            stop.set()
-            loop.join()
+    with running_bed(Start("tabletop_puma"), 8613, link) as bed:
+        bed.until(lambda view: not view.busy)
+        for lose in (ChannelClient.close, lambda client: client.action("hand_over")):
+            with ChannelClient(bed.page.url) as client:
+                client.command("set_arm", state="follow")
+                bed.until(lambda view: arm_is("enabled", view), "the arm does not follow")
+                lose(client)
+                bed.until(
+                    lambda view: arm_is("hold", view) and view.arm.mode == "hold",
+                    "the arm still follows after its page has left",
+                )
 
 
 def arm_is(state: str, view: View) -> bool:
-    """Whether it is so; a fault ends the waiting."""
+    """Return whether the arm is in a state. A fault ends the waiting."""
     if view.arm is None:
         return False
     assert view.arm.state != "fault", view.arm

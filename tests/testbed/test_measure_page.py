@@ -24,7 +24,7 @@ from tests.waiting import LONG
 bench = script("measure_page")
 
 
-def test_what_errors_its_target_or_was_not_measured_is_said(
+def test_values_beyond_their_target_or_not_measured_are_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = [

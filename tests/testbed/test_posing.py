@@ -16,7 +16,6 @@ from robot_ik.testbed.commands import (
     AddMesh,
     AddObstacle,
     Command,
-    CommandLog,
     LoadPoses,
     MoveGoal,
     MoveObstacle,
@@ -41,25 +40,11 @@ from robot_ik.testbed.commands import (
     SetRunning,
     Start,
 )
-from robot_ik.testbed.loop import replayed
 from robot_ik.testbed.obstacles import MAX_OBSTACLES
 from robot_ik.testbed.robot_goals import first_ball
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.timeline import MIN_INTERVAL, Timeline
-from robot_ik.testbed.view import View
-
-
-def view_after(session: Session, *commands: Command, ticks: int = 10) -> View:
-    for command in commands:
-        session.send(command)
-    for _ in range(ticks):
-        session.tick()
-    return session.view()
-
-
-@pytest.fixture
-def session() -> Session:
-    return Session(Start(), beside=False)
+from tests.testbed.session_runs import require_equal_replay, run_script, view_after
 
 
 def test_a_joint_is_set_and_the_ball_goes_to_the_tool(session: Session) -> None:
@@ -347,12 +332,4 @@ def test_posing_replays_to_the_same_bits(session: Session) -> None:
         (140, SetRestarts(False)),
         (150, RemoveObstacle(0)),
     ]
-    waiting = list(script)
-    for tick in range(180):
-        while waiting and waiting[0][0] == tick:
-            session.send(waiting.pop(0)[1])
-        session.tick()
-    log = session.log()
-    again = CommandLog.parse(log.text().splitlines(), "log")
-    *_, last = replayed(again)
-    assert last.view().digest() == log.digest
+    require_equal_replay(run_script(session, script, ticks=180))

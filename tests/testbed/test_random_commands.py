@@ -9,8 +9,8 @@ import pytest
 
 from robot_ik.testbed import commands
 from robot_ik.testbed.commands import COMMANDS, Command, CommandLog, Start
-from robot_ik.testbed.loop import replayed
 from robot_ik.testbed.session import Session
+from tests.testbed.session_runs import require_equal_replay, view_after
 
 ROBOTS = ("puma560", "ur5e", "srs_arm", "humanoid")
 METHODS = ("dls", "lm", "ccd", "analytic", "auto")
@@ -77,8 +77,15 @@ def random_command(rng: np.random.Generator) -> Command:
         "play_timeline": lambda: (flag(),),
         "load_poses": lambda: ("schema = 1\n",),
         "add_obstacle": lambda: (choice(("box", "sphere", "cylinder")),),
+        "add_mesh": lambda: ("wedge", tuple(point(0.1) for _ in range(5))),
+        "resize_obstacle": lambda: (whole(4), tuple(rng.uniform(0.05, 0.5, 3).tolist())),
         "move_obstacle": lambda: (whole(4), point(0.8)),
         "remove_obstacle": lambda: (whole(4),),
+        "mark_plan_start": lambda: (),
+        "plan_motion": lambda: (),
+        "play_plan": lambda: (flag(),),
+        "scrub_plan": lambda: (number(0.0, 4.0),),
+        "remove_plan": lambda: (),
     }
     assert set(arguments) == set(COMMANDS), "give the new command random arguments here"
     name = str(choice(tuple(arguments)))
@@ -90,18 +97,9 @@ def random_session(seed: int, count: int) -> CommandLog:
     rng = np.random.default_rng(seed)
     with Session(Start(), beside=False) as session:
         for _ in range(count):
-            session.send(random_command(rng))
-            for _ in range(TICKS_PER_COMMAND):
-                session.tick()
-            view = session.view()
+            view = view_after(session, random_command(rng), ticks=TICKS_PER_COMMAND)
             assert all(np.isfinite(instance.q).all() for instance in view.instances)
         return session.log()
-
-
-def require_equal_replay(log: CommandLog) -> None:
-    """A log that is read from its text replays to the same bits."""
-    *_, session = replayed(CommandLog.parse(log.text().splitlines(), "log"))
-    assert session.view().digest() == log.digest
 
 
 def test_random_commands_replay_to_the_same_bits() -> None:

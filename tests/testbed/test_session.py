@@ -71,19 +71,7 @@ from robot_ik.testbed.loop import replayed, run
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 from tests.memory import resident_memory
-
-
-def view_after(session: Session, *commands: Command, ticks: int = 30) -> View:
-    for command in commands:
-        session.send(command)
-    for _ in range(ticks):
-        session.tick()
-    return session.view()
-
-
-@pytest.fixture
-def session() -> Session:
-    return Session(Start(), beside=False)
+from tests.testbed.session_runs import run_script, view_after
 
 
 def test_the_arm_follows_the_curve_from_the_first_tick(session: Session) -> None:
@@ -426,12 +414,7 @@ SCRIPT: list[tuple[int, Command]] = [
 
 
 def test_a_log_replays_to_the_same_bits(session: Session, tmp_path: Path) -> None:
-    waiting = list(SCRIPT)
-    for tick in range(150):
-        while waiting and waiting[0][0] == tick:
-            session.send(waiting.pop(0)[1])
-        session.tick()
-    log = session.log()
+    log = run_script(session, SCRIPT, ticks=150)
     log.save(tmp_path / "bug.jsonl")
     again = CommandLog.load(tmp_path / "bug.jsonl")
     assert again == log and [command for _, command in again.commands] == [

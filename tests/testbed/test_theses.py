@@ -5,7 +5,6 @@ docs/theory/theses.md names the test of each row.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,19 +25,12 @@ from robot_ik.testbed.commands import (
     SetRunning,
     Start,
 )
-from robot_ik.testbed.loop import run
-from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
-from tests.testbed.conftest import Bed
-from tests.testbed.test_browser import PIXEL, Window, chromium, open_tab, open_window, wrong
+from tests.testbed.browser_window import PIXEL, Window, open_window
+from tests.testbed.conftest import Bed, running_bed
 from tests.waiting import wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
-from robot_ik.testbed.frontends.browser import Page
-from robot_ik.testbed.frontends.page_server import PageServer
-
-__all__ = ["chromium"]  # a fixture of ``test_browser``
-
 FRAMES = 60
 """Frames of a case: the page takes 1000."""
 
@@ -46,28 +38,15 @@ FRAMES = 60
 @pytest.fixture(scope="module")
 def bench() -> Iterator[Bed]:
     """A session with its page, whose loop runs on a thread."""
-    stop = threading.Event()
-    with (
-        Session(Start("seven_segment", count=2)) as session,
-        Page(session, PageServer(port=8618, shadows=False)) as page,
-    ):
-        bed = Bed(session, page)
-        keywords = {"every": 4}
-        loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs=keywords)
-        loop.start()
-        try:
-            bed.until(lambda view: view.tick > 0, "kernels were never ready")
-            yield bed
-        finally:
-            stop.set()
-            loop.join()
+    with running_bed(Start("seven_segment", count=2), 8618) as bed:
+        yield bed
 
 
 @pytest.fixture(scope="module")
 def window(chromium: Any, bench: Bed) -> Iterator[Window]:
     opened = open_window(chromium, bench.page.url, scene=True, width=1280, height=800)
     yield opened
-    assert wrong(opened) == []
+    assert opened.errors() == []
     opened.page.close()
 
 
@@ -93,7 +72,7 @@ def shown(bench: Bed, robot: str, count: int = 1) -> View:
 
 def test_a_click_on_the_name_of_a_method_unfolds_its_parameters(window: Window, bench: Bed) -> None:
     shown(bench, "seven_segment", 2)
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     name = window.page.get_by_role("button", name="parameters of robot 2")
     slider = window.page.locator(".rk-method").nth(1).get_by_role("slider", name="max iterations")
     assert slider.is_hidden()
@@ -107,7 +86,7 @@ def test_each_robot_has_its_method_options_attempts_distance_and_limits(
     window: Window, bench: Bed
 ) -> None:
     shown(bench, "seven_segment", 2)
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     page = window.page
     second = page.locator(".rk-method").nth(1)
     second.get_by_role("combobox", name="method of robot 2").select_option("dls")
@@ -152,7 +131,7 @@ def test_keys_show_one_two_or_four_robots(window: Window, bench: Bed) -> None:
 
 def test_the_ball_goes_by_hand_on_a_curve_and_at_random(window: Window, bench: Bed) -> None:
     shown(bench, "seven_segment", 1)
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     page = window.page
     page.get_by_role("button", name="On a curve").click()
     bench.until(lambda view: view.motion == "curve")
@@ -181,7 +160,7 @@ def test_statistics_show_time_attempts_solved_and_the_largest_jump(
     window: Window, bench: Bed
 ) -> None:
     shown(bench, "seven_segment", 1)
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     bench.session.send(SetMotion("curve"))
     view = bench.until(lambda view: view.instances[0].statistics.count > 60)
     card = window.page.locator(".rk-method").first
@@ -208,7 +187,7 @@ def test_a_ball_out_of_reach_leaves_the_arm_calm(window: Window, bench: Bed) -> 
     bench.session.send(SetGoalKind("position"))
     bench.session.send(MoveGoal((9.0, 9.0, 3.0)))
     bench.until(lambda view: view.instances[0].status == "unreachable", "it is not proven")
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     window.page.locator(".rk-word").first.get_by_text("unreachable").wait_for()
     now = bench.view.now
     q = bench.until(lambda view: view.now > now + 4.0).instances[0].q
@@ -219,7 +198,7 @@ def test_a_ball_out_of_reach_leaves_the_arm_calm(window: Window, bench: Bed) -> 
 
 def test_one_few_or_all_steps_in_a_frame(window: Window, bench: Bed) -> None:
     shown(bench, "seven_segment", 1)
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     bench.session.send(SetMotion("random"))
     window.page.get_by_role("button", name="parameters of robot 1").click()
     field = window.page.get_by_role("textbox", name="max iterations as a number")
@@ -234,7 +213,7 @@ def test_one_few_or_all_steps_in_a_frame(window: Window, bench: Bed) -> None:
 
 def test_a_button_runs_the_four_cases_and_shows_table_4_1(window: Window, bench: Bed) -> None:
     shown(bench, "puma560", 1)
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     page = window.page
     run_cases = page.get_by_role("button", name="Run the four cases")
     page.evaluate(
@@ -267,7 +246,7 @@ def test_a_button_runs_the_four_cases_and_shows_table_4_1(window: Window, bench:
 
 def test_the_lions_paw_follows_the_ball(window: Window, bench: Bed) -> None:
     shown(bench, "lion")
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     page = window.page
     page.get_by_role("combobox", name="effector").select_option("front_right_paw")
     view = bench.until(lambda view: view.tool == "front_right_paw", "the nose stays the effector")
@@ -296,7 +275,7 @@ def click_part(window: Window, bench: Bed, body: str) -> None:
 def test_base_and_effector_are_chosen_by_clicks_on_parts(window: Window, bench: Bed) -> None:
     shown(bench, "puma560")
     page = window.page
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     page.wait_for_function("() => window.__viserMutable.nodeRefFromName['/robot/ball']")
     pick = page.get_by_role("button", name="Choose the effector by a click on a part")
     before = bench.view.tool
@@ -307,7 +286,7 @@ def test_base_and_effector_are_chosen_by_clicks_on_parts(window: Window, bench: 
         page.get_by_text("Click the part that follows the ball.").wait_for()
         click_part(window, bench, "link4")
 
-    window.again(choose, lambda: bench.view.tool != before, "no part was chosen")
+    window.repeat_until(choose, lambda: bench.view.tool != before, "no part was chosen")
     tool = bench.view.tool
     body = bench.session.robot.frame(tool).body
     assert bench.session.robot.model.body(body).name.startswith("link")
@@ -323,7 +302,7 @@ def test_base_and_effector_are_chosen_by_clicks_on_parts(window: Window, bench: 
 def test_pins_hold_frames_with_weights_and_priorities(window: Window, bench: Bed) -> None:
     shown(bench, "humanoid")
     page = window.page
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     bench.session.send(SetMethod(0, "lm"))
     bench.until(lambda view: view.instances[0].method == "lm" and not view.busy)
     page.get_by_role("combobox", name="frame to pin").select_option("left_hand")
@@ -346,7 +325,7 @@ def test_pins_hold_frames_with_weights_and_priorities(window: Window, bench: Bed
 def test_weights_and_priorities_of_goals(window: Window, bench: Bed) -> None:
     shown(bench, "humanoid")
     page = window.page
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     weight = page.get_by_role("textbox", name="weight of posture")
     weight.fill("0.2")
     weight.press("Enter")
@@ -370,7 +349,7 @@ def test_weights_and_priorities_of_goals(window: Window, bench: Bed) -> None:
 def test_every_kind_of_goal_is_on_the_page(kind: str, window: Window, bench: Bed) -> None:
     if bench.view.robot != "puma560" or bench.view.base:
         shown(bench, "puma560")
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     window.page.get_by_role("combobox", name="what the ball asks").select_option(kind)
     bench.until(lambda view: view.kind == kind and not view.busy, kind)
     bench.until(lambda view: view.instances[0].met, "the method does not serve it")
@@ -379,7 +358,7 @@ def test_every_kind_of_goal_is_on_the_page(kind: str, window: Window, bench: Bed
 def test_stiffness_is_set_by_a_slider(window: Window, bench: Bed) -> None:
     shown(bench, "puma560")
     page = window.page
-    open_tab(window, "Joints")
+    window.open_tab("Joints")
     page.get_by_text("Stiffness of the joints").click()
     slider = page.get_by_role("slider", name="joint2", exact=True).last
     slider.focus()
@@ -401,7 +380,7 @@ def test_a_chain_is_opened_from_the_gallery(window: Window, bench: Bed) -> None:
 def test_courses_run_and_say_where_the_goal_was_lost(window: Window, bench: Bed) -> None:
     shown(bench, "puma560")
     page = window.page
-    open_tab(window, "Methods")
+    window.open_tab("Methods")
     for number, joints in ((1, 3), (6, 5), (13, 2)):
         page.get_by_role("button", name=f"course {number}", exact=True).click()
         view = bench.until(lambda view, number=number: view.course and view.course.number == number)
@@ -428,7 +407,7 @@ def test_a_dragged_part_shows_the_pull(window: Window, bench: Bed) -> None:
 def test_shell_regions_and_test_cube_are_drawn(window: Window, bench: Bed) -> None:
     shown(bench, "humanoid")
     page = window.page
-    open_tab(window, "Scene")
+    window.open_tab("Scene")
     shell = "name => window.__viserMutable.nodeRefFromName[name]"
     pictures = page.get_by_role("group", name="reach")
     pictures.get_by_role("button", name="Space", exact=True).click()
@@ -452,6 +431,6 @@ def test_a_base_is_kept_when_a_page_is_loaded_again(window: Window, bench: Bed) 
     bench.session.send(SetBase("link2"))
     bench.until(lambda view: view.base == "link2")
     window.page.reload()
-    open_tab(window, "Goals")
+    window.open_tab("Goals")
     base = window.page.get_by_role("combobox", name="base")
     window.page.wait_for_function("menu => menu.value === 'link2'", arg=base.element_handle())

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import itertools
 import os
+import subprocess
 import sys
+import termios
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -341,3 +344,34 @@ def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(
         assert "ended by the operator" in capsys.readouterr().out
         assert main([*words, "--seconds", "0.3"]) == 0
         assert "end of the given time" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
+def test_the_keys_of_a_terminal_have_one_reader() -> None:
+    """If the keys lead, the space bar is one of them, and no second thread takes keys away."""
+    keys, terminal = os.openpty()
+    words = "teleop --follower tabletop_puma --follower-bus sim --on-exit torque_off"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "robot_ik", *words.split()],
+        stdin=terminal,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+    lines = []
+    try:
+        for line in child.stderr:
+            lines.append(line.strip())
+            if line.strip().endswith("Esc ends"):
+                break
+        os.write(keys, b"\x1b")
+        out, err = child.communicate()
+    finally:
+        child.kill()
+        os.close(keys)
+        os.close(terminal)
+    assert child.returncode == 0, err
+    assert "ended by the operator" in out
+    assert "space: stop and hold" not in [*lines, *err.splitlines()]

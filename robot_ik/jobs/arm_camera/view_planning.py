@@ -261,10 +261,10 @@ def _candidates(
     task: ViewTask,
     condition: CollisionAvoidance,
     start: Array,
-    wanted: int,
+    count: int,
     seed: int,
 ) -> list[tuple[Array, Array]]:
-    """Return configurations (nq,) and the information (12, 12) of each."""
+    """Return at most ``count`` configurations (nq,) and the information (12, 12) of each."""
     rng = np.random.default_rng(seed)
     aim = PoseGoal(task.frame, robot.forward(start, task.frame).position, (1.0, 0.0, 0.0, 0.0))
     problem = Problem(robot, aim, solver="lm", tolerance=_NEAR, budget=_TRY, seed=seed)
@@ -273,7 +273,7 @@ def _candidates(
         if attempt == _HOPELESS and not candidates:
             break
         near = robot.clip(start + rng.uniform(*_SHARES) * (robot.sample(rng) - start))
-        hand = _wanted_hand(robot, task, near, rng)
+        hand = _random_hand_pose(robot, task, near, rng)
         if hand is None:
             continue
         # An arm with few joints may not reach the pose, but its best approximation may suffice.
@@ -281,12 +281,12 @@ def _candidates(
         information = _worth(robot, task, condition, q)
         if information is not None:
             candidates.append((q, information))
-            if len(candidates) == wanted:
+            if len(candidates) == count:
                 break
     return candidates
 
 
-def _wanted_hand(
+def _random_hand_pose(
     robot: Robot, task: ViewTask, near: Array, rng: np.random.Generator
 ) -> Pose | None:
     """Return a pose of the hand close to that at ``near`` with a marker in view, or None."""

@@ -176,7 +176,7 @@ class RunState:
 
         def check_deadline(_tick: object) -> None:
             if clock.now() > latest_tick:
-                raise StepFailed(f"not there after {allowed:.2f} s")
+                raise StepFailed(f"not arrived after {allowed:.2f} s")
 
         execute(
             trajectory,

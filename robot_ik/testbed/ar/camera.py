@@ -1,4 +1,4 @@
-"""The camera of live augmented reality: a webcam, a stream, a film, or the synthetic table."""
+"""The camera of live augmented reality: webcam, stream, video file or synthetic table."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def ball_marker(setup: ArSetup, board: Target) -> MarkerTarget | None:
 
 
 class ArCamera(Closing):
-    """Gives the pictures of a setup, each at its time.
+    """Reads the pictures of a setup, each at its time.
 
     Recorded pictures come at their own rate, and begin again at their end.
 
     Args:
-        setup: What is looked at.
+        setup: Camera, board and ball.
 
     Attributes:
         intrinsics: Optics of the pictures.

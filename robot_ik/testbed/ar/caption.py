@@ -1,4 +1,4 @@
-"""A card with text on a picture. It is drawn anew only when its text changes."""
+"""A card with text on a picture. It is drawn again only when its text changes."""
 
 from __future__ import annotations
 

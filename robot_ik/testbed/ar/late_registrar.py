@@ -1,8 +1,8 @@
-"""Draw a robot on a board with a tracker that answers late, and measure by how much it is off.
+"""Draw a robot on a board with a delayed tracker, and measure the registration error.
 
-Between the moment at which a picture is taken and the moment at which the pose measured in it is
-known, time passes: 100 ms in simple systems, 250 ms in complex ones (Azuma 1997). ``ArDelay`` sets
-that time, and the measures against its effect.
+The delay is the time from taking a picture until its measured pose is available: 100 ms in simple
+systems, 250 ms in complex ones (Azuma 1997). ``ArDelay`` sets the delay and the measures against
+it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image
 from robot_ik.testbed.ar.setup import ArDelay
 
-_REMEMBERED = 40
-"""Pictures that are remembered: more than the longest delay of a camera of 60 pictures a second."""
+_KEPT_PICTURES = 40
+"""Pictures that are kept: more than the longest delay of a camera of 60 pictures a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +36,11 @@ class Registered:
 
     Attributes:
         image: (h, w, 3) BGR with robot and ball.
-        shown: The camera's picture under them.
+        shown: The camera's picture before robot and ball were drawn.
         delay: Seconds between the picture that was tracked and the one that is shown.
-        error: RMS distance in pixels between the board as it is drawn for and as it is in the
-            picture. NaN if the board is not in the picture.
-        pose_camera_board: The board as it is drawn for. None: nothing is drawn.
+        error: RMS distance in pixels between the board's points at the pose used for drawing and
+            the points in the picture. NaN if the board is not in the picture.
+        pose_camera_board: Pose of the board used for drawing. None: nothing is drawn.
         pose_board_marker: The marker beside the board in the tracked picture. None: not visible.
     """
 
@@ -53,13 +53,13 @@ class Registered:
 
 
 class RecentBoards(BoardTracker):
-    """A tracker that remembers the observations of the last pictures."""
+    """A tracker that keeps the observations of the last pictures."""
 
     def __init__(
         self, board: Target, intrinsics: CameraIntrinsics, marker: MarkerTarget | None = None
     ) -> None:
         super().__init__(board, intrinsics, marker)
-        self._recent: deque[tuple[Frame, BoardObservation | None]] = deque(maxlen=_REMEMBERED)
+        self._recent: deque[tuple[Frame, BoardObservation | None]] = deque(maxlen=_KEPT_PICTURES)
 
     def observe(self, frame: Frame) -> BoardObservation | None:
         """Return the board in a picture; None if it is not visible."""
@@ -75,8 +75,8 @@ class LateRegistrar:
     """Registers a robot on a board in each picture, with the delay that is set.
 
     Args:
-        tracker: Finds the board.
-        drawn: The robot.
+        tracker: Tracks the board.
+        drawn: The drawn robot.
         intrinsics: Optics of the pictures.
         delay: The delay and the measures against it.
     """
@@ -93,7 +93,7 @@ class LateRegistrar:
         self._delay = delay
         options = LatencyOptions(delay.sync, delay.predict, delay.shift)
         self._registrar = Registrar(tracker, drawn, intrinsics, options)
-        self._waiting: deque[Frame] = deque(maxlen=_REMEMBERED)
+        self._waiting: deque[Frame] = deque(maxlen=_KEPT_PICTURES)
         self._tracked: Frame | None = None
         self._observation: BoardObservation | None = None
 
@@ -133,7 +133,7 @@ class LateRegistrar:
         )
 
     def _error(self, shown: Frame, pose: Pose | None, motion: Array | None) -> float:
-        """Return the RMS distance of the board's points from where they are drawn for, px."""
+        """Return the registration error, see ``Registered.error``, px."""
         observation = self._tracker.observe(shown)
         if observation is None or pose is None:
             return float("nan")

@@ -37,7 +37,7 @@ _RETRY = 0.5
 """Seconds between two attempts to get a picture."""
 
 _REST = 6e-3
-"""Metres on the table. A marker that seems to move by less is at rest: that much is noise."""
+"""Metres on the table. A smaller motion of the marker is noise: it counts as at rest."""
 
 _CLOSE_LIMIT = 5.0
 """Seconds to wait for the thread to end."""
@@ -62,17 +62,16 @@ class ArPicture:
 
 @dataclass(frozen=True)
 class ArStatus:
-    """How it goes.
+    """State of the camera, the tracking and the drawing.
 
     Attributes:
         on: Whether pictures are taken.
         rate_hz: Pictures a second.
-        age_ms: From the camera's picture to the finished one.
-        delay_ms: Between the tracked picture and the one that is shown.
-        error_px: Distance between the board as it is drawn for and as it is in the picture. None:
-            the board is not in the picture.
-        track_ms: To find the board.
-        draw_ms: To draw robot, ball and text.
+        age_ms: Time from the camera's picture to the finished one.
+        delay_ms: Time between the tracked picture and the shown one.
+        error_px: Registration error, see ``Registered``. None: the board is not in the picture.
+        track_ms: Mean time to track the board.
+        draw_ms: Mean time to draw robot, ball and text.
         board: Whether the board is in the picture.
         marker: Whether the marker that is the ball is in the picture.
         note: What is assumed about the camera.
@@ -110,7 +109,7 @@ class LiveAr(Closing):
     Args:
         session: The session. It gets the ball's position if a marker is the ball.
         show: Called with each finished picture, on the camera's thread.
-        tell: Called on that thread when the status has changed for people.
+        tell: Called on that thread with each changed status.
 
     Attributes:
         writes: Whether ball, mode and decision are written into the pictures.
@@ -149,7 +148,7 @@ class LiveAr(Closing):
 
     @property
     def status(self) -> ArStatus:
-        """How it goes."""
+        """The latest status."""
         return self._status
 
     def show_view(self, view: View) -> None:
@@ -164,7 +163,7 @@ class LiveAr(Closing):
             self._is_on.clear()
 
     def set_setup(self, setup: ArSetup) -> None:
-        """Look at something else from the next picture on. The status names its errors."""
+        """Change camera, board and ball from the next picture on. The status reports errors."""
         self._setup = setup
 
     def set_delay(self, delay: ArDelay) -> None:
@@ -206,7 +205,7 @@ class LiveAr(Closing):
             running: _Running | None = None
             while not self._over.is_set():
                 if not self._is_on.is_set():
-                    stack.close()  # a camera that is not used belongs to other programs
+                    stack.close()  # other programs may use the camera meanwhile
                     running = None
                     self._end()
                     self._is_on.wait()
@@ -214,7 +213,7 @@ class LiveAr(Closing):
                 try:
                     running = self._prepared(running, stack)
                     self._take_picture(running)
-                except Exception as error:  # without this the thread would end unseen
+                except Exception as error:  # else the thread would end without a message
                     _log.debug("no picture", exc_info=True)
                     known = isinstance(error, RobotIkError)
                     text = str(error).splitlines()[0] if known else f"{type(error).__name__}"

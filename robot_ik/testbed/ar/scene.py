@@ -43,7 +43,7 @@ class ArScene:
     def __init__(self, robot: Robot, height: float = DRAWN_HEIGHT) -> None:
         if not robot.path.is_file():
             raise ModelError(
-                f"{robot.name} is no file, so it cannot be drawn into a picture",
+                f"{robot.name} was not loaded from a file, so it cannot be drawn into a picture",
                 path=robot.path,
                 hint="choose a robot of the catalogue, or load a model from a file",
             )

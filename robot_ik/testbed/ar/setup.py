@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 ArBall = Literal["virtual", "marker"]
-"""Who moves the ball: keys and mouse, or a marker beside the board."""
+"""What moves the ball: keys and mouse (``virtual``), or a marker beside the board."""
 
 Sync = Literal["tracked", "latest"]
 """Whether the video waits for the tracker, or the newest picture is shown."""
 
 SYNTHETIC = "synthetic"
-"""The computed table with its board, in place of a camera."""
+"""Name of the synthetic camera, which shows a table with the board."""
 
 LONGEST_DELAY = 0.5
 """Largest delay that can be set, seconds."""
@@ -20,14 +20,14 @@ LONGEST_DELAY = 0.5
 
 @dataclass(frozen=True)
 class ArSetup:
-    """What is looked at.
+    """Camera, board and ball.
 
     Attributes:
         camera: ``synthetic``, or a source for ``open_source``.
         intrinsics: Calibration file of the camera. Empty: a field of view of 60° is assumed.
         board: Board that the robot stands on, see ``parse_target``.
         dictionary: Dictionary of the markers. Empty: the usual one.
-        ball: Who moves the ball.
+        ball: What moves the ball.
         marker: Id of the marker that is the ball.
         marker_size: Side of its black square, metres.
     """

@@ -18,7 +18,7 @@ from robot_ik.testbed.ar.setup import ArDelay, ArSetup
 _ROBOT = "tabletop_puma"
 
 _PICTURES = 2
-"""The second picture uses what the tracker remembers of the first."""
+"""Pictures to track. The second one uses the state of the tracker after the first."""
 
 
 def is_warm() -> bool:

@@ -1,4 +1,4 @@
-"""What a page asks for beside the session's commands. It is no part of the command log."""
+"""Actions of a page: requests that are not session commands and not in the command log."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 @dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class Action(Checked):
-    """Something that a page asks for. Every subclass is a frozen dataclass.
+    """A request of a page. Every subclass is a frozen dataclass.
 
     Attributes:
-        for_all: Whether a page that only watches may ask for it.
+        for_all: Whether a page that only watches may send it.
     """
 
     for_all: ClassVar[bool] = False
@@ -183,12 +183,12 @@ class SetArDelay(Action):
 
 
 class DragArBall(Action):
-    """Take the ball to a pixel of the picture."""
+    """Drag the ball to a pixel of the picture."""
 
     u: _Pixel
     v: _Pixel
     begins: bool = False
-    """Whether the mouse was pressed here: only near the ball it takes the ball."""
+    """Whether the mouse was pressed here. A press near the ball grabs the ball."""
 
 
 class HandOver(Action):
@@ -222,7 +222,7 @@ class SaveLog(Action):
 
 
 class SaveRecording(Action):
-    """Save what a hand has shown the arm as a file of this browser."""
+    """Save the arm's recording as a file of this browser."""
 
     for_all = True
 

@@ -1,4 +1,4 @@
-"""Live augmented reality for the page: pictures and their status out, choices of people in."""
+"""Live augmented reality on the page: sends pictures and status, and applies the choices."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STATUS_PERIOD = 0.25
 """Seconds between two messages about rate, age and error of the pictures."""
 
 _GRAB = 40.0
-"""Pixels of the picture from which the mouse takes the ball: it goes along with a moving board."""
+"""Pixels around the ball in which the mouse grabs it. The ball moves with a moving board."""
 
 
 class ArPictures(Closing):
@@ -58,7 +58,7 @@ class ArPictures(Closing):
 
     @property
     def live_status(self) -> ArStatus | None:
-        """How it goes. None before the first pictures."""
+        """Status of the pictures. None before the first ones."""
         return None if self._live is None else self._live.status
 
     def switch(self, on: bool) -> None:
@@ -99,7 +99,7 @@ class ArPictures(Closing):
             self._live.show_view(view)
 
     def act(self, action: actions.Action) -> None:
-        """Do what a page asks for. Other actions are ignored."""
+        """Apply an action about augmented reality. Other actions are ignored."""
         with self._lock:
             match action:
                 case actions.PlaceAr(place):
@@ -121,7 +121,7 @@ class ArPictures(Closing):
                 self._live.set_delay(self._delay)
 
     def dragged(self, action: actions.DragArBall) -> MoveGoal | None:
-        """Return where the ball goes, if the mouse took it near the ball."""
+        """Return the command that moves the ball, or None if the mouse has not grabbed it."""
         if action.begins:
             x, y, radius = self._ball
             self._is_grabbed = abs(complex(action.u - x, action.v - y)) < radius + _GRAB
@@ -134,7 +134,7 @@ class ArPictures(Closing):
         return MoveGoal((x, y, z))
 
     def settings(self) -> dict[str, Any]:
-        """Return what is chosen."""
+        """Return the present choices."""
         return {
             "on": self._is_on,
             "place": self._place,
@@ -155,7 +155,7 @@ class ArPictures(Closing):
     def _show(self, picture: ArPicture) -> None:
         self._ball = picture.ball
         taken = time.time() - (time.monotonic() - picture.time)
-        self._channel.picture(packed(picture.image, picture.number, taken, picture.ball))
+        self._channel.send_picture(packed(picture.image, picture.number, taken, picture.ball))
 
     def _tell(self, status: ArStatus) -> None:
         now = time.monotonic()
@@ -163,4 +163,4 @@ class ArPictures(Closing):
             return
         self._status_due = now + STATUS_PERIOD
         self._problem = status.problem
-        self._channel.greet("ar", dataclasses.asdict(status))
+        self._channel.publish("ar", dataclasses.asdict(status))

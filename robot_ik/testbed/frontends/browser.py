@@ -1,7 +1,7 @@
-"""The testbed in a browser: viser draws the 3D view, the page around it is ours.
+"""The testbed in a browser: viser draws the 3D view, and the files in ``web`` the page around it.
 
-The page shows views and sends commands; it decides nothing. Several browsers may look: one drives,
-the others watch. STOP works from all of them.
+The page shows views and sends commands. Several browsers may be connected: one drives, the others
+watch. STOP works from all of them.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Page(Closing):
 
     Args:
         session: The session that is shown and driven.
-        page_server: What listens for browsers. The page closes it.
+        page_server: The server of the page, which closes it.
         camera: Opens a camera when pictures are asked for. None: there is none.
         film: Returns the film of a command log, a file in MP4. None: the page cannot film.
 
@@ -142,8 +142,8 @@ class Page(Closing):
         self._film = film
         self._view_due = 0.0
         self._addresses: list[int] = []
-        self._told_robot: Robot | None = None
-        self._told_cases: CasesView | None = None
+        self._published_robot: Robot | None = None
+        self._published_cases: CasesView | None = None
         self.camera = None if camera is None else CameraPictures(camera, self.channel)
         self.ar = ArPictures(session, self.channel)
         with self.server.atomic():
@@ -162,11 +162,11 @@ class Page(Closing):
             has_film=film is not None,
             has_arm=session.arm is not None,
         )
-        self.channel.greet("program", program)
-        self._tell_settings()
+        self.channel.publish("program", program)
+        self._publish_settings()
         self.channel.receive = self._receive
         self.server.on_client_connect(self._welcome)
-        self.gate.on_watcher = self._tell_watcher
+        self.gate.on_watcher = self._notify_watcher
         self.gate.on_close = self._viser_closed
         self.channel.on_close = self._channel_closed
         self.gate.driver.on_leave = self._driver_left
@@ -188,7 +188,7 @@ class Page(Closing):
             else:
                 self._act(page.key, actions.action_from(message, "page"))
         except RobotIkError as error:
-            self.channel.tell(page.key, {"notice": str(error).splitlines()[0]})
+            self.channel.send(page.key, {"notice": str(error).splitlines()[0]})
 
     def _execute(self, page: str, command: Command) -> None:
         """Send a command to the session. STOP works from every page."""
@@ -196,17 +196,17 @@ class Page(Closing):
             self.session.send(command)
 
     def _admits(self, page: str) -> bool:
-        """Return whether a page drives, and tell it if it does not."""
+        """Return whether a page drives. If not, send it a notice."""
         if self.gate.driver.admits(page):
             return True
-        self._tell_watcher(page)
+        self._notify_watcher(page)
         return False
 
-    def _tell_watcher(self, page: str) -> None:
-        self.channel.tell(page, {"notice": WATCHING})
+    def _notify_watcher(self, page: str) -> None:
+        self.channel.send(page, {"notice": WATCHING})
 
     def _act(self, page: str, action: actions.Action) -> None:
-        """Do what a page asks for beside commands."""
+        """Execute an action of a page."""
         if isinstance(action, actions.PressKey):
             command = _COMMAND_OF_CODE.get(action.code)
             if command is not None:
@@ -269,7 +269,7 @@ class Page(Closing):
             case _:
                 self.ar.act(action)
                 self._give_file(page, action)
-        self._tell_settings()
+        self._publish_settings()
 
     def _switch_camera(self, on: bool) -> None:
         """Show the camera of the robot's scene, or not. One camera is shown at a time."""
@@ -279,7 +279,7 @@ class Page(Closing):
                 self.ar.switch(False)
 
     def _begin(self, chosen: Preset) -> None:
-        """Show the robot of a preset, and do what it does at first."""
+        """Show the robot of a preset, and send its first commands."""
         if self._view.robot != chosen.robot:
             self.session.send(SetRobot(chosen.robot))
         for command in chosen.commands:
@@ -291,11 +291,11 @@ class Page(Closing):
         self.ar.switch(on)
         if on and self.camera is not None:
             self.camera.switch(False)
-        self._tell_settings()
+        self._publish_settings()
 
     def _notice(self, text: str) -> None:
         """Show a sentence on all pages."""
-        self.channel.say({"notice": text})
+        self.channel.broadcast({"notice": text})
 
     def _choose_reach(self, picture: actions.ReachPicture) -> None:
         """Show another picture of where the tool can be."""
@@ -306,7 +306,7 @@ class Page(Closing):
         if not is_map:
             self._reach_maps.cancel()
             self._reach = ReachState()
-            self.channel.greet("reach", reach_row(self._reach))
+            self.channel.publish("reach", reach_row(self._reach))
         elif not has_map:
             obstacles = tuple(one.placed.obstacle() for one in self._view.obstacles)
             self._reach_maps.ask(self.session.robot, obstacles)
@@ -315,10 +315,10 @@ class Page(Closing):
         """Take a state of the map. The loop draws it."""
         self._reach = state
         self._reach_changed = True
-        self.channel.greet("reach", reach_row(state))
+        self.channel.publish("reach", reach_row(state))
 
-    def _tell_settings(self) -> None:
-        """Tell all pages what is shown."""
+    def _publish_settings(self) -> None:
+        """Send all pages what is shown."""
         settings = {
             "dark": self.page_server.dark,
             "overlay": self._shows_overlay,
@@ -333,12 +333,12 @@ class Page(Closing):
             "pick": self._picks,
             "camera": self.camera is not None and self.camera.is_on,
         }
-        self.channel.greet("settings", settings)
+        self.channel.publish("settings", settings)
 
     # Files for a browser
 
     def _give_file(self, page: str, action: actions.Action) -> None:
-        """Make a file and let a page save it. What takes long runs on a thread."""
+        """Make a file and let a page save it. Slow files are made on a thread."""
         match action:
             case actions.SaveLog():
                 self._give(page, "testbed.jsonl", self.session.log().text())
@@ -350,7 +350,7 @@ class Page(Closing):
                 arm = self.session.arm
                 if arm is None or arm.recording is None:
                     notice = "Nothing is recorded yet: press Teach, guide the arm, press Hold."
-                    self.channel.tell(page, {"notice": notice})
+                    self.channel.send(page, {"notice": notice})
                 else:
                     self._give(page, "recording.csv", arm.recording.csv_text())
             case actions.ShareMotion():
@@ -362,20 +362,20 @@ class Page(Closing):
                     self._give_later(page, "testbed.mp4", lambda: film(log))
 
     def _give(self, page: str, name: str, text: str) -> None:
-        self.channel.give_file(page, name, text.encode())
+        self.channel.send_file(page, name, text.encode())
 
     def _give_later(self, page: str, name: str, make: Callable[[], bytes]) -> None:
         """Make a file on a thread."""
 
         def work() -> None:
             try:
-                self.channel.give_file(page, name, make())
+                self.channel.send_file(page, name, make())
             except Exception as error:
                 LOG.debug("no file %s", name, exc_info=True)
                 problem = str(error).splitlines()[0] if str(error) else type(error).__name__
-                self.channel.tell(page, {"notice": f"{name} was not made: {problem}"})
+                self.channel.send(page, {"notice": f"{name} was not made: {problem}"})
 
-        self.channel.tell(page, {"notice": f"Making {name} …"})
+        self.channel.send(page, {"notice": f"Making {name} …"})
         threading.Thread(target=work, name="testbed-file", daemon=True).start()
 
     def _shared(self) -> bytes:
@@ -427,16 +427,16 @@ class Page(Closing):
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, scene, client)
         return scene
 
-    def _tell_robot(self, view: View) -> None:
-        """Tell all pages the joints and frames of the robot, if they have changed."""
+    def _publish_robot(self, view: View) -> None:
+        """Send all pages the joints and frames of the robot, if they have changed."""
         robot = self.session.robot
-        told = self._told_robot
-        same_model = told is not None and told.model is robot.model
-        if told and same_model and (told.joints, told.tool) == (robot.joints, robot.tool):
+        before = self._published_robot
+        same_model = before is not None and before.model is robot.model
+        if before and same_model and (before.joints, before.tool) == (robot.joints, robot.tool):
             return
-        self._told_robot = robot
+        self._published_robot = robot
         self._addresses = joint_addresses(robot)
-        self.channel.greet("robot", robot_row(robot, view.robot))
+        self.channel.publish("robot", robot_row(robot, view.robot))
 
     async def _click_part(self, event: Any) -> None:
         """Choose a clicked part as tool or base, or pin it, if a page has asked for that."""
@@ -445,7 +445,7 @@ class Page(Closing):
         if role == "off" or body is None:
             return
         self._picks = "off"
-        self._tell_settings()
+        self._publish_settings()
         frame = frame_of_body(self.session.robot, body)
         match role:
             case "tool":
@@ -476,7 +476,7 @@ class Page(Closing):
         k = self._index(event)
         name = scene.name_of(event.target)
         if name is None:
-            return  # the robot changed under the mouse: that drag is over
+            return  # another robot is shown: the drag has ended
         if self._grab is None:
             one = self._view.instances[k]
             body = scene.robot.model.body(name).id
@@ -519,7 +519,7 @@ class Page(Closing):
         aspect = client.camera.aspect
         if not (math.isfinite(aspect) and aspect > 0.05):
             return
-        # A figure walks away and takes the ball along: a page that is loaded again shows both.
+        # A figure may have walked away with the ball. A page that is loaded again shows both.
         shown = [self._view.ball.position, *(one.xpos[1:] for one in self._view.instances)]
         path = np.vstack([self.session.ball_path(), *shown])
         position, target = scene.arrangement.camera(path, aspect)
@@ -529,7 +529,7 @@ class Page(Closing):
             client.camera.fov = FIELD_OF_VIEW
 
     def _viser_closed(self, page: str) -> None:
-        """End a drag. A page without a channel is gone."""
+        """End a drag of a page that left viser. Without a channel the page is disconnected."""
         if self.gate.driver.page == page and self._grab is not None:
             self._end_drag()
         if not self.channel.has(page):
@@ -555,8 +555,7 @@ class Page(Closing):
     def draw(self, view: View) -> None:
         """Show a view. The loop calls it 30 times a second.
 
-        All of it is one piece for the browsers: viser's thread begins to send when the last message
-        is there, and does not take turns with this thread.
+        The messages of a view are sent together: viser's thread begins to send after the last one.
         """
         self._view = view
         self.ar.show_view(view)
@@ -564,29 +563,26 @@ class Page(Closing):
         with self.server.atomic():
             try:
                 self._draw_scene(view)
-            finally:  # the page shows what is wrong with the scene
+            finally:  # the view has the message about an error of the scene
                 self._send_view(view)
 
     def _run_cases(self, view: View) -> None:
-        """Go on with the cases of thesis S12, if they were asked for."""
+        """Run the cases of thesis S12, if a page has started them."""
         if self._wanted_cases is not None:
             self._cases = self._wanted_cases
             self._wanted_cases = None
             self._cases.start(view)
         if self._cases is not None:
             self._cases.step(view)
-            self._told_cases = self._tell_cases(self._cases.view())
-
-    def _tell_cases(self, cases: CasesView) -> CasesView:
-        """Tell all pages how far the cases are, if that has changed."""
-        if cases != self._told_cases:
-            self.channel.greet("cases", dataclasses.asdict(cases))
-        return cases
+            cases = self._cases.view()
+            if cases != self._published_cases:
+                self._published_cases = cases
+                self.channel.publish("cases", dataclasses.asdict(cases))
 
     def _draw_scene(self, view: View) -> None:
         scene = self._scene
         robot = self.session.robot
-        # Also another tool, base or stiffness of the same model: its map is another.
+        # Another tool, base or stiffness of the same model has another map, too.
         has_other_map = scene.robot is not robot
         if scene.robot.model is not robot.model or scene.count != view.count:
             scene.remove()
@@ -597,8 +593,8 @@ class Page(Closing):
             scene.take(robot)
         if has_other_map and self._reach_picture in ("cloud", "shell"):
             self._choose_reach("none")
-            self._tell_settings()
-        self._tell_robot(view)
+            self._publish_settings()
+        self._publish_robot(view)
         scene.draw(view)
         offset = scene.arrangement.offsets[0]
         self._obstacles.draw(view, offset)
@@ -622,7 +618,7 @@ class Page(Closing):
         if now >= self._view_due:
             self._view_due = now + VIEW_PERIOD
             robot: Robot = self.session.robot
-            self.channel.show(view_row(view, robot, self._addresses))
+            self.channel.publish_view(view_row(view, robot, self._addresses))
 
 
 def _floats(values: Any) -> tuple[float, float, float]:

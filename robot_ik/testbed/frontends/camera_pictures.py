@@ -64,7 +64,7 @@ class CameraPictures(Closing):
                 return
             try:
                 picture = self._open()()
-            except Exception as error:  # without this the thread would end unseen
+            except Exception as error:  # else the thread would end without a message
                 _log.debug("no picture", exc_info=True)
                 self._say(f"no picture: {str(error).splitlines()[0]}", error=True)
             else:
@@ -78,13 +78,13 @@ class CameraPictures(Closing):
             self._say(NO_SCENE, error=True)
             return
         self._count += 1
-        self._channel.picture(packed(picture.image, self._count, time.time()))
+        self._channel.send_picture(packed(picture.image, self._count, time.time()))
         markers = [list(marker) for marker in picture.markers]
         self._say(picture.note, markers=markers)
 
     def _say(self, note: str, *, markers: list[Any] | None = None, error: bool = False) -> None:
         camera = {"note": note, "markers": markers or [], "error": error}
-        self._channel.greet("camera", camera)
+        self._channel.publish("camera", camera)
 
     def close(self) -> None:
         """End the thread."""

@@ -1,7 +1,7 @@
-"""The page's own WebSocket: what the page shows goes out, what people ask comes in.
+"""The page's own WebSocket: views go out, commands and actions come in.
 
-Messages are JSON, pictures are binary. This module knows the browsers, not what the messages mean:
-the page may connect before there is a session.
+Messages are JSON, pictures are binary. This module does not interpret messages, so a page may
+connect before there is a session.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class ChannelPage:
     Attributes:
         connection: Its WebSocket.
         key: Key of the page, the same as that of its connection to viser.
-        is_free: Whether it has shown the last picture.
+        is_free: Whether it has shown the last picture that was sent to it.
     """
 
     connection: ServerConnection
@@ -47,10 +47,10 @@ class ChannelPage:
 
 
 class Channel:
-    """Talks to all pages that look at one session.
+    """The connections to all pages of one session.
 
     Args:
-        gate: Knows the keys of the pages and which page drives.
+        gate: Holds the keys of the pages, and the driver.
 
     Attributes:
         receive: Called with a page and its message, on the server's thread.
@@ -62,10 +62,10 @@ class Channel:
         self.on_close: Callable[[str], None] = gate.driver.leave
         self._gate = gate
         self._pages: list[ChannelPage] = []
-        self._greeting: dict[str, Any] = {}
+        self._published: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
-        gate.driver.on_change = lambda: self._call(self._tell_roles)
+        gate.driver.on_change = lambda: self._call(self._send_roles)
 
     @property
     def is_watched(self) -> bool:
@@ -77,18 +77,18 @@ class Channel:
         return any(page.key == key for page in self._pages)
 
     async def serve(self, connection: ServerConnection) -> None:
-        """Talk to one page until it leaves."""
+        """Serve one page until it disconnects."""
         self._loop = asyncio.get_running_loop()
         page = ChannelPage(connection, secrets.token_hex(_KEY_BYTES))
         budget = MessageBudget()
         bad_count = 0
         try:
             with self._lock:
-                greeting = dict(self._greeting)
-            for name, content in greeting.items():
+                published = dict(self._published)
+            for name, content in published.items():
                 await connection.send(_text({name: content}))
             self._pages.append(page)
-            self._tell_roles()
+            self._send_roles()
             async for raw in connection:
                 try:
                     if budget.take():
@@ -106,7 +106,7 @@ class Channel:
             if page in self._pages:
                 self._pages.remove(page)
             self.on_close(page.key)
-            self._tell_roles()
+            self._send_roles()
 
     def _take(self, page: ChannelPage, raw: str | bytes) -> None:
         """Take one message of a page.
@@ -138,10 +138,10 @@ class Channel:
         if key != page.key:
             self._gate.driver.rename(page.key, key)
             page.key = key
-            self._tell_roles()
+            self._send_roles()
 
-    def _tell_roles(self) -> None:
-        """Tell each page whether it drives, and how many look."""
+    def _send_roles(self) -> None:
+        """Send each page its role and the number of connected pages."""
         driver = self._gate.driver.page
         for page in self._pages:
             role = {
@@ -151,42 +151,42 @@ class Channel:
             }
             broadcast([page.connection], _text({"role": role}))
 
-    def greet(self, name: str, content: Any) -> None:
+    def publish(self, name: str, content: Any) -> None:
         """Send a message to all pages, and to each that connects later."""
         with self._lock:
-            self._greeting[name] = content
-        self.say({name: content})
+            self._published[name] = content
+        self.broadcast({name: content})
 
-    def show(self, view: Mapping[str, Any]) -> None:
+    def publish_view(self, view: Mapping[str, Any]) -> None:
         """Send what has changed of a view, and all of it to each page that connects later."""
         with self._lock:
-            before = self._greeting.get("view", {})
-            self._greeting["view"] = view
+            before = self._published.get("view", {})
+            self._published["view"] = view
         changed = {name: value for name, value in view.items() if before.get(name) != value}
-        self.say({"view": changed})
+        self.broadcast({"view": changed})
 
-    def say(self, message: Mapping[str, Any]) -> None:
+    def broadcast(self, message: Mapping[str, Any]) -> None:
         """Send a message to all pages, from any thread."""
         text = _text(message)
         self._call(lambda: broadcast([page.connection for page in self._pages], text))
 
-    def tell(self, key: str, message: Mapping[str, Any]) -> None:
+    def send(self, key: str, message: Mapping[str, Any]) -> None:
         """Send a message to one page, from any thread."""
         text = _text(message)
         self._call(
             lambda: broadcast([page.connection for page in self._pages if page.key == key], text)
         )
 
-    def give_file(self, key: str, name: str, content: bytes) -> None:
+    def send_file(self, key: str, name: str, content: bytes) -> None:
         """Let one page save a file, from any thread."""
         data = base64.b64encode(content).decode()
-        self.tell(key, {"file": {"name": name, "base64": data}})
+        self.send(key, {"file": {"name": name, "base64": data}})
 
-    def picture(self, data: bytes) -> None:
+    def send_picture(self, data: bytes) -> None:
         """Send a picture to every page that has shown the one before, from any thread."""
-        self._call(lambda: self._send_picture(data))
+        self._call(lambda: self._broadcast_picture(data))
 
-    def _send_picture(self, data: bytes) -> None:
+    def _broadcast_picture(self, data: bytes) -> None:
         waiting = [page for page in self._pages if page.is_free]
         for page in waiting:
             page.is_free = False
@@ -200,7 +200,7 @@ class Channel:
 
 
 def _ignore(_page: ChannelPage, _message: dict[str, Any]) -> None:
-    """Take a message before there is a session."""
+    """Ignore a message, as long as there is no session."""
 
 
 def _text(message: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ class Driver:
     Attributes:
         page: Key of the page that drives. None: the next page that acts drives.
         on_change: Called when another page drives, or none.
-        on_leave: Called when the page that drove is gone or hands over.
+        on_leave: Called when the driving page disconnects or hands over.
     """
 
     def __init__(self) -> None:
@@ -22,7 +22,7 @@ class Driver:
         self.on_leave: Callable[[], None] = lambda: None
 
     def admits(self, page: str) -> bool:
-        """Return whether a page may change the session. Without a driver, the page becomes it."""
+        """Return whether a page may change the session. Without a driver, it becomes the driver."""
         if self.page is None:
             self.page = page
             self.on_change()
@@ -34,7 +34,7 @@ class Driver:
             self.page = new
 
     def leave(self, page: str) -> None:
-        """Tell that a page is gone."""
+        """Remove a page that has disconnected. If it drove, no page drives."""
         if self.page == page:
             self.hand_over()
 

@@ -98,7 +98,7 @@ class Gate:
     """Decides about every request before viser gets it, and about every message after.
 
     Args:
-        token: Asked of every browser; None: of none.
+        token: Token that every browser must send. None: no token is needed.
         names: Further names under which this server may be called.
         framed_by: Origins whose pages may show the page in a frame.
 
@@ -275,7 +275,7 @@ class Gate:
 
 
 class MessageBudget:
-    """How many messages a connection may still send: ``BURST`` at once, ``RATE`` a second."""
+    """Limits the messages of a connection to ``BURST`` at once and ``RATE`` a second."""
 
     def __init__(self) -> None:
         self._left = BURST

@@ -30,7 +30,9 @@ def uploaded_mesh(name: str, content: str) -> AddMesh:
     try:
         data = base64.b64decode(content, validate=True)
     except binascii.Error:
-        raise InvalidObstacleError(f"{name} did not arrive whole") from None
+        raise InvalidObstacleError(
+            f"{name} was not uploaded completely", hint="upload the file again"
+        ) from None
     hull = ConvexHull.of_file(name, data)
     title = PurePath(name).stem[:_LONGEST_NAME] or "mesh"
     x, y, z = hull.vertices.T.tolist()

@@ -77,7 +77,7 @@ class SessionWindow(ViewerWindow):
         robot = self.session.robot
         self._robot = robot
         self._grabbed = False
-        self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
+        self._placed = np.full(3, np.nan)  # a new window has no position of the ball
         self._scene = WindowScene(robot)
         self._model = self._scene.model
         add_light(self._model)
@@ -185,7 +185,7 @@ class SessionWindow(ViewerWindow):
         return self._viewer.opt.flags, self._viewer.opt.geomgroup, self._viewer.user_scn.flags
 
     def _restore_flags(self) -> None:
-        """Undo what MuJoCo's own keys switched: it uses every letter of the testbed, too."""
+        """Undo the switches of MuJoCo's own keys, which are the same letters."""
         for flags, kept in zip(self._flags(), self._kept, strict=True):
             flags[:] = kept
 

@@ -36,13 +36,15 @@ OPEN_TIMEOUT = 10.0
 MAX_QUEUE = 64
 """Messages of a browser that wait to be read."""
 
-# An arm follows a page whose connection broke until that is noticed: within the sum of these
-# seconds. viser's default takes 50. Browsers answer pings beside the page's own work, so a slow
-# page is not a lost one.
 KEEPALIVE: Mapping[str, float] = {"ping_interval": 2.0, "ping_timeout": 4.0, "close_timeout": 1.0}
+"""Seconds of the keepalive of a connection.
+
+A broken connection is detected within their sum. Until then an arm follows its page. With viser's
+default it takes 50 s. Browsers answer pings while a page is busy, so a slow page stays connected.
+"""
 
 _VISER = "1.1."
-"""The version of viser whose inside this module knows."""
+"""The version of viser on whose private functions this module relies."""
 
 _LARGEST_PORT = (1 << 16) - 1
 

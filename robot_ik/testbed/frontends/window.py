@@ -1,8 +1,7 @@
 """A desktop window that mirrors joint angles: MuJoCo's passive viewer, used kinematically.
 
-The window shows; it decides nothing. Each ``send`` writes ``qpos`` and runs ``mj_forward``. No
-physics step is taken, so ``data.time`` stays 0. Closing the window stops the picture, not the
-motion.
+Each ``send`` writes ``qpos`` and runs ``mj_forward``. No physics step is taken, so ``data.time``
+stays 0. Closing the window does not stop the motion.
 """
 
 from __future__ import annotations

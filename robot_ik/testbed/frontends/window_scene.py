@@ -45,8 +45,8 @@ class WindowScene:
 
     def __init__(self, robot: Robot) -> None:
         if not robot.path.is_file():
-            problem = f"{robot.name} is no file, and the window needs one"
-            raise ViewerError(problem, hint="--viewer browser")
+            problem = f"{robot.name} was not loaded from a file, which the window needs"
+            raise ViewerError(problem, hint="use --viewer browser")
         points = surface_points(robot.model, robot.qpos(robot.home))
         self._lowest = float(points[:, 2].min(initial=0.0)) - _BELOW
         model = _own_scene(robot)

@@ -51,7 +51,7 @@ def window_texts(view: View, width: int, height: int, covered: int = 0) -> list[
 
 
 def _letters(width: int) -> int:
-    """Return the letters of the second column of a table that is so many pixels wide."""
+    """Return the number of letters in the second column of a table of that width in pixels."""
     return max(width // _LETTER_WIDTH - _FIRST_COLUMN, _SMALLEST_COLUMN)
 
 
@@ -85,7 +85,7 @@ def _key_rows() -> Rows:
 
 
 def _broken(rows: Rows, letters: int) -> Rows:
-    """Return the rows with the second column broken into lines of so many letters."""
+    """Return the rows with the second column wrapped after a number of letters."""
     broken: Rows = []
     for left, right in rows:
         # MuJoCo's letters are ASCII.

@@ -131,7 +131,7 @@ seconds = 0.5
         ('do = "expect"\nposition = [0.2, 0.0, 0.2]', "mm off instead of at most 2.00 mm"),
         ('do = "expect"\nstate = "fault"', "state enabled instead of fault"),
         ('do = "expect"\nerror = "HardwareError"', "no error instead of HardwareError"),
-        ('do = "expect"\nstatus = "CONVERGED"', "solver not asked instead of CONVERGED"),
+        ('do = "expect"\nstatus = "CONVERGED"', "solver not run instead of CONVERGED"),
         ('do = "expect"\nrun_seconds = [1.0, 2.0]', "run 0.000 s instead of 1 … 2 s"),
         ('do = "position"\nposition = [0.9, 0.0, 0.2]', "NotConvergedError"),
         ('do = "wait"\nseconds = 0.1\nraises = "MotorFaultError"', "no error came"),

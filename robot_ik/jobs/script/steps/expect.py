@@ -58,7 +58,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
     """
 
     title_keys = ("keyframe", "joint", "position", "joints_deg", "joints_mm", "width_mm")
-    anywhere = True
+    ignores_limits = True
 
     do: Literal["expect"]
     position: Position | None = None
@@ -131,7 +131,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
             yield from self._pose_findings(state.robot, q)
         if expects_joints:
             base = q if self.keyframe is None else keyframes(state.robot)[self.keyframe]
-            target = self.placed(state.robot, base)
+            target = self.with_values(state.robot, base)
             yield self.farthest(state.robot, q, target, "joint_off")
 
     def _pose_findings(self, robot: Robot, q: Array) -> Iterator[Finding]:
@@ -171,7 +171,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
             arm_state = state.arm.state.value
             yield Finding(arm_state == self.state, f"state {arm_state}", self.state)
         if self.status is not None:
-            measured = f"solver {state.status or 'not asked'}"
+            measured = f"solver {state.status or 'not run'}"
             yield Finding(state.status == self.status, measured, self.status)
 
     def _time_findings(self, state: RunState) -> Iterator[Finding]:

@@ -170,7 +170,7 @@ class FollowStep(Framed, Action):
         position = state.robot.measure(state.setup.q).position
         error_mm = 1e3 * float(np.linalg.norm(position - _true_goal_position(state)))
         result.numbers["off_mm"] = round(error_mm, 4)
-        result.found += f"; {error_mm:.2f} mm from where it truly lies"
+        result.found += f"; {error_mm:.2f} mm from the true goal"
         if error_mm > self.tolerance_mm:
             raise StepFailed(result.found)
 

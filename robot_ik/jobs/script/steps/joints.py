@@ -48,10 +48,10 @@ class JointValues(ScriptStep):
     joints_deg: Annotated[dict[str, float], Field(min_length=1)] | None = None
     joints_mm: Annotated[dict[str, float], Field(min_length=1)] | None = None
 
-    anywhere: ClassVar[bool] = False
+    ignores_limits: ClassVar[bool] = False
     """Whether values outside the joint limits are allowed."""
 
-    def placed(self, robot: Robot, q: Array) -> Array:
+    def with_values(self, robot: Robot, q: Array) -> Array:
         """Return a copy of ``q``, (nq,) in rad and m, with the values of the named joints."""
         target = q.copy()
         values = {**(self.joints_deg or {}), **(self.joints_mm or {})}
@@ -74,7 +74,7 @@ class JointValues(ScriptStep):
             raise KeyProblem("a slide counts in millimetres", place, "joints_mm")
         if not is_slide and key != "joints_deg":
             raise KeyProblem("a hinge counts in degrees", place, "joints_deg")
-        if self.anywhere:
+        if self.ignores_limits:
             return
 
         unit = " mm" if is_slide else "°"

@@ -276,7 +276,7 @@ class JointsStep(JointValues, Move):
 
     def plan(self, state: RunState, start: Array, _result: StepResult) -> tuple[Trajectory, Judge]:
         """Plan a straight motion in joint space."""
-        return self.to_joints(state, start, self.placed(state.robot, start))
+        return self.to_joints(state, start, self.with_values(state.robot, start))
 
 
 class KeyframeStep(Move):

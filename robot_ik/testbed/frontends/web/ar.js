@@ -2,7 +2,7 @@
 
 import { button, heading, make, menu, segmented, show, toggle } from "./dom.js";
 
-const GRAB = 40; // pixels of the picture around the ball: it goes along with a moving board
+const GRAB = 40; // pixels of the picture around the ball, which moves with a moving board
 const RATE_MS = 2000; // over which the pictures of this page are counted
 
 /** The picture, over the whole 3D view or in its corner. The mouse drags the ball in it. */
@@ -157,7 +157,7 @@ const FIGURES = [
   ],
   [
     "error",
-    "Distance in pixels between the board as it is drawn for and as it is in the picture",
+    "RMS distance between the board's points in the drawing and in the picture",
     (s) => (s.error_px === null ? "–" : `${s.error_px.toFixed(2)} px`),
   ],
 ];
@@ -192,7 +192,7 @@ export class ArTab {
         ["marker", "Marker", "A second printed marker is the ball"],
       ],
       (ball) => this.sendBall({ ball }),
-      { small: true, label: "who moves the ball" },
+      { small: true, label: "what moves the ball" },
     );
     this.marker = field("Marker id", "Not on the board", () =>
       this.sendBall({ marker: Math.round(Number(this.marker.input.value)) }),

@@ -4,10 +4,10 @@ import { button, heading, make, refill, show } from "./dom.js";
 
 const MODES = [
   ["follow", "Follow", "The arm follows robot 1"],
-  ["hold", "Hold", "The arm holds where it stands"],
+  ["hold", "Hold", "The arm holds its present pose"],
   ["release", "Torque off", "An arm that is not supported falls"],
   ["teach", "Teach", "Torque off; a hand guides the arm and is recorded"],
-  ["replay", "Replay", "Repeats what the hand has shown"],
+  ["replay", "Replay", "Repeats the recorded motion"],
 ];
 const COLUMNS = [
   ["joint", ""],

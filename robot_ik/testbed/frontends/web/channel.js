@@ -25,7 +25,7 @@ export class Channel {
     this.send({ command: name, ...values });
   }
 
-  /** Ask for something that is no part of the command log. */
+  /** Send an action, which is not in the command log. */
   action(name, values = {}) {
     this.send({ action: name, ...values });
   }

@@ -1,4 +1,4 @@
-// Joint bars that can be dragged: forward kinematics; the ball goes along with the tool.
+// Joint bars that can be dragged (forward kinematics). The ball moves with the tool.
 
 import { heading, make, refill, show } from "./dom.js";
 import { parameter } from "./parameter.js";
@@ -128,7 +128,7 @@ class Stiffness {
     this.channel = channel;
     this.rows = {};
     this.list = make("div");
-    const help = "A stiffer joint moves less. Methods that cannot do that say so.";
+    const help = "A stiffer joint moves less. A method without stiffness reports that.";
     this.element = make(
       "details",
       { class: "rk-rare rk-stiffness" },

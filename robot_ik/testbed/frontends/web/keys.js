@@ -1,8 +1,8 @@
 // Keys of the page, before viser's 3D view gets them.
 //
-// viser moves its camera with W A S D Q E and the arrows, by a listener of the document. Ours
-// listens at the window, in the capture phase, and stops the keys that it uses. C gives these keys
-// to viser's camera and back.
+// viser moves its camera with W A S D Q E and the arrows, by a listener of the document. The
+// listener here is at the window, in the capture phase, and stops the keys that it uses. C switches
+// these keys between the ball and viser's camera.
 
 const SPEED = 0.45; // of the ball while a key is held, metres a second
 const STEP_MS = 33; // between two steps of the ball
@@ -95,7 +95,7 @@ export class Keys {
   }
 }
 
-/** Turn a step (right, away, up) as a person sees it into the world's axes. */
+/** Convert a step (right, away, up) relative to the view to the world's axes. */
 export function worldStep([right, away, up]) {
   const camera = window.__viserMutable?.camera;
   if (!camera) return [right, away, up];

@@ -1,4 +1,4 @@
-// Names of the instances on the floor, drawn by the page: viser's labels have one look only.
+// Names of the instances on the floor, drawn by the page: viser's labels cannot be styled.
 
 import { make, show } from "./dom.js";
 

@@ -1,4 +1,4 @@
-// One card an instance: its method, how it does, its parameters. Below them the ball and the plot.
+// One card for each instance: its method, state and parameters. Below: the ball and the plot.
 
 import { heading, icon, make, menu, refill, segmented, show, toggle } from "./dom.js";
 import { parameter } from "./parameter.js";
@@ -274,8 +274,8 @@ export class MethodsTab {
       const acting = k === 0 && view.figure !== null;
       if (k < count) card.show(view.instances[k], acting, view.busy);
     });
-    const most = Math.max(...view.instances.map((one) => one.count));
-    this.note.textContent = most ? `Of the last ${most} frames in which something was asked.` : "";
+    const frames = Math.max(...view.instances.map((one) => one.count));
+    this.note.textContent = frames ? `Of the last ${frames} frames with a request.` : "";
     this.theses.show(view);
     this.plot.draw();
   }

@@ -4,22 +4,24 @@ import { make, refill, show } from "./dom.js";
 
 const NOTICE_MS = 5000;
 
-const KIND_WORDS = {
+/** Where the ball is, by what moves it. */
+const BALL_WORDS = {
   curve: "on a curve",
   random: "at random places",
   hand: "by hand",
   joints: "at the tool",
   timeline: "at the tool",
+  plan: "at the goal of the plan",
   course: "on a course",
 };
 
 const PICK_WORDS = {
   tool: "Click the part that follows the ball.",
   base: "Click the part that stays: joints between it and the effector move.",
-  pin: "Click the part that is pinned where it is.",
+  pin: "Click the part to pin at its present place.",
 };
 
-/** The keys of the ball. Those of the first thesis are along the axes, else they are as seen. */
+/** The keys of the ball: along the world's axes, as in thesis P11, or relative to the view. */
 function ballKeys(isAlongAxes) {
   if (!isAlongAxes) return [["↑ ↓ ← → W S", "ball"]];
   return [
@@ -107,7 +109,7 @@ export class Overlay {
   }
 
   modeText({ figure, kind, motion }) {
-    if (!figure) return `${kind} · ${KIND_WORDS[motion]}`;
+    if (!figure) return `${kind} · ${BALL_WORDS[motion]}`;
     if (figure.locked) return `${figure.mode} · the ball is locked`;
     if (figure.waiting) return `${figure.mode} · place the ball, press Space`;
     return `${figure.mode} · follows the ball`;

@@ -1,4 +1,4 @@
-// The page around viser's 3D view: what stands where, and what each part gets to show.
+// The page around viser's 3D view: its parts, and the messages that each part shows.
 
 import { ArPane, ArTab } from "./ar.js";
 import { ArmTab } from "./arm.js";
@@ -19,7 +19,7 @@ import { SceneTab } from "./scene_tab.js";
 import { TimeLine } from "./timeline.js";
 import { TopBar } from "./top_bar.js";
 
-const PAIRING_MS = 500; // between two looks for the key of this page
+const PAIRING_MS = 500; // between two searches for the key of this page
 const PAGE_NODE = "/page/"; // viser names an empty node by the key
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
 
@@ -34,7 +34,7 @@ class Page {
     this.overlay = new Overlay();
     this.channel = new Channel({
       open: () => {
-        this.key = ""; // the new connection does not know it
+        this.key = ""; // it must be sent again on the new connection
       },
       lost: () => this.connection.closed(),
       beat: () => this.connection.beat(),
@@ -125,7 +125,7 @@ class Page {
     this.channel.action("report_graphics", { software: drawsInSoftware() });
   }
 
-  /** Build the parts that need to know the program. It comes again after a new connection. */
+  /** Build the parts that depend on the program. The message comes again after a reconnection. */
   showProgram(program) {
     this.connection.withArm = program.arm;
     this.top.showProgram(program);

@@ -4,16 +4,16 @@ import { make, menu, toggle } from "./dom.js";
 
 const HAND_MS = 1200; // a control that was just moved does not follow the session
 const STEPS = 1000; // of a slider
-const MUCH = 10; // the usual range is at least this part of a linear range
-const DECADES = 100; // a range without a usual part whose ends differ by this is logarithmic
-const SMALL = 1e-3; // of the usual end: the smallest value above zero of a logarithmic slider
+const WIDE = 10; // a range wider than this many usual ranges is logarithmic
+const DECADES = 100; // without a usual range, a range with this ratio of its ends is logarithmic
+const SMALLEST = 1e-3; // of the usual end: smallest value above zero of a logarithmic slider
 const ZERO = 0.02; // share of a logarithmic slider that means zero, if zero is allowed
 
 /** How positions of a slider become values: linear, logarithmic, or logarithmic above zero. */
 export function scaleOf({ lower, upper, usual = [] }) {
   const first = lower ?? usual[0] ?? 0;
   const last = upper ?? usual[1] ?? 1;
-  const isWide = usual.length ? last - first > MUCH * (usual[1] - usual[0]) : last > DECADES * (first || 1);
+  const isWide = usual.length ? last - first > WIDE * (usual[1] - usual[0]) : last > DECADES * (first || 1);
   if (first < 0 || !isWide) {
     return {
       shareOf: (value) => (value - first) / (last - first),
@@ -26,7 +26,7 @@ export function scaleOf({ lower, upper, usual = [] }) {
       valueOf: (share) => first * (last / first) ** share,
     };
   }
-  const smallest = SMALL * (usual[1] ?? 1);
+  const smallest = SMALLEST * (usual[1] ?? 1);
   const above = (share) => (share - ZERO) / (1 - ZERO);
   return {
     shareOf: (value) => {

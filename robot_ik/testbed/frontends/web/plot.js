@@ -78,17 +78,17 @@ export class Plot {
     while (this.rows.length && this.rows[0].now < view.now - SECONDS) this.rows.shift();
   }
 
-  /** Choose a range that holds all lines. It is kept until it is clearly wrong. */
+  /** Choose a range that contains all lines. It changes only if it is much too large or too small. */
   fit(values) {
     const shown = values.filter((value) => value > 0);
     if (this.quantity.linear) {
       const top = Math.max(this.quantity.top, ...shown) * LINEAR_ROOM;
-      const wrong = !this.range || top > this.range[1] || top < 0.4 * this.range[1];
-      if (wrong) this.range = [0, top];
+      const isUnfit = !this.range || top > this.range[1] || top < 0.4 * this.range[1];
+      if (isUnfit) this.range = [0, top];
       return;
     }
-    const least = shown.length ? Math.min(...shown, 1) : SMALLEST;
-    const low = Math.floor(Math.log10(Math.max(SMALLEST, least)));
+    const smallest = shown.length ? Math.min(...shown, 1) : SMALLEST;
+    const low = Math.floor(Math.log10(Math.max(SMALLEST, smallest)));
     const high = Math.max(Math.ceil(Math.log10(Math.max(...shown, 1e-3)) + 1e-9), low + 2);
     const kept =
       this.range &&

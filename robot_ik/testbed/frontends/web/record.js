@@ -39,7 +39,7 @@ export class RecordTab {
       make(
         "div",
         { class: "rk-buttons" },
-        file("Save the command log", () => channel.action("save_log"), "Holds every command"),
+        file("Save the command log", () => channel.action("save_log"), "Contains every command"),
         this.film,
       ),
       make(

@@ -80,7 +80,7 @@ export class Theses {
     this.run = button("play", "Run the four cases", () => channel.action("run_cases"), {
       title: "Seven-segment arm, four methods, parameters of the thesis; 1000 frames a case",
     });
-    this.open = button("", "Table", () => this.table.open(), { title: "Table 4.1 beside ours" });
+    this.open = button("", "Table", () => this.table.open(), { title: "Table 4.1 beside the values of this page" });
     this.progress = make("p", { class: "rk-note", role: "status" });
     this.courses = Object.entries(program.courses).map(([number, result]) =>
       make(

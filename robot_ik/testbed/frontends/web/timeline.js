@@ -129,7 +129,7 @@ export class TimeLine {
 
   build(times, names) {
     if (!times.length) {
-      const text = "Pose the robot, press Record pose, pose it again: the motion between is made";
+      const text = "Pose the robot, press Record pose, and repeat: the motion between the poses is computed";
       return [make("div", { class: "empty" }, text)];
     }
     const bar = make("div", { class: "span", style: `width:${(100 * this.last) / this.span}%` });

@@ -1,4 +1,4 @@
-// The bar at the top: robot, figure, state, start, reset, STOP. Nothing in it changes its place.
+// The bar at the top: robot, figure, state, start, reset, STOP. Its parts keep their places.
 
 import { showRobotButton } from "./dialogs.js";
 import { button, icon, make, segmented, show } from "./dom.js";
@@ -9,6 +9,7 @@ const MOTIONS = {
   hand: "following the ball",
   joints: "joints set by hand",
   timeline: "on the timeline",
+  plan: "on the planned motion",
   course: "following a course of thesis A00",
 };
 
@@ -38,7 +39,7 @@ export class TopBar {
         ["passive", "Passive", "The figure acts on demand"],
       ],
       (mode) => channel.command("set_figure", { mode }),
-      { label: "who moves the figure" },
+      { label: "what moves the figure" },
     );
     this.act = button("", "Act", () => channel.command("act"), {
       kind: "primary",
