@@ -26,15 +26,15 @@ def main() -> None:
     # 0 1 0 0 turns the gripper half a turn about x: it points straight down.
     goal = rik.PoseGoal("gripper", position=(-0.45, -0.10, 0.80), wxyz=(0, 1, 0, 0))
     for name, method in rik.SOLVERS.items():
-        if isinstance(goal, method.goals):  # some methods serve positions only
+        if isinstance(goal, method.goals):  # some methods support positions only
             show(name, rik.solve(robot, goal, solver=name))
-    q = rik.solve(robot, goal).require().q  # require() raises where there is no solution
+    q = rik.solve(robot, goal).require().q  # require() raises an error if the goal was not reached
     print("q (deg):", np.array2string(np.degrees(q), precision=2, suppress_small=True))
     print("gripper:", robot.forward(q, "gripper"))
 
     far = rik.solve(robot, rik.PositionGoal("gripper", position=(-3.0, 0.0, 0.8)))
     show(far.solver, far)
-    print("so:", far.status.meaning)
+    print("status:", far.status.meaning)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def main(offset_deg: float = 0.0) -> None:
     robot = arm.robot
     arm.virtual_bus.inject(joint_offset(arm.config.joint("joint2"), offset_deg))
 
-    scene = scene_for(robot)  # where table, marker and camera stand: [reach] of robot.toml
+    scene = scene_for(robot)  # poses of table, marker and camera: [reach] of robot.toml
     camera = SyntheticSource(scene.synthetic(robot), arm.true_q, clock=arm.clock)
     lens = scene.intrinsics
     eye = scene.pose_world_camera
@@ -41,17 +41,17 @@ def main(offset_deg: float = 0.0) -> None:
         move = rik.joint_move(robot, start, rik.solve(robot, goal, start=start).require().q)
         rik.execute(move, [arm], source=arm, clock=arm.clock, settle=0.4)
         q = arm.read().q
-        seen = cube.find(camera.read(), lens)
+        observation = cube.find(camera.read(), lens)
 
     print(f"by the servos: {1e3 * robot.measure(q).distance(goal.target)[0]:.2f} mm from the goal")
-    if seen is None:
+    if observation is None:
         sys.exit("the gripper's markers are not in view")
     pose_cube_gripper = robot.forward(q, scene.cube_frame).inverse() @ robot.forward(q)
-    gripper = eye @ seen.pose @ pose_cube_gripper
-    miss = gripper.distance(goal.target)[0]
+    gripper = eye @ observation.pose @ pose_cube_gripper
+    error = gripper.distance(goal.target)[0]
     print(
-        f"by the camera: {1e3 * miss:.2f} mm from the goal: "
-        f"{'REACHED' if miss < 0.005 else 'NOT REACHED'}"
+        f"by the camera: {1e3 * error:.2f} mm from the goal: "
+        f"{'REACHED' if error < 0.005 else 'NOT REACHED'}"
     )
 
 

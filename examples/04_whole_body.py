@@ -18,7 +18,7 @@ BALL = (0.60, -0.30, 0.35)
 
 
 def goals(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
-    """Goals by what they mean."""
+    """Return the goals by their meaning."""
     home = figure.home
     left, right = (figure.forward(home, side) for side in ("left_foot", "right_foot"))
     over_the_feet = figure.center_of_mass(home)
@@ -35,13 +35,13 @@ def goals(figure: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Go
 def main(*ball: float) -> None:
     figure = rik.load_robot("humanoid")
     wanted = goals(figure, ball or BALL)
-    found = rik.solve(figure, list(wanted.values()))
-    print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
-    print("priority  goal                      off by                 met")
-    for (name, goal), error in zip(wanted.items(), found.errors, strict=True):
+    solution = rik.solve(figure, list(wanted.values()))
+    print(f"{solution.status.name} after {solution.iterations} steps: {solution.status.meaning}")
+    print("priority  goal                      error                  met")
+    for (name, goal), error in zip(wanted.items(), solution.errors, strict=True):
         met = error.position <= 1e-4 and error.angle <= 1e-3
-        off = f"{1e3 * error.position:9.3f} mm {np.degrees(error.angle):8.3f} deg"
-        print(f"{goal.priority:8}  {name:24}{off}  {'yes' if met else 'no'}")
+        distance = f"{1e3 * error.position:9.3f} mm {np.degrees(error.angle):8.3f} deg"
+        print(f"{goal.priority:8}  {name:24}{distance}  {'yes' if met else 'no'}")
 
 
 if __name__ == "__main__":

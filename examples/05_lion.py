@@ -19,7 +19,7 @@ STANDING = ("front_left_paw", "hind_left_paw", "hind_right_paw")
 
 
 def goals(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal]:
-    """Goals by what they mean."""
+    """Return the goals by their meaning."""
     home = lion.home
     paws = {f"{paw} stays": rik.PoseGoal.at(paw, lion.forward(home, paw)) for paw in STANDING}
     parts = {
@@ -28,7 +28,7 @@ def goals(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal
         )
         for part in ("spine", "tail", "neck", "legs")
     }
-    # Inside the triangle of the three paws: a little back and to the left of where it is on four.
+    # Inside the triangle of the three paws: a little behind and left of its place on four paws.
     middle = np.mean([lion.forward(home, paw).position for paw in STANDING], axis=0)
     return {
         **paws,
@@ -42,13 +42,13 @@ def goals(lion: rik.Robot, ball: tuple[float, ...] = BALL) -> dict[str, rik.Goal
 def main(*ball: float) -> None:
     lion = rik.load_robot("lion")
     wanted = goals(lion, ball or BALL)
-    found = rik.solve(lion, list(wanted.values()))
-    print(f"{found.status.name} after {found.iterations} steps: {found.status.meaning}")
-    print("priority  goal                      off by                 met")
-    for (name, goal), error in zip(wanted.items(), found.errors, strict=True):
+    solution = rik.solve(lion, list(wanted.values()))
+    print(f"{solution.status.name} after {solution.iterations} steps: {solution.status.meaning}")
+    print("priority  goal                      error                  met")
+    for (name, goal), error in zip(wanted.items(), solution.errors, strict=True):
         met = error.position <= 1e-4 and error.angle <= 1e-3
-        off = f"{1e3 * error.position:9.3f} mm {np.degrees(error.angle):8.3f} deg"
-        print(f"{goal.priority:8}  {name:24}{off}  {'yes' if met else 'no'}")
+        distance = f"{1e3 * error.position:9.3f} mm {np.degrees(error.angle):8.3f} deg"
+        print(f"{goal.priority:8}  {name:24}{distance}  {'yes' if met else 'no'}")
 
 
 if __name__ == "__main__":

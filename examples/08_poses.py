@@ -4,7 +4,7 @@
     python examples/08_poses.py FOLDER     also writes poses.toml, motion.csv and motion.bvh there
 
 Each reach uses the most likely of all poses that put the hand there (a learned prior). The program
-prints how long the motion is, how high the hand goes and how far the humanoid walks.
+prints the duration of the motion, the height of the hand and the distance of the walk.
 """
 
 import sys
@@ -20,7 +20,7 @@ POSITIONS = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}
 
 
 def recorded(figure: rik.Robot) -> KeyPoses:
-    """Home and the two reaches, under their names."""
+    """Return key poses: home and the two reaches."""
     book = KeyPoses(figure)
     book.record("stand", figure.home)
     natural = rik.PosePriorGoal(prior=rik.PosePrior.of(figure))
@@ -29,10 +29,10 @@ def recorded(figure: rik.Robot) -> KeyPoses:
         for foot in ("left_foot", "right_foot")
     ]
     for name, position in POSITIONS.items():
-        found = rik.solve(
+        solution = rik.solve(
             figure, [*feet, rik.PositionGoal("right_hand", position), natural], solver="lm"
         )
-        book.record(name, found.require().q)
+        book.record(name, solution.require().q)
     book.record_motion("greet", ["stand", "high", "low", "stand"], [0.8, 0.6, 0.8])
     return book
 
@@ -45,7 +45,7 @@ def main(folder: str = "") -> None:
     both: Keyframes = greet.blended(walk, 0.4)
     frames = both.sampled(60.0)
     hand = np.array([figure.forward(q, "right_hand").position for q in frames.q])
-    print(f"{len(frames)} frames in {both.duration:.2f} s, nothing solved in any of them")
+    print(f"{len(frames)} frames in {both.duration:.2f} s, interpolated without a solver")
     print(f"the hand was between {hand[:, 2].min():.2f} and {hand[:, 2].max():.2f} m high")
     print(f"the pelvis went {frames.q[-1, 0] - frames.q[0, 0]:.2f} m")
     if folder:

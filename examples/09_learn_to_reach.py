@@ -1,6 +1,6 @@
 """Train SAC with hindsight experience replay (HER) to reach goals with a Koch v1.1.
 
-Prints the success rate on 50 new goals during the training. It needs
+Prints the success rate on the same 50 test goals during the training. It needs
 ``pip install "robot-ik-testbed[gym]" stable-baselines3``.
 """
 
@@ -47,12 +47,12 @@ def main():
         seed=0,
     )
     rows = ["steps,success"]
-    for done in range(0, options.steps + 1, options.every):
-        if done:
+    for trained in range(0, options.steps + 1, options.every):
+        if trained:
             model.learn(options.every, reset_num_timesteps=False)
         rate = success_rate(model, test_env)
-        rows.append(f"{done},{rate}")
-        print(f"after {done} steps: {rate:.0%} of the goals", flush=True)
+        rows.append(f"{trained},{rate}")
+        print(f"after {trained} steps: {rate:.0%} of the goals", flush=True)
         if options.curve:
             options.curve.write_text("\n".join(rows) + "\n", encoding="utf-8")
 

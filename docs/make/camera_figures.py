@@ -74,8 +74,8 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
 def figures(row: Data) -> list[Quantity]:
     """Return the figures of a row of the data."""
     return [
-        Quantity(**{key: value for key, value in one.items() if key != "passed"})
-        for one in row["figures"]
+        Quantity(**{key: value for key, value in quantity.items() if key != "passed"})
+        for quantity in row["figures"]
     ]
 
 
@@ -93,9 +93,10 @@ def camera(data: Data, _others: Data) -> str:
             lines.append(f"| **{row.about}** | {TABLES_OF_ROWS[row.name]} | |")
             continue
         lines.append(f"| **{row.about}** | | |")
-        for one in figures(facts):
-            missed = " (missed)" if one.passed is False else ""
-            lines.append(f"| {one.quantity} | {one.measured_text}{missed} | {one.wanted_text} |")
+        for quantity in figures(facts):
+            missed = " (missed)" if quantity.passed is False else ""
+            measured = quantity.measured_text + missed
+            lines.append(f"| {quantity.quantity} | {measured} | {quantity.wanted_text} |")
     for where, names in places.items():
         m = json.loads(where)
         place = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
@@ -106,26 +107,31 @@ def camera(data: Data, _others: Data) -> str:
 
 def other_cameras(data: Data, _others: Data) -> str:
     """Return a table with a line for each camera and mark, and the bounds in brackets."""
-    found: dict[tuple[str, str], dict[str, Quantity]] = {}
-    for one in figures(data["rows"][BY_CAMERA]):
-        camera, mark, what = one.quantity.split(", ", 2)
-        found.setdefault((camera, mark), {})[what] = one
-    columns = next(iter(found.values()))
-    heads = [f"{column}, {one.unit}" if one.unit else column for column, one in columns.items()]
+    cameras: dict[tuple[str, str], dict[str, Quantity]] = {}
+    for quantity in figures(data["rows"][BY_CAMERA]):
+        camera, mark, what = quantity.quantity.split(", ", 2)
+        cameras.setdefault((camera, mark), {})[what] = quantity
+    columns = next(iter(cameras.values()))
+    heads = [
+        f"{column}, {quantity.unit}" if quantity.unit else column
+        for column, quantity in columns.items()
+    ]
     lines = [f"| camera | mark | {' | '.join(heads)} |", "| --- | --- |" + " ---: |" * len(columns)]
-    for (camera, mark), cells in found.items():
+    for (camera, mark), cells in cameras.items():
         texts = [_with_bounds(cells.get(column)) for column in columns]
         lines.append(f"| {camera} | {mark} | {' | '.join(texts)} |")
     return "\n".join([*lines, ""])
 
 
-def _with_bounds(one: Quantity | None) -> str:
+def _with_bounds(quantity: Quantity | None) -> str:
     """Return a value and its bounds."""
-    if one is None:
+    if quantity is None:
         return ""
-    bounds = one.wanted_text.removesuffix(one.unit).strip().replace(" ", "\N{NO-BREAK SPACE}")
-    missed = "; missed" if one.passed is False else ""
-    return f"{one.value:.3g} ({bounds}{missed})"
+    bounds = (
+        quantity.wanted_text.removesuffix(quantity.unit).strip().replace(" ", "\N{NO-BREAK SPACE}")
+    )
+    missed = "; missed" if quantity.passed is False else ""
+    return f"{quantity.value:.3g} ({bounds}{missed})"
 
 
 def prediction(data: Data, _others: Data) -> str:
@@ -144,7 +150,7 @@ def latency_options(data: Data, _others: Data) -> str:
         "| what is done | `LatencyOptions` | RMS, px | worst, px |",
         "| --- | --- | ---: | ---: |",
     ]
-    values = {one.quantity: one.value for one in figures(data["rows"]["latency"])}
+    values = {quantity.quantity: quantity.value for quantity in figures(data["rows"]["latency"])}
     for name, options in _LATENCY_CASES.items():
         rms = values[f"{name}, RMS"]
         worst = values[f"{name}, worst"]
@@ -156,8 +162,12 @@ def headlines(data: Data, others: Data) -> str:
     """Return a table for the front page, with a few figures and the command of each."""
 
     def of(row: str, start: str) -> str:
-        found = [one for one in figures(data["rows"][row]) if one.quantity.startswith(start)]
-        return " / ".join(f"{one.value:.2f}" for one in found) + f" {found[0].unit}"
+        chosen = [
+            quantity
+            for quantity in figures(data["rows"][row])
+            if quantity.quantity.startswith(start)
+        ]
+        return " / ".join(f"{quantity.value:.2f}" for quantity in chosen) + f" {chosen[0].unit}"
 
     cells = {(c["solver"], c["set"]): c for c in others["methods"] if c["robot"] == "puma560"}
     cold = cells["auto", "cold"]
@@ -176,8 +186,12 @@ def headlines(data: Data, others: Data) -> str:
 
 
 def _rms(data: Data) -> str:
-    found = [one.value for one in figures(data["rows"]["overlay"]) if one.quantity.endswith("RMS")]
-    return " / ".join(f"{value:.2f}" for value in found) + " px"
+    values = [
+        quantity.value
+        for quantity in figures(data["rows"]["overlay"])
+        if quantity.quantity.endswith("RMS")
+    ]
+    return " / ".join(f"{value:.2f}" for value in values) + " px"
 
 
 TABLES: dict[str, Callable[[Data, Data], str]] = {
@@ -195,10 +209,8 @@ def main(names: Sequence[str]) -> None:
     """Merge the named files of figures into docs/camera.json and fill the pages."""
     if names:
         data = json.loads(DATA.read_text(encoding="utf-8")) if DATA.exists() else {}
-        found = collect(
-            data, [json.loads(Path(name).read_text(encoding="utf-8")) for name in names]
-        )
-        DATA.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        data = collect(data, [json.loads(Path(name).read_text(encoding="utf-8")) for name in names])
+        DATA.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     for page in PAGES:
         before = page.read_text(encoding="utf-8")
         after = filled(before)

@@ -70,7 +70,7 @@ def strip(
     return np.asarray(half, dtype=np.uint8)
 
 
-def only(action: str, frames: list[FigureFrame]) -> Array:
+def frames_of(action: str, frames: list[FigureFrame]) -> Array:
     """Return the joint values (n, nq) of the frames of an action."""
     return np.array([frame.q for frame in frames if frame.action == action])
 
@@ -98,13 +98,15 @@ def main(folder: Path) -> None:
         maker = FilmMaker(figure.robot, size=(480, 480))
         save(folder, f"decision-{action}", maker.picture(frame))
 
-    walk = only("walk", runs["walk"])
+    walk = frames_of("walk", runs["walk"])
     cycle = walk[len(walk) // 3 :][:70]
     save(folder, "strip-walk", strip(figure, cycle, 9, (-90.0, 6.0), follow=True))
-    save(folder, "strip-bend", strip(figure, only("bend", runs["bend"]), 7, (-60.0, 8.0)))
-    save(folder, "strip-reach", strip(figure, only("reach", runs["reach"]), 6, (-50.0, 8.0)))
-    save(folder, "strip-jump", strip(figure, only("jump", runs["jump"])[20:], 10, (-60.0, 4.0)))
-    turn = only("walk", frames_for(abilities, _BALL_BEHIND))
+    save(folder, "strip-bend", strip(figure, frames_of("bend", runs["bend"]), 7, (-60.0, 8.0)))
+    save(folder, "strip-reach", strip(figure, frames_of("reach", runs["reach"]), 6, (-50.0, 8.0)))
+    save(
+        folder, "strip-jump", strip(figure, frames_of("jump", runs["jump"])[20:], 10, (-60.0, 4.0))
+    )
+    turn = frames_of("walk", frames_for(abilities, _BALL_BEHIND))
     save(folder, "strip-turn", strip(figure, turn, 9, (-30.0, 8.0), follow=True))
 
 

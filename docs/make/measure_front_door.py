@@ -86,26 +86,26 @@ def measure(robot: rik.Robot, rounds: int, count: int) -> dict[str, tuple[float,
 
 
 def cell(times: tuple[float, float]) -> str:
-    """Median / p99."""
+    """Return median / p99."""
     return f"{times[0]:.1f} / {times[1]:.0f}"
 
 
-def lines(found: dict[str, dict[str, tuple[float, float]]]) -> list[str]:
-    """The table of the page: median / p99."""
+def lines(times: dict[str, dict[str, tuple[float, float]]]) -> list[str]:
+    """Return the table of the page: median / p99."""
     python = f"{platform.python_implementation()} {platform.python_version()}"
-    names = next(iter(found.values()))
+    names = next(iter(times.values()))
     return [
-        f"| µs, median / p99, {python} | {' | '.join(ROBOTS[robot] for robot in found)} |",
-        "| --- |" + " ---: |" * len(found),
+        f"| µs, median / p99, {python} | {' | '.join(ROBOTS[robot] for robot in times)} |",
+        "| --- |" + " ---: |" * len(times),
         *(
-            f"| {name} | {' | '.join(cell(one[name]) for one in found.values())} |"
+            f"| {name} | {' | '.join(cell(robot[name]) for robot in times.values())} |"
             for name in names
         ),
     ]
 
 
 def main() -> None:
-    """Measures, prints, and writes the table if asked to."""
+    """Measure and print the table. Write it with --write."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

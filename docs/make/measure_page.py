@@ -1,4 +1,4 @@
-"""Measure what the page of the testbed costs and how soon it appears, beside the target values.
+"""Measure the processor time and the start of the testbed's page, beside the target values.
 
     python docs/make/measure_page.py [--seconds N]
 
@@ -106,7 +106,7 @@ def _tick_and_view(session: Session) -> Quantity:
 
 
 def _running(session: Session, seconds: float, say: Callable[[str], None]) -> Iterator[Quantity]:
-    """Costs with one client and with two; the delay of a ball that is dragged."""
+    """Measure the costs with one client and with two, and the delay of a dragged ball."""
     draws: list[float] = []
     stop = threading.Event()
     with Page(session, PageServer(port=_PORT)) as page, Watcher(page.url) as first:
@@ -119,22 +119,22 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
         loop = threading.Thread(target=run, args=(session, draw, stop), name="testbed-loop")
         loop.start()
         try:
-            time.sleep(1.0)  # what a new browser gets is sent
+            time.sleep(1.0)  # until the first messages to a new browser are sent
             draws.clear()
-            say("one browser looks")
-            one, sent = _costs(first, seconds)
+            say("one connected browser")
+            alone_before, sent = _costs(first, seconds)
             times = 1e3 * np.array(draws)
             with Watcher(page.url) as second:
                 time.sleep(1.0)
-                say("two browsers look")
+                say("two connected browsers")
                 two, _ = _costs(second, seconds)
-            again, _ = _costs(first, seconds)
+            alone_after, _ = _costs(first, seconds)
             say("dragging the ball")
             delays = 1e3 * np.array(first.drag())
         finally:
             stop.set()
             loop.join()
-    alone = 0.5 * (one + again)
+    alone = 0.5 * (alone_before + alone_after)
     rows = (
         ("draw, four arms, one client: median", np.median(times), "ms", 2.0),
         ("draw, four arms, one client: p99", np.percentile(times, 99), "ms", 4.0),
@@ -154,8 +154,8 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
             60.0,
         ),
     )
-    for what, value, unit, most in rows:
-        yield Quantity(what, float(value), unit, most)
+    for what, value, unit, limit in rows:
+        yield Quantity(what, float(value), unit, limit)
 
 
 def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
@@ -188,8 +188,8 @@ class Watcher:
     def drag(self) -> list[float]:
         """Seconds from each of some ball moves to the packet in which a robot has moved."""
         self._pipe.send("drag")
-        found: list[float] = self._pipe.recv()
-        return found
+        delays: list[float] = self._pipe.recv()
+        return delays
 
     def __enter__(self) -> Self:
         return self
@@ -233,7 +233,7 @@ def _drag(client: PageClient) -> list[float]:
             if time.perf_counter() - begin > 2.0:
                 break  # a method that does not come to rest
         time.sleep(float(rng.uniform(0.0, 0.05)))  # at any moment between two drawings
-    return delays[2:]  # the first bring the arms there
+    return delays[2:]  # the first two move the arms to the ball
 
 
 class PageClient:
@@ -368,13 +368,13 @@ def _starts(say: Callable[[str], None]) -> Iterator[Quantity]:
         ("command to robot drawn, at home, with no kernel compiled", cold[1], 10.0, why),
         ("command to first answer, with no kernel compiled", cold[2], 45.0, ""),
     )
-    for what, value, most, note in rows:
-        yield Quantity(what, value, "s", most, missing=note)
+    for what, value, limit, note in rows:
+        yield Quantity(what, value, "s", limit, missing=note)
 
 
 @contextlib.contextmanager
 def _browser() -> Iterator[tuple[Any, str]]:
-    """A running Chromium, or None and why not."""
+    """Yield a running Chromium, or None and the reason."""
     path = find_chromium()
     try:
         from playwright.sync_api import sync_playwright
@@ -390,7 +390,7 @@ def _browser() -> Iterator[tuple[Any, str]]:
 
 
 def find_chromium() -> str | None:
-    """Its path; None: there is none."""
+    """Return the path of Chromium, or None if it is not installed."""
     names = ("chromium", "chromium-browser", "google-chrome")
     return next((path for name in names if (path := shutil.which(name))), None)
 
@@ -420,17 +420,16 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
     )
     try:
         assert child.stdout is not None
-        found = next(
-            (one for line in child.stdout if (one := re.search(r"http://\S+", line))), None
-        )
-        if found is None:
+        matches = (re.search(r"http://\S+", line) for line in child.stdout)
+        match = next(filter(None, matches), None)
+        if match is None:
             raise ChildProcessError("robot-ik view ended without an address")
         address = time.perf_counter() - begin
         replies: list[float] = []
-        waiting = threading.Thread(target=lambda: replies.append(_first_reply(found[0]) - begin))
+        waiting = threading.Thread(target=lambda: replies.append(_first_reply(match[0]) - begin))
         waiting.start()
         if window is not None:
-            window.goto(found[0])
+            window.goto(match[0])
             window.wait_for_function(DRAWN, timeout=1e3 * _PATIENCE)
             drawn = time.perf_counter() - begin
             window.close()
@@ -452,8 +451,8 @@ def _first_reply(url: str) -> float:
 
 
 def main() -> int:
-    """Prints the table; 0 where every figure was measured and is as wanted, else 1."""
-    parser = argparse.ArgumentParser(description="what the testbed's page costs")
+    """Print the table. Return 0 if every figure was measured and is within its limit, else 1."""
+    parser = argparse.ArgumentParser(description="processor time and start of the testbed's page")
     parser.add_argument(
         "--seconds",
         type=float,
@@ -464,9 +463,9 @@ def main() -> int:
     rows = list[Quantity]()
     try:
         for row in measure_page(asked.seconds, lambda text: console.say(text, "dim")):
-            rows.append(row)  # one by one: an interrupt keeps what is done
+            rows.append(row)  # one at a time: an interrupt keeps the finished rows
     finally:
-        show_quantities("page", (("", one) for one in rows))
+        show_quantities("page", (("", row) for row in rows))
     return 0 if all(row.passed for row in rows) else 1
 
 

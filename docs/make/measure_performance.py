@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-#: Of the page; `ikpy` takes minutes for what the others do in seconds.
+#: The libraries of the page. `ikpy` is left out: it takes minutes, the others seconds.
 LIBRARIES = (
     "robot_ik",
     "robot_ik_lm",
@@ -24,7 +24,7 @@ LIBRARIES = (
     "placo",
     "placo_restarts",
 )
-#: What is run of our own, each into a folder of its own.
+#: Our own benchmarks, each with its own folder of results.
 BENCHES = {
     "methods": "bench --count 200 --seconds 2",
     "kernels": "bench --problems kernels --solver lm dls transpose ccd fabrik",
@@ -33,7 +33,7 @@ BENCHES = {
 
 
 def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
-    """The comparison, then our own benchmarks; the exit code of the comparison."""
+    """Run the comparison and our own benchmarks. Return the exit code of the comparison."""
     out.mkdir(parents=True, exist_ok=True)
     code = call(
         "-m",
@@ -56,14 +56,14 @@ def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
 
 
 def call(*arguments: object) -> int:
-    """Runs this Python and says with what."""
+    """Print a command and run it with this Python."""
     command = [sys.executable, *(str(argument) for argument in arguments)]
     sys.stderr.write("$ " + " ".join(command) + "\n")
     return subprocess.run(command, check=False).returncode
 
 
 def main() -> int:
-    """All of it."""
+    """Run the comparison and the benchmarks of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

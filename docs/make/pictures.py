@@ -43,12 +43,12 @@ from robot_ik.jobs.robot_setup import Rehearsal
 Image = NDArray[np.uint8]
 
 DOCS = Path(__file__).resolve().parents[1]
-# Of one picture of the two, pixels.
+# Size of each of the two pictures, pixels.
 SIZE = (560, 560)
 # Radius of the ball, m.
 _BALL_RADIUS = 0.045
 _BALL_COLOUR = (0.93, 0.42, 0.10, 1.0)
-# Of a picture's width, left free on both sides of what is to be seen.
+# Share of a picture's width that stays free on both sides of the robot.
 _AIR = 0.06
 
 
@@ -57,9 +57,9 @@ class Scene:
     """One picture.
 
     Attributes:
-        example: File in examples/ that says who, what is wanted, and where the ball is.
+        example: File in examples/ with the robot, its goals and the position of the ball.
         robot: Who.
-        view_deg: From where it is seen: azimuth and elevation.
+        view_deg: Azimuth and elevation of the view.
     """
 
     example: str
@@ -106,11 +106,11 @@ def with_ball(path: Path, position: tuple[float, ...]) -> mujoco.MjModel:
 
 def draw(scene: Scene) -> Image:
     """Home and solution beside each other, BGR."""
-    found, ball = solved(scene)
-    robot = found.robot
+    solution, ball = solved(scene)
+    robot = solution.robot
     model = with_ball(robot.path, ball)
     optics = lens(*SIZE)
-    poses = [robot.qpos(robot.home), robot.qpos(found.q)]
+    poses = [robot.qpos(robot.home), robot.qpos(solution.q)]
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())
     camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
@@ -119,8 +119,8 @@ def draw(scene: Scene) -> Image:
     ]
     columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)
     air = round(_AIR * SIZE[0])
-    seen = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)
-    return np.concatenate([photo.image[:, seen] for photo in photos], axis=1)
+    visible = slice(max(0, int(columns[0]) - air), int(columns[-1]) + 1 + air)
+    return np.concatenate([photo.image[:, visible] for photo in photos], axis=1)
 
 
 def calibration() -> Image:

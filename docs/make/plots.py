@@ -66,13 +66,13 @@ TASKS = (
 
 @dataclass(frozen=True)
 class Curves:
-    """What a method did on one task.
+    """Result of a method on one task.
 
     Attributes:
         task: Which.
         residuals: Smallest residual so far, rad, (steps + 1,) for each target, beginning at the
             start.
-        steps: (COUNT,) steps that it took; inf where it did not get there.
+        steps: (COUNT,) steps to each target; inf if it was not reached.
     """
 
     task: Task
@@ -108,7 +108,7 @@ def curves(name: str, task: Task, count: int = COUNT) -> Curves | None:
 
 
 def draw(name: str, path: Path, count: int = COUNT) -> None:
-    """Draws one method's picture.
+    """Draw the picture of a method.
 
     Args:
         name: In ``SOLVERS``.
@@ -120,7 +120,7 @@ def draw(name: str, path: Path, count: int = COUNT) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    found = [c for task in TASKS if (c := curves(name, task, count)) is not None]
+    measured = [c for task in TASKS if (c := curves(name, task, count)) is not None]
     style: Any = {
         "font.size": 8.5,
         "axes.spines.top": False,
@@ -129,10 +129,10 @@ def draw(name: str, path: Path, count: int = COUNT) -> None:
     }
     with plt.rc_context(style):
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.6, 2.9), layout="constrained")
-        # The hardest task of which at least half is done; the tasks stand in that order.
-        shown = next((c for c in found if np.isfinite(c.steps).mean() >= 0.5), found[-1])
+        # The hardest task with at least half of the targets reached. TASKS has the hardest first.
+        shown = next((c for c in measured if np.isfinite(c.steps).mean() >= 0.5), measured[-1])
         _draw_descents(left, shown)
-        _draw_shares(right, found)
+        _draw_shares(right, measured)
         figure.legend(
             *right.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False
         )
@@ -174,9 +174,9 @@ def _draw_descents(axes: Any, curve: Curves) -> None:
     axes.set_ylim(1e-8, 10)
 
 
-def _draw_shares(axes: Any, found: Iterable[Curves]) -> None:
-    """Which share of the targets is reached within so many steps."""
-    for curve in found:
+def _draw_shares(axes: Any, measured: Iterable[Curves]) -> None:
+    """Draw the share of targets that are reached within a number of steps."""
+    for curve in measured:
         steps = np.sort(curve.steps[np.isfinite(curve.steps)])
         share = 100 * np.arange(1, len(steps) + 1) / len(curve.steps)
         x = [0.0, *steps, _STEPS]

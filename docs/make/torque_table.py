@@ -95,7 +95,7 @@ class Strength:
     """What the servos give at the joints, (n,) N m, belts without losses.
 
     Attributes:
-        stall: Standing, for a moment; ``continuous``: for as long as one likes.
+        stall: At rest, for a moment; ``continuous``: without a time limit.
         at_speed: At the speeds of [motion]: the stall torque less its share of the no-load speed.
     """
 
@@ -170,7 +170,7 @@ def table(poses: int = POSES, seed: int = SEED) -> str:
 
 def filled(text: str) -> str:
     """``text`` of the README with the table as it is now."""
-    return _PLACE.sub(lambda found: found[1] + table() + found[3], text)
+    return _PLACE.sub(lambda match: match[1] + table() + match[3], text)
 
 
 if __name__ == "__main__":
