@@ -15,7 +15,6 @@ The blocks of README.md and docs/ run from top to bottom, in an empty folder for
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import re
 import shlex
@@ -30,7 +29,6 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.cli.main import find_command
 from robot_ik.commands import main as cli
 from tests.doc_pages import OTHERS, PAGES, ROOT, SHOWN, blocks, named, prose
 
@@ -175,16 +173,11 @@ def run_line(
 
 
 def check_options(words: list[str], where: str) -> None:
-    from robot_ik.cli.arguments import parse
-    from robot_ik.errors import ConfigError, OptionError
+    from robot_ik.errors import OptionError
 
     try:
-        if cli.former_command(words):
-            name, command, rest = find_command(words)
-            parse(getattr(importlib.import_module(command.module), command.options), name, rest)
-        else:
-            cli.parse_command(words)
-    except (ConfigError, OptionError) as error:
+        cli.parse_command(words)
+    except OptionError as error:
         pytest.fail(f"{where}: {error}")
 
 

@@ -35,7 +35,7 @@ from robot_ik.camera.targets import Observation
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.figure.motion.bvh import Bvh, export_bvh
 from robot_ik.figure.motion.retarget import SkeletonMap
-from robot_ik.files import plain
+from robot_ik.files import json_text, plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
@@ -311,7 +311,6 @@ ALLOWED = {
         "read_text",
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
-    ("robot_ik/cli/console.py", "open"): "/dev/null",
     ("robot_ik/commands/streams.py", "open"): "/dev/null",
     ("robot_ik/testbed/frontends/window_scene.py", "read_text"): "the scene of a bundled robot",
     ("robot_ik/commands/robots.py", "ElementTree.parse"): "models that ship",
@@ -723,3 +722,25 @@ def test_a_byte_order_mark_is_no_part_of_a_text(folder: Path) -> None:
     path = folder / "from_windows.toml"
     path.write_bytes(codecs.BOM_UTF8 + b"key = 1\r\n")
     assert config.read_toml(path, "the file") == {"key": 1}
+
+
+JSON_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner),
+    max_leaves=20,
+)
+
+
+@given(JSON_VALUES)
+def test_plain_gives_json_that_every_reader_accepts(value: object) -> None:
+    simple = plain(value)
+    assert json.loads(json.dumps(simple, allow_nan=False)) == simple
+    assert json.loads(json_text(simple)) == simple
+
+
+def test_plain_takes_arrays_and_keeps_every_digit() -> None:
+    q = np.array([0.1, np.pi, -1e-17])
+    assert np.array_equal(plain({"q": q})["q"], q)
+    assert plain(np.float64("nan")) is None
+    assert plain(np.array([np.inf, 1.0])) == [None, 1.0]
+    assert plain(np.int64(3)) == 3

@@ -110,7 +110,7 @@ def test_a_project_that_does_not_use_it_pays_nothing() -> None:
         "dynamixel_sdk",
         "pydantic",
         "rich",
-        "tyro",
+        "cyclopts",
     ]
     code = (
         "import sys, pytest; before = set(sys.modules); import robot_ik.pytest_plugin;"

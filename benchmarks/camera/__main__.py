@@ -19,9 +19,9 @@ from benchmarks.camera import rows as table
 from benchmarks.camera.rows import Effort, MeasuredRows, Row
 from benchmarks.quantity_table import show_quantities
 from robot_ik.bench.methods.results import this_machine
-from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
-from robot_ik.errors import RobotIkError, unknown_name_text
+from robot_ik.commands.main import DONE, INTERRUPTED, NOT_ACHIEVED, exit_code_of
+from robot_ik.commands.terminal import Terminal, say, show_error
+from robot_ik.errors import OptionError, RobotIkError, unknown_name_text
 from robot_ik.jobs.results import claimed, save_json
 
 #: Version of the file of figures.
@@ -36,16 +36,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         chosen = chosen_rows(options.rows, options.skip)
         if "photographs" in options.rows and not options.photographs:
             problem = "the row photographs needs real pictures"
-            raise wrong("--photographs", problem, "a folder of them")
+            raise OptionError("--photographs", problem, "a folder of them")
         if options.photographs and not Path(options.photographs).is_dir():
             problem = f"{options.photographs} is not a folder"
-            raise wrong("--photographs", problem, "a folder of pictures")
+            raise OptionError("--photographs", problem, "a folder of pictures")
         measured = measure(chosen, effort, options.json, overwrite=options.overwrite)
     except RobotIkError as error:
-        return console.show_error(error)
+        show_error(error)
+        return exit_code_of(error)
     except KeyboardInterrupt:
-        return console.INTERRUPTED
-    return console.NOT_ACHIEVED if measured.failed or measured.unmeasured else console.DONE
+        return INTERRUPTED
+    return NOT_ACHIEVED if measured.failed or measured.unmeasured else DONE
 
 
 def argument_parser() -> argparse.ArgumentParser:
@@ -76,16 +77,16 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     """Return the rows of these names, all without names, except the skipped ones.
 
     Raises:
-        ConfigError: No such row, or no row is left.
+        OptionError: No such row, or no row is left.
     """
     known = {row.name: row for row in table.ROWS}
     for option, given in (("--rows", names), ("--skip", skipped)):
         for name in given:
             if name not in known:
-                raise wrong(option, unknown_name_text("row", name, list(known)))
+                raise OptionError(option, unknown_name_text("row", name, list(known)))
     chosen = [known[name] for name in dict.fromkeys(names or known) if name not in skipped]
     if not chosen:
-        raise wrong("--skip", "no row is left", "fewer names")
+        raise OptionError("--skip", "no row is left", "fewer names")
     return chosen
 
 
@@ -96,8 +97,9 @@ def measure(
     measured = MeasuredRows()
     with claimed(file, overwrite=overwrite):
         try:
-            with console.progress() as bar:
-                measured.measure(rows, effort, console.shares_on(bar, "measuring"))
+            terminal = Terminal()
+            with terminal.running("measuring"):
+                measured.measure(rows, effort, terminal.progress)
         finally:
             # An interrupt comes through here as well: what is done is kept and shown.
             if measured.figures:
@@ -106,7 +108,7 @@ def measure(
                     facts = {"schema": SCHEMA, "machine": this_machine().model_dump(mode="json")}
                     facts |= {"quick": effort.quick, "seed": effort.seed, **measured.facts()}
                     save_json(file, facts)
-                    console.say(f"figures: {file}", "dim")
+                    say(f"figures: {file}", "dim")
     return measured
 
 

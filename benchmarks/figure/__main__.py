@@ -17,10 +17,12 @@ from collections.abc import Sequence
 
 from benchmarks.figure.rows import measure_figure
 from benchmarks.quantity_table import show_quantities
-from robot_ik.cli import console
+from robot_ik.commands.main import DONE, INTERRUPTED, NOT_ACHIEVED, exit_code_of
+from robot_ik.commands.terminal import Terminal, show_error
 from robot_ik.errors import RobotIkError
 from robot_ik.figure.abilities import load_abilities
 from robot_ik.figure.figure import load_figure
+from robot_ik.files import json_text, plain
 
 SCHEMA = 3
 """Version of the JSON."""
@@ -30,20 +32,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print. Return the exit code."""
     options = argument_parser().parse_args(arguments)
     try:
-        with console.busy("measuring the figure"):
+        with Terminal().running("measuring the figure"):
             abilities = load_abilities(load_figure(options.model))
             rows = list(measure_figure(abilities, options.count, options.seed))
     except RobotIkError as error:
-        return console.show_error(error)
+        show_error(error)
+        return exit_code_of(error)
     except KeyboardInterrupt:
-        return console.INTERRUPTED
+        return INTERRUPTED
     if options.json:
         facts = [{"motion": motion, **quantity.facts()} for motion, quantity in rows]
-        console.print_json({"schema": SCHEMA, "rows": facts})
+        print(json_text(plain({"schema": SCHEMA, "rows": facts})))
     else:
         show_quantities("motion", rows)
     is_missed = any(quantity.passed is False for _, quantity in rows)
-    return console.NOT_ACHIEVED if is_missed else console.DONE
+    return NOT_ACHIEVED if is_missed else DONE
 
 
 def argument_parser() -> argparse.ArgumentParser:

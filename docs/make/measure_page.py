@@ -36,7 +36,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from benchmarks.quantity_table import show_quantities
-from robot_ik.cli import console
+from robot_ik.commands.terminal import say
 from robot_ik.jobs.quantity import Quantity
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
@@ -403,11 +403,8 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
         "-m",
         "robot_ik",
         "view",
-        "--no-open",
-        "--viewer",
-        "browser",
-        "--port",
-        str(_PORT),
+        "--host",
+        f"127.0.0.1:{_PORT}",
     ]
     begin = time.perf_counter()
     drawn = float("nan")
@@ -462,7 +459,7 @@ def main() -> int:
     asked = parser.parse_args()
     rows = list[Quantity]()
     try:
-        for row in measure_page(asked.seconds, lambda text: console.say(text, "dim")):
+        for row in measure_page(asked.seconds, lambda text: say(text, "dim")):
             rows.append(row)  # one at a time: an interrupt keeps the finished rows
     finally:
         show_quantities("page", (("", row) for row in rows))

@@ -147,7 +147,7 @@ def flag_rows() -> list[tuple[str, str, list[str]]]:
 
     app = make_app()
     commands: dict[tuple[str, str], list[str]] = {}
-    for row in (row for rows in GROUPS.values() for row in rows if row.target):
+    for row in (row for rows in GROUPS.values() for row in rows):
         command = command_app(app, row.name)
         prepare_command(command)
         for argument in command.assemble_argument_collection(parse_docstring=True):

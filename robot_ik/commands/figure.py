@@ -95,7 +95,7 @@ class Figure(OverwriteOption, JsonOption):
     ] = 12.0
     seed: Seed = 0
     viewer: bool = False
-    """Show the motion in a MuJoCo window. The window stays open until you close it."""
+    """Show the motion live. A MuJoCo window, which stays open until you close it."""
     video: DrawnVideo = None
     record: Annotated[Path | None, Parameter(metavar="FILE.csv", group=OUTPUT_GROUP), OUTPUT] = None
     """Record every command and measurement. One row for each frame."""

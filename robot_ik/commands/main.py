@@ -59,8 +59,7 @@ class Row:
     Attributes:
         name: One or two words: ``reach``, ``servo scan``.
         help: One line for ``robot-ik --help``.
-        target: Module and class. The module is imported when the command is used. Empty: the
-            command is still one of ``robot_ik/cli``.
+        target: Module and class. The module is imported when the command is used.
         aliases: Full names that users of LeRobot, ROS or MuJoCo expect. They work, and the help
             does not list them.
         mujoco: The command loads models. If MuJoCo cannot be imported, that is reported first.
@@ -68,7 +67,7 @@ class Row:
 
     name: str
     help: str
-    target: str = ""
+    target: str
     aliases: tuple[str, ...] = ()
     mujoco: bool = True
 
@@ -88,13 +87,11 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "reachability:Reachability",
         ),
         Row("run", "Run a scripted test on simulated or real servos, faults included.", "run:Run"),
-        Row("view", "Open the interactive testbed in the browser or in MuJoCo's window."),
-        Row("video", "Film the testbed without a screen, from its command log."),
-        Row("poses list", "List the poses and motions of a file."),
-        Row("poses record", "Add a pose to a file: from joints, a recorded frame or a goal."),
-        Row("poses play", "Play a motion in MuJoCo's window."),
-        Row("poses export", "Write a motion as frames: CSV or BVH."),
-        Row("poses import", "Transfer motion capture (BVH) to a figure."),
+        Row(
+            "view",
+            "Open the interactive testbed, or film it without a screen.",
+            "view:View",
+        ),
     ),
     "Servos": (
         Row(
@@ -261,7 +258,6 @@ GROUPS: dict[str, tuple[Row, ...]] = {
 GROUP_HELP = {
     "servo": "Find, set up, calibrate, watch and move servos.",
     "camera": "Find and calibrate cameras, print and detect markers.",
-    "poses": "Record, list, play, export and import poses and motions.",
 }
 """Help of the first word of commands with two words."""
 
@@ -298,7 +294,7 @@ def make_app() -> App:
                     app.command(groups[first])
                 parent = groups[first] if second else app
                 parent.command(
-                    f"robot_ik.commands.{row.target or 'main:run_former'}",
+                    f"robot_ik.commands.{row.target}",
                     name=second or first,
                     help=row.help,
                     group=None if second else panel,
@@ -318,8 +314,7 @@ def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
     app = make_app()
     for rows in GROUPS.values():
         for row in rows:
-            if row.target:
-                prepare_command(command_app(app, row.name))
+            prepare_command(command_app(app, row.name))
     return app.generate_completion(shell=shell)
 
 
@@ -360,7 +355,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             say("interrupted", "yellow")
             return INTERRUPTED
         show_error(error, debug=debug)
-        return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
+        return exit_code_of(error)
+
+
+def exit_code_of(error: Exception) -> int:
+    """Return the exit code of a run that an error has ended."""
+    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
 
 
 def run_command(arguments: Sequence[str], *, debug: bool = False) -> int:
@@ -372,9 +372,6 @@ def run_command(arguments: Sequence[str], *, debug: bool = False) -> int:
         print_versions()
         return DONE
     refuse_empty(words)
-    former = former_command(words)
-    if former:
-        return run_former(former, debug=debug)
     name, command = parse_command(words)
     if command is None:  # help was printed
         return DONE if HELP_FLAGS.intersection(words) else WRONG_INPUT
@@ -400,24 +397,6 @@ def parse_command(words: Sequence[str]) -> tuple[str, Any]:
         raise explain(error, names, lambda: option_owners(app, owners)) from error
     result = target(*bound.args, **bound.kwargs)
     return " ".join(chain), result if hasattr(result, "run") else None
-
-
-def former_command(words: Sequence[str]) -> list[str]:
-    """Return the arguments of a command of ``robot_ik/cli``, empty for every other command."""
-    for rows in GROUPS.values():
-        for row in rows:
-            for name in (row.name, *row.aliases):
-                parts = name.split()
-                if not row.target and list(words[: len(parts)]) == parts:
-                    return [*row.name.split(), *words[len(parts) :]]
-    return []
-
-
-def run_former(words: Sequence[str], *, debug: bool = False) -> int:
-    """Run a command of ``robot_ik/cli`` and return its exit code."""
-    from robot_ik.cli.main import dispatch  # it imports tyro, 0.1 s
-
-    return dispatch(list(words), debug=debug)
 
 
 def print_versions() -> None:

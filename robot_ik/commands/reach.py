@@ -152,7 +152,7 @@ class Reach(FolderOption, JsonOption):
     seed: Annotated[Seed, Parameter(group=_SIMULATION)] = 0
 
     viewer: bool = False
-    """Show the motion in a MuJoCo window. The window stays open until you close it."""
+    """Show the motion live. A MuJoCo window, which stays open until you close it."""
     video: VideoFile = None
     record: RecordFile = None
 

@@ -26,6 +26,7 @@ OTHER_OPTIONS = {
     "--view": "--viewer",
     "--gui": "--viewer",
     "--film": "--video",
+    "--csv": "--record",
     "--port": "--bus",
     "--device": "--bus",
     "--fps": "--rate",
@@ -45,6 +46,7 @@ OTHER_COMMANDS = {
     "find-cameras": "camera list",
     "viz": "view",
     "experiments": "bench",
+    "video": "view",
 }
 """Command of other programs -> command here. Exact synonyms are aliases of a row instead."""
 
@@ -196,8 +198,6 @@ def option_owners(app: App, names: Sequence[str]) -> dict[str, list[str]]:
     owners: dict[str, list[str]] = {}
     for name in names:
         command = command_app(app, name)
-        if not isinstance(command.default_command, type):
-            continue
         prepare_command(command)
         for argument in command.assemble_argument_collection():
             for option in argument.names:

@@ -138,16 +138,17 @@ def film_in_process(log: CommandLog) -> bytes:
     Another process draws it, so the session continues without a delay.
 
     Raises:
-        ConfigError: The film cannot be made; the message is that of ``robot-ik video``.
+        ConfigError: The film cannot be made; the message is that of ``robot-ik view``.
     """
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "testbed.jsonl"
         out = Path(folder) / "testbed.mp4"
-        log.save(source)
-        command = [sys.executable, "-m", "robot_ik", "video", str(source), str(out)]
+        replace(log, digest="").save(source)  # a film is made also if the bits differ
+        options = ["--replay", str(source), "--video", str(out)]
+        command = [sys.executable, "-m", "robot_ik", "view", *options]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0 or not out.is_file():
-            lines = done.stderr.strip().splitlines() or ["robot-ik video failed"]
+            lines = done.stderr.strip().splitlines() or ["robot-ik view failed"]
             raise ConfigError(lines[-1], file="film")
         return out.read_bytes()
 

@@ -23,16 +23,13 @@ from robot_ik.config import (
     read_text,
     shown,
 )
-from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
+from robot_ik.errors import ConfigError, TrajectoryError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Array
-from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
-from robot_ik.inverse_kinematics import solve
-from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
+from robot_ik.kernels.tree import Q_WIDTH
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.robot import Robot
-from robot_ik.robot_file import catalogue
 
 
 @dataclass(frozen=True)
@@ -210,27 +207,7 @@ def _content(text: str, file: Path) -> _KeyPosesFile:
 
 def _text(file: Path) -> str:
     """Return the text of a file, or raise ``ConfigError``."""
-    return read_text(file, "the key poses", "robot-ik poses record makes one")
-
-
-def robot_named_in(path: Path | str) -> str:
-    """Return the catalogue robot that a file of key poses names, empty without one.
-
-    Raises:
-        ConfigError: The file names another robot, or a key is wrong.
-    """
-    file = Path(path)
-    name = _content(_text(file), file).robot
-    known = catalogue()
-    if name and name not in known:
-        raise ConfigError(
-            f"no robot of the catalogue is called {name!r}",
-            file=path,
-            key="robot",
-            allowed=", ".join(known),
-            hint="for your own model give its file: --robot PATH",
-        )
-    return name
+    return read_text(file, "the key poses", "KeyPoses.save writes one")
 
 
 class _KeyPosesFile(Table):
@@ -294,10 +271,6 @@ def _unknown(what: str, name: str, known: Iterable[str]) -> TrajectoryError:
     return TrajectoryError(f"there is no {what} {name!r}", hint=hint)
 
 
-FOOT_SUFFIXES = ("_foot", "_paw")
-"""Frames whose names end like this are on the floor."""
-
-
 def named_poses(robot: Robot, book: KeyPoses) -> dict[str, Array]:
     """Return poses (nq,) by name: the keyframes of the model and the poses of the file.
 
@@ -306,50 +279,3 @@ def named_poses(robot: Robot, book: KeyPoses) -> dict[str, Array]:
     addresses = qpos_addresses(robot.model, robot.tree)
     keys = [robot.model.key(k) for k in range(robot.model.nkey)]
     return {key.name: np.array(key.qpos[addresses]) for key in keys} | book.poses
-
-
-def with_joint(robot: Robot, q: Array, joint: str, value: float) -> Array:
-    """Return the pose (nq,) with another value of one joint.
-
-    Args:
-        robot: The robot.
-        q: The pose (nq,).
-        joint: Name of a hinge or slide.
-        value: Degrees for a hinge, metres for a slide.
-
-    Raises:
-        UnknownJointError: The robot has no such joint.
-        ValueError: The joint is neither a hinge nor a slide, or the value is not finite.
-    """
-    if joint not in robot.joints:
-        raise UnknownJointError(joint, robot.joints)
-    k = robot.joints.index(joint)
-    kind = int(robot.tree.kind[k])
-    if kind not in (HINGE, SLIDE) or not np.isfinite(value):
-        raise ValueError(f"{joint} is not a hinge or slide, or {value} is not finite")
-    changed = np.array(q)
-    changed[int(robot.tree.qadr[k])] = np.radians(value) if kind == HINGE else value
-    return changed
-
-
-def pose_reaching(robot: Robot, q: Array, positions: Mapping[str, Sequence[float]]) -> Array | None:
-    """Return the pose near ``q`` with frames at given positions and the other feet unmoved.
-
-    Args:
-        robot: The robot.
-        q: Start of the search (nq,).
-        positions: Positions x, y, z in the world by frame, m.
-
-    Returns:
-        The pose (nq,), or None if it is out of reach.
-    """
-    goals: list[Goal] = [PositionGoal(frame, position) for frame, position in positions.items()]
-    feet = [
-        frame
-        for frame in robot.file.tools
-        if frame.endswith(FOOT_SUFFIXES) and frame not in positions
-    ]
-    goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
-    goals.append(PostureGoal(q=q, soft=True))
-    solution = solve(robot, goals, solver="lm", start=q)
-    return np.array(solution.q) if solution.converged else None

@@ -11,8 +11,7 @@ import pytest
 from robot_ik.commands import main
 from robot_ik.commands.main import GROUPS, Row
 
-COMMANDS = [row.name for rows in GROUPS.values() for row in rows if row.target]
-"""Commands of ``robot_ik/commands``."""
+COMMANDS = [row.name for rows in GROUPS.values() for row in rows]
 HEAVY = ["mujoco", "numba", "cv2", "numpy", "pydantic", "serial", "dynamixel_sdk"]
 
 
@@ -55,6 +54,11 @@ HEAVY = ["mujoco", "numba", "cv2", "numpy", "pydantic", "serial", "dynamixel_sdk
         ("reach --when-lost holt", "did you mean 'hold'?; allowed: hold, park, stop"),
         ("reach --marker x", "--marker: 'x' is not a whole number"),
         ("reach --over", "did you mean --overwrite?"),
+        ("video a.png", "did you mean `robot-ik view`?"),
+        ("view --method lm", "unknown option --method; here it is --solver"),
+        ("view --csv a.csv", "unknown option --csv; here it is --record"),
+        ("view --seconds 0", "--seconds: 0.0 is out of range; allowed: above 0"),
+        ("view --rate 241", "--rate: 241.0 is out of range; allowed: at least 1, at most 240"),
         ("reach --camera-extrinsics a", "here it is --extrinsics"),
         ("reach --nonsense", "robot-ik reach has no option --nonsense"),
         ("reach --follow inf", "--follow: inf is out of range; allowed: above 0"),

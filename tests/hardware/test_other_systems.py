@@ -15,7 +15,7 @@ import serial
 from serial.tools import list_ports
 
 from robot_ik import signals
-from robot_ik.cli.connection import served_or_serial_port
+from robot_ik.commands.arms import open_port
 from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware import open_bus
 from robot_ik.hardware.config import ArmConfig
@@ -193,7 +193,7 @@ def test_without_pseudo_terminals_the_bus_pty_names_sim(
     assert "--bus sim" in caught.value.hint
     with (
         pytest.raises(BusNotOpenError, match="no pseudo terminals"),
-        served_or_serial_port("pty", "tabletop_puma"),
+        open_port("pty", "tabletop_puma"),
     ):
         pass
     open_bus("sim", arm_config).close()

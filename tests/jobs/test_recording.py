@@ -109,8 +109,9 @@ def test_an_unknown_suffix_of_the_recording_is_rejected_before_the_film_begins(
 
 def test_video_writes_a_recording_beside_the_film(tmp_path: Path) -> None:
     SCRIPT.save(tmp_path / "a.jsonl")
-    out = [str(tmp_path / "a.jsonl"), str(tmp_path / "a.png"), "--record", str(tmp_path / "a.csv")]
-    assert main(["video", *out, "--size", "96", "64"]) == 0
+    options = {"replay": "a.jsonl", "video": "a.png", "record": "a.csv"}
+    words = [word for name, file in options.items() for word in (f"--{name}", str(tmp_path / file))]
+    assert main(["view", *words, "--size", "96", "64"]) == 0
     rows = rows_of(tmp_path / "a.csv")
     assert {row["robot"] for row in rows} == {"0", "1", "2"}
     assert float(rows[-1]["goal_x"]) == 0.2

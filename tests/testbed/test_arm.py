@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from robot_ik.cli import view as view_command
+from robot_ik.commands import view as view_command
 from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.jobs.testbed import arm_link
@@ -314,7 +314,7 @@ def test_a_signal_while_the_arm_is_left_hides_not_how(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(ArmLink, "close", close)
-    monkeypatch.setattr(view_command, "_opened", lambda *rest: contextlib.nullcontext())
-    monkeypatch.setattr(view_command, "_loop", lambda *rest: None)
+    monkeypatch.setattr(view_command.View, "_front_end", lambda *rest: contextlib.nullcontext())
+    monkeypatch.setattr(view_command, "run_until_end", lambda *rest: None)
     assert main(["view", "--bus", "sim", "--viewer", "window"]) == 130
     assert capsys.readouterr().err.endswith("not touched\ninterrupted\n")

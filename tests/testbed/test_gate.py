@@ -188,7 +188,7 @@ def test_the_page_comes_with_headers_against_frames_and_outside_connections(port
 
 def test_the_page_is_not_given_to_other_names_or_for_other_servers(port: int) -> None:
     status, _, body = page_of(port, Host="evil.example")
-    assert status == 403 and b"--host-name" in body
+    assert status == 403 and b"--host NAME" in body
     assert page_of(port, Origin="http://evil.example")[0] == 403
     assert page_of(port, "/?websocket=ws://evil.example")[0] == 400
     assert page_of(port, "/?a=1&websocket=ws%3A%2F%2Fevil.example")[0] == 400

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import http.client
+import socket
 import urllib.request
 
 import pytest
@@ -27,12 +29,44 @@ def test_the_address_for_other_machines_is_named_too(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(page_server, "own_address", lambda: "192.0.2.7")
-    argv = "--robot tabletop_puma --no-open --no-camera --viewer browser --seconds 0.1 --port 8795"
+    argv = "--robot tabletop_puma --seconds 0.1"
     for host, outside in (("0.0.0.0", True), ("127.0.0.1", False)):
-        assert main(["view", "--host", host, *argv.split()]) == 0
+        assert main(["view", "--host", f"{host}:8795", *argv.split()]) == 0
         said = capsys.readouterr().out
         assert "http://127.0.0.1:879" in said and ("http://192.0.2.7:879" in said) == outside
         assert said.count("token=") == 2 * outside
+
+
+@pytest.mark.parametrize(
+    ("host", "names"),
+    [
+        ("0.0.0.0", ("lab-pc", "lab-pc.local")),
+        ("::", ("lab-pc", "lab-pc.local")),
+        ("127.0.0.1", ()),
+        ("::1", ()),
+        ("Robot.example", ("robot.example",)),
+    ],
+)
+def test_the_names_of_a_server_follow_from_its_address(
+    host: str, names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: "Lab-PC")
+    assert page_server.host_names(host) == names
+
+
+def test_a_server_at_every_address_answers_to_the_name_of_its_machine(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: "Lab-PC")
+    with PageServer("0.0.0.0", 8790) as opened:
+        port = opened.server.get_port()
+        for name, status in (("lab-pc", 200), ("lab-pc.local", 200), ("evil.example", 403)):
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=LONG)
+            path = f"/?token={opened.gate.token}"
+            connection.request("GET", path, headers={"Host": f"{name}:{port}"})
+            reply = connection.getresponse()
+            assert (reply.status == 403) == (status == 403), (name, reply.status)
+            connection.close()
 
 
 @pytest.mark.parametrize("allowed", [True, False])

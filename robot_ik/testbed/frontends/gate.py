@@ -78,7 +78,7 @@ def response_headers(framed_by: tuple[str, ...] = ()) -> dict[str, str]:
 
 _NO_TOKEN = "open the address with its token, as printed at the start"
 _WRONG_NAME = (
-    "this server is not known under that name: use its address, or start it with --host-name NAME"
+    "this server is not known under that name: use its address, or start it with --host NAME"
 )
 
 

@@ -6,6 +6,7 @@ It imports neither models nor solvers, so a browser loads the page while the pro
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import socket
 
 import numpy as np
@@ -35,7 +36,6 @@ class PageServer(Closing):
         host: Address to listen at. An address that other machines can reach gets a token.
         port: The next free port is taken if it is busy.
         token: Ask for a token on loopback, too.
-        names: Further names of this machine.
         dark: Begin with dark colours.
         shadows: Draw shadows in browsers that have a GPU.
         framed_by: Origins whose pages may show the page in a frame.
@@ -59,12 +59,11 @@ class PageServer(Closing):
         port: int = 8080,
         *,
         token: bool = False,
-        names: tuple[str, ...] = (),
         dark: bool = False,
         shadows: bool = True,
         framed_by: tuple[str, ...] = (),
     ) -> None:
-        opened = open_server(host, port, token, names, framed_by)
+        opened = open_server(host, port, token, host_names(host), framed_by)
         self.server = opened.viser
         self.gate = opened.gate
         self.channel = opened.channel
@@ -73,7 +72,8 @@ class PageServer(Closing):
         is_every = host in _EVERY_ADDRESS
         outside = own_address() if is_every else ""
         ending = f":{self.server.get_port()}/{query}"
-        self.url = f"http://{'127.0.0.1' if is_every else host}{ending}"
+        name = f"[{host}]" if ":" in host else host
+        self.url = f"http://{'127.0.0.1' if is_every else name}{ending}"
         self.url_outside = f"http://{outside}{ending}" if outside else ""
         with self.server.atomic():
             self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
@@ -127,6 +127,21 @@ class PageServer(Closing):
         """Stop the server."""
         with quiet():
             self.server.stop()
+
+
+def host_names(host: str) -> tuple[str, ...]:
+    """Return the names under which browsers may call a server that listens at an address.
+
+    These are the name that the address was given by or, of a server at every address, the names of
+    this machine. A server can be called by its address, too.
+    """
+    if host in _EVERY_ADDRESS:
+        name = socket.gethostname().lower()
+        return (name, f"{name}.local")
+    with contextlib.suppress(ValueError):
+        ipaddress.ip_address(host)
+        return ()
+    return (host.lower(),)
 
 
 def own_address() -> str:

@@ -25,7 +25,7 @@ from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View
 
-_WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
+_WITHOUT_VIEWER = "run it with --viewer browser or --video FILE, which need no display"
 
 _MOVED = 1e-7
 """Metres. A smaller motion of the ball is rounding."""

@@ -150,7 +150,7 @@ def _require_address(host: str, port: int) -> None:
         if error.errno != errno.EADDRINUSE:  # the next port is taken then
             raise ViewerError(
                 f"cannot listen at {host}:{port}: {error.strerror or error}",
-                hint="give another --host or --port",
+                hint="give another address or port: --host ADDR:PORT",
             ) from error
 
 

@@ -30,7 +30,7 @@ export class RecordTab {
       make(
         "div",
         { class: "rk-buttons" },
-        file("Poses", () => channel.action("save_poses"), "poses.toml, for robot-ik poses"),
+        file("Poses", () => channel.action("save_poses"), "poses.toml, for robot_ik.motion.KeyPoses"),
         file("CSV", save("csv"), "Joint values, for robot-ik servo replay"),
         file("BVH", save("bvh"), "For Blender and other animation programs"),
         file("HTML", () => channel.action("share_motion"), "Plays in any browser", "share"),
@@ -48,7 +48,7 @@ export class RecordTab {
         "Attach the log to a bug report. ",
         make("code", {}, "robot-ik view --replay FILE"),
         " repeats it to the same bits. ",
-        make("code", {}, "robot-ik video FILE OUT.mp4"),
+        make("code", {}, "robot-ik view --replay FILE --video OUT.mp4"),
         " films it.",
       ),
     );

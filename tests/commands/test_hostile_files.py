@@ -1,4 +1,4 @@
-"""Files that nobody should hand over: every command says file and key in one sentence, exit code 2."""
+"""Malformed files: every command names file and key in one sentence, exit code 2."""
 
 from __future__ import annotations
 
@@ -39,7 +39,11 @@ XML = {
     "nothing": "",
     "no model": "[" * 1000,
 }
-CSV = {"long": "time_s,a\n" + "1" * 200_000 + ",2\n", "nothing": "", "no number": "time_s,a\n0,nan\n"}
+CSV = {
+    "long": "time_s,a\n" + "1" * 200_000 + ",2\n",
+    "nothing": "",
+    "no number": "time_s,a\n0,nan\n",
+}
 
 COMMANDS: list[tuple[str, str, dict[str, str]]] = [
     ("servo monitor --bus /dev/null --arm FILE", "arm.toml", TOML),

@@ -1,4 +1,4 @@
-"""What goes wrong round a command: closed streams, poor encodings, narrow terminals, values without sense."""
+"""Closed streams, other encodings, narrow terminals, and values that cannot be used."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.cli import console
+from robot_ik.commands import streams, terminal
+from robot_ik.commands.streams import open_console
+from robot_ik.commands.tables import table
+from robot_ik.commands.terminal import Terminal, describe_error
 from robot_ik.errors import ConfigError
 from robot_ik.hardware import open_arm, open_bus
 from robot_ik.hardware.config import ArmConfig
@@ -71,7 +74,7 @@ def test_tables_can_be_read_however_narrow_the_terminal_claims_to_be(
     for name in rik.catalogue():
         assert any(line.startswith(name) for line in run.out.splitlines()), run.out
     widest = max(map(len, run.out.splitlines()))
-    assert widest <= {"0": console.PIPE_WIDTH, "1": console.NARROWEST, "60": 60}[columns]
+    assert widest <= {"0": streams.PIPE_WIDTH, "1": streams.MIN_WIDTH, "60": 60}[columns]
     assert robot_ik("robots", "--help").code == 0
 
 
@@ -82,9 +85,7 @@ def test_a_narrow_table_breaks_no_word(
     values = ("finger_left", "120.00°", "12.0 °/s", "1200 mA", "12.0 V", "off")
     for columns, lines in (("80", 2), ("45", 6)):  # side by side; one below the other
         monkeypatch.setenv("COLUMNS", columns)
-        made = console.table(*names)
-        made.add_row(*values)
-        console.out().print(made)
+        open_console(sys.stdout).print(table(*names, rows=[values]))
         out = capsys.readouterr().out
         assert len(out.splitlines()) == lines
         assert all(value in out for value in values), out
@@ -134,7 +135,7 @@ def test_without_its_compiler_the_package_says_so(robot_ik_child: Any) -> None:
 
 
 def test_no_memory_is_no_fault_of_the_package() -> None:
-    text, hint = console.describe_error(MemoryError("Unable to allocate 112. GiB"))
+    text, hint = describe_error(MemoryError("Unable to allocate 112. GiB"))
     assert text == "not enough memory: Unable to allocate 112. GiB" and not hint
 
 
@@ -166,14 +167,14 @@ def test_what_is_for_virtual_servos_is_refused_at_a_port() -> None:
         open_arm(config, "/dev/ttyUSB9", start=np.zeros(6))
 
 
-def test_silence_is_broken_after_a_while(
+def test_a_silent_run_is_named_after_a_while(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(console, "SILENCE", 0.05)
-    with console.busy("moving", 7.2):
+    monkeypatch.setattr(terminal, "SILENCE_SECONDS", 0.05)
+    with Terminal().running("moving"):
         said = wait_for(lambda: capsys.readouterr().err)
-    assert said == "moving, about 7 s …\n"
-    monkeypatch.setattr(console, "SILENCE", 30.0)
-    with console.busy("moving"):
+    assert said == "moving …\n"
+    monkeypatch.setattr(terminal, "SILENCE_SECONDS", 30.0)
+    with Terminal().running("moving"):
         pass
     assert capsys.readouterr().err == ""

@@ -15,7 +15,7 @@ from robot_ik.errors import RobotIkError
 from robot_ik.jobs.environment import import_mujoco
 from tests.waiting import LONG
 
-# The very failure of a missing OSMesa or EGL library, without having to remove one (camera.md, 3.1).
+# What PyOpenGL does without the OSMesa or EGL library (camera.md, 3.1).
 _NO_LIBRARY = "raise AttributeError(\"'NoneType' object has no attribute 'glGetError'\")\n"
 
 
@@ -72,7 +72,9 @@ def test_impossible_mujoco_gl(command: list[str], robot_ik_child: Any) -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="egl and osmesa are for Linux")
 @pytest.mark.parametrize(("value", "package"), [("egl", "libegl1"), ("osmesa", "libosmesa6")])
-def test_mujoco_gl_without_its_library(value: str, package: str, tmp_path: Path, robot_ik_child: Any) -> None:
+def test_mujoco_gl_without_its_library(
+    value: str, package: str, tmp_path: Path, robot_ik_child: Any
+) -> None:
     (tmp_path / "OpenGL").mkdir()
     (tmp_path / "OpenGL" / "__init__.py").write_text(_NO_LIBRARY)
     # PyOpenGL's own choice, which a test that drew leaves behind, would keep MuJoCo from trying.

@@ -1,4 +1,4 @@
-"""No work is lost: a place that holds results is refused before the work begins, and runs do not mix."""
+"""Results are not lost: existing results are refused before the work, and runs do not mix."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ def test_overwrite_replaces_own_files_only(tmp_path: Path) -> None:
     with results_folder(tmp_path, "reach", OWN, overwrite=True) as folder:
         assert sorted(p.name for p in folder.iterdir()) == ["notes.txt", *OWN]
         write(folder, "summary.json")  # this run has no picture: the old one would be taken for its
-    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"notes.txt": "old", "summary.json": "new"}
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {
+        "notes.txt": "old",
+        "summary.json": "new",
+    }
 
 
 def test_a_run_that_fails_before_it_writes_leaves_the_old_results(tmp_path: Path) -> None:
@@ -50,7 +53,9 @@ def test_a_run_that_fails_before_it_writes_leaves_the_old_results(tmp_path: Path
     assert sorted(p.name for p in tmp_path.iterdir()) == list(OWN)
 
 
-def test_two_runs_at_once_do_not_share_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_runs_at_once_do_not_share_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     with results_folder("", "reach", OWN, overwrite=False) as one:
         with results_folder("", "reach", OWN, overwrite=False) as two:
@@ -72,7 +77,9 @@ def test_two_runs_at_once_do_not_share_a_folder(tmp_path: Path, monkeypatch: pyt
         ["bench", "s12", "--out"],
     ],
 )
-def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path: Path, robot_ik: Any) -> None:
+def test_every_command_refuses_a_folder_with_results(
+    words: list[str], tmp_path: Path, robot_ik: Any
+) -> None:
     (tmp_path / "summary.json").write_text("precious")
     run = robot_ik(*words, tmp_path)
     run.assert_one_screen_error()
@@ -111,9 +118,13 @@ def test_every_command_refuses_a_file_it_cannot_have(
     assert not file.exists() or file.read_text() == "precious"
 
 
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that takes no files from anybody")
+@pytest.mark.skipif(
+    not Path("/proc/self").exists(), reason="needs a folder that takes no files from anybody"
+)
 @pytest.mark.parametrize("words", [["reach", "--out"], ["reach", "--record"]])
-def test_a_folder_that_takes_no_files_is_not_said_to_be_missing(words: list[str], robot_ik: Any) -> None:
+def test_a_folder_that_takes_no_files_is_not_said_to_be_missing(
+    words: list[str], robot_ik: Any
+) -> None:
     run = robot_ik(*words, "/proc/x.csv")
     run.assert_one_screen_error()
     assert "no file can be made in /proc" in run.err and "no folder" not in run.err
