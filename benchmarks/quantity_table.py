@@ -7,9 +7,9 @@ from collections.abc import Iterable
 
 from rich.text import Text
 
+from benchmarks.quantity import Quantity
 from robot_ik.commands.streams import open_console
 from robot_ik.commands.tables import table
-from robot_ik.jobs.quantity import Quantity
 
 MARKS = {
     None: Text(""),

@@ -15,7 +15,7 @@ from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.targets import MarkerTarget, marker
 from robot_ik.hardware.virtual.faults import joint_offset
-from robot_ik.jobs.scene import scene_for
+from robot_ik.workcell.scene import scene_for
 
 
 def main(offset_deg: float = 0.0) -> None:

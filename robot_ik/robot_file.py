@@ -87,7 +87,7 @@ class _Keys(Table):
     couplings: dict[str, Coupled] = Field(default={})
     keep: Several[str] = ()
     figure: dict[str, Any] | None = None  # figure/parts.py checks it
-    reach: dict[str, Any] | None = None  # jobs/scene.py checks it
+    reach: dict[str, Any] | None = None  # workcell/scene.py checks it
     gallery: dict[str, Any] | None = None  # testbed/gallery_scene.py checks it
 
 

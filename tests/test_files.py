@@ -41,15 +41,15 @@ from robot_ik.hardware.calibration_file import Calibration, JointCalibration
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.lerobot_calibration import load_lerobot, save_lerobot
 from robot_ik.hardware.virtual.faults import load_faults
-from robot_ik.jobs.ar.motion import make_motion, robot_of
-from robot_ik.jobs.ar.script_motion import is_script
-from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
-from robot_ik.jobs.script import load_script, shipped
 from robot_ik.motion import Trajectory
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
+from robot_ik.script import load_script, shipped
+from robot_ik.testbed.ar.motion import make_motion, robot_of
+from robot_ik.testbed.ar.script_motion import is_script
 from robot_ik.testbed.commands import CommandLog, Reset, Start
 from robot_ik.testbed.gallery_scene import gallery_scene
+from robot_ik.workcell.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.workcell.guided_recording import load_motion
 
 ROOT = Path(robot_ik.__file__).parent
@@ -286,12 +286,15 @@ ALLOWED = {
     ): "between processes of this program, in a folder of mode 0700",
     ("hardware/stop_file.py", "read_text"): "likewise",
     ("hardware/checks.py", "read_text"): "/proc",
-    ("robot_ik/jobs/doctor.py", "read_text"): "the metadata of an installed distribution",
+    (
+        "robot_ik/commands/doctor_checks.py",
+        "read_text",
+    ): "the metadata of an installed distribution",
     ("robot_ik/testbed/frontends/site.py", "read_bytes"): "files of the page, which ship",
     ("robot_ik/testbed/frontends/browser.py", "read_text"): "a file that it has just written",
-    ("robot_ik/jobs/testbed.py", "read_bytes"): "a film that it has just made",
+    ("robot_ik/testbed/filming.py", "read_bytes"): "a film that it has just made",
     ("robot_ik/kernels/jit.py", "read_bytes"): "its own sources",
-    ("robot_ik/jobs/recording.py", "open"): "only written",
+    ("robot_ik/motion/recording.py", "open"): "only written",
     ("hardware/ports.py", "read_text"): "/sys",
     ("robot_ik/camera/device.py", "read_text"): "/sys",
     ("robot_ik/bench/methods/results.py", "read_text"): "/proc",
@@ -303,8 +306,11 @@ ALLOWED = {
         "robot_ik/figure/reach_map.py",
         "read_bytes",
     ): "for a digest of the model that load_robot has just read",
-    ("robot_ik/jobs/figure.py", "read_bytes"): "likewise",
-    ("robot_ik/jobs/figure.py", "from_file"): "the model of a robot that load_robot has just read",
+    ("robot_ik/commands/figure_runs.py", "read_bytes"): "likewise",
+    (
+        "robot_ik/commands/figure_runs.py",
+        "from_file",
+    ): "the model of a robot that load_robot has just read",
     ("robot_ik/testbed/frontends/session_window.py", "from_file"): "likewise",
     (
         "robot_ik/testbed/frontends/session_window.py",
@@ -314,7 +320,7 @@ ALLOWED = {
     ("robot_ik/commands/streams.py", "open"): "/dev/null",
     ("robot_ik/testbed/frontends/window_scene.py", "read_text"): "the scene of a bundled robot",
     ("robot_ik/commands/robots.py", "ElementTree.parse"): "models that ship",
-    ("robot_ik/jobs/arm_camera/samples.py", "json.loads"): "what it has just written",
+    ("robot_ik/workcell/arm_camera/samples.py", "json.loads"): "what it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",
 }
 """(file, call) that reads without ``robot_ik.config``, and why it may."""

@@ -248,7 +248,7 @@ class InterruptingPicture(np.ndarray):
 
 def test_a_film_keeps_the_picture_during_which_ctrl_c_came(tmp_path: Path):
     av = pytest.importorskip("av", reason="needs the extra video")
-    from robot_ik.jobs.films import Film
+    from robot_ik.workcell.films import Film
 
     film = Film(tmp_path / "film.mp4", 30.0)
     picture = np.zeros((48, 64, 3), np.uint8)

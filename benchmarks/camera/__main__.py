@@ -22,7 +22,7 @@ from robot_ik.bench.methods.results import this_machine
 from robot_ik.commands.main import DONE, INTERRUPTED, NOT_ACHIEVED, exit_code_of
 from robot_ik.commands.terminal import Terminal, say, show_error
 from robot_ik.errors import OptionError, RobotIkError, unknown_name_text
-from robot_ik.jobs.results import claimed, save_json
+from robot_ik.workcell.results import claimed, save_json
 
 #: Version of the file of figures.
 SCHEMA = 2

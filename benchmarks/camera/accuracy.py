@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from benchmarks.camera import drawing_errors
 from benchmarks.camera.pictures import STANDARD_DISTANCES, handeye_set, pattern_set, standard_set
 from benchmarks.camera.rows import Effort
+from benchmarks.quantity import Quantity
 from robot_ik.camera.calibration.handeye import solve_handeye
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, Pattern
@@ -23,8 +25,6 @@ from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.targets import MarkerTarget, Observation, find_corners, marker_grid
 from robot_ik.camera.targets import marker as marker_target
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar import self_test
-from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array, Image
 
 #: Of the standard marker.
@@ -246,17 +246,17 @@ def clutter(effort: Effort) -> Iterator[Quantity]:
 
 def projection(effort: Effort) -> Iterator[Quantity]:
     """Measure the middles of drawn spheres against OpenCV's projection."""
-    yield from self_test.projection(effort.seed)
+    yield from drawing_errors.projection(effort.seed)
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Measure points of a robot, up to 300 mm above a 2×2 board, drawn with the found pose."""
-    yield from self_test.overlay(effort.seed, effort.count(_OVERLAY_PICTURES))
+    yield from drawing_errors.overlay(effort.seed, effort.count(_OVERLAY_PICTURES))
 
 
 def latency(effort: Effort) -> Iterator[Quantity]:
     """Measure what is left of a delay with each of Azuma's remedies, without limits."""
-    yield from self_test.latency(_QUICK_LATENCY_SECONDS if effort.quick else _LATENCY_SECONDS)
+    yield from drawing_errors.latency(_QUICK_LATENCY_SECONDS if effort.quick else _LATENCY_SECONDS)
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.camera.accuracy import DICTIONARY, board_frame, rms
 from benchmarks.camera.rows import Effort
+from benchmarks.quantity import Quantity
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEye, HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
@@ -27,13 +28,12 @@ from robot_ik.camera.motion_filter import MotionFilter
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import MarkerTarget, Observation, marker_grid
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.arm_camera.error_map import summary
-from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
-from robot_ik.jobs.quantity import Quantity
-from robot_ik.jobs.robot_setup import Rehearsal
-from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
+from robot_ik.workcell.arm_camera.error_map import summary
+from robot_ik.workcell.arm_camera.verify import VerifyRequest, run_verify
+from robot_ik.workcell.robot_setup import Rehearsal
+from robot_ik.workcell.scene import scene_for
 
 _ROBOT = "puma560"
 # Arms with different offsets in a full run.

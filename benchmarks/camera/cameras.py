@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.camera.accuracy import BOARD, DICTIONARY, GAP, MARKER, frame_of, outward, rms
 from benchmarks.camera.pictures import STANDARD_DISTANCES
 from benchmarks.camera.rows import Effort
+from benchmarks.quantity import Quantity
 from robot_ik.camera.synthetic.pictures import (
     STANDARD_CAMERA,
     STANDARD_SIZE,
@@ -26,7 +27,6 @@ from robot_ik.camera.synthetic.pictures import (
 from robot_ik.camera.synthetic.sensor import LINEAR, WEBCAM, SensorModel
 from robot_ik.camera.targets import MarkerTarget, marker, marker_points
 from robot_ik.geometry import Pose
-from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array
 
 _BOARD_SIZE = 2 * STANDARD_SIZE + GAP

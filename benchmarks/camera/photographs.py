@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.camera.accuracy import frame_of, outward
 from benchmarks.camera.rows import Effort
+from benchmarks.quantity import Quantity
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.image import (
     IMAGE_SUFFIXES,
@@ -30,9 +31,8 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.targets import find_corners, unique
 from robot_ik.errors import CalibrationError, CameraError
-from robot_ik.jobs.pictures import MarkerFinder
-from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Image
+from robot_ik.workcell.pictures import MarkerFinder
 
 #: Chessboard of OpenCV's sample pictures: 9 × 6 inner corners.
 CHESSBOARD = ChessboardPattern(9, 6, 0.025)

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from benchmarks.quantity import Quantity
 from robot_ik.errors import RobotIkError
-from robot_ik.jobs import Progress
-from robot_ik.jobs.quantity import Quantity
+from robot_ik.workcell.progress import Progress
 
 # A quick run measures this part of the pictures, but not fewer than the second number.
 _QUICK_PART = 10

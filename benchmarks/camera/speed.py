@@ -20,6 +20,7 @@ import numpy as np
 
 from benchmarks.camera.accuracy import frame_of
 from benchmarks.camera.rows import Effort
+from benchmarks.quantity import Quantity
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -32,11 +33,10 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.targets import MarkerTarget, find_corners, marker, marker_grid
 from robot_ik.camera.tracker import Tracker
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.quantity import Quantity
-from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array, RealClock
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
+from robot_ik.workcell.scene import scene_for
 
 # The marker: id, side in metres, dictionary, and distance in metres.
 _MARKER = 7

@@ -24,8 +24,8 @@ _PREPARE = """
 import sys, time
 began = time.process_time()
 from pathlib import Path
-from robot_ik.jobs.robot_setup import ArmRequest
-from robot_ik.jobs.robot_setup import prepare_robot
+from robot_ik.workcell.robot_setup import ArmRequest
+from robot_ik.workcell.robot_setup import prepare_robot
 imported = time.process_time()
 prepare_robot(ArmRequest(robot=sys.argv[1], bus="sim", arm_file=Path(sys.argv[2])))
 print(imported - began, time.process_time() - imported)

@@ -17,6 +17,7 @@ from benchmarks.figure.peer import (
     solve_by_figure,
     solve_by_mink,
 )
+from benchmarks.quantity import Quantity
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import Motion, reach_ball
 from robot_ik.figure.decide import Decider, Decision
@@ -26,7 +27,6 @@ from robot_ik.figure.gait import SHUFFLE
 from robot_ik.figure.jump import jump
 from robot_ik.figure.session import SESSION, FigureSession
 from robot_ik.figure.walk import Walk, walk
-from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array
 
 MotionRow = tuple[str, Quantity]

@@ -21,12 +21,12 @@ import numpy as np
 from benchmarks.figure.gait import measure_gait
 from benchmarks.figure.motion import measure_motion
 from benchmarks.figure.rows import motion_rows, walk_quantities
+from benchmarks.quantity import Quantity
 from robot_ik.errors import RobotIkError
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.footprints import prints_of, walk_prints
 from robot_ik.figure.gait import WALK, Gait
 from robot_ik.figure.walk import walk
-from robot_ik.jobs.quantity import Quantity
 from robot_ik.ports import Array
 
 FIXED = ("gap", "toe_out_deg", "lean_deg", "swing_deg")

@@ -23,7 +23,7 @@ from benchmarks.peers.judge import judged, merged
 from benchmarks.peers.tasks import ARMS, FIGURE, write_task
 from robot_ik.bench.methods.results import calibration, this_machine
 from robot_ik.files import make_folder
-from robot_ik.jobs.results import save_json
+from robot_ik.workcell.results import save_json
 
 _ROOT = Path(__file__).resolve().parents[2]
 """Folder of the checkout. Our own rows import ``benchmarks`` from it."""

@@ -21,7 +21,7 @@ from typing import Any
 
 from benchmarks.camera.arm import DELAYS, compare_filters
 from benchmarks.camera.rows import ROWS
-from robot_ik.jobs.quantity import Quantity
+from benchmarks.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
 DATA = DOCS / "camera.json"

@@ -15,12 +15,12 @@ import numpy as np
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.image import write_image
+from robot_ik.commands.figure_runs import FigureRequest, FilmMaker, run_figure, watch
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.session import FigureFrame
-from robot_ik.jobs.figure import FigureRequest, FilmMaker, run_figure, watch
-from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.ports import Array, Image
+from robot_ik.testbed.gallery import fitted_camera, lens
 
 FOLDER = Path(__file__).resolve().parents[1] / "images" / "figure"
 

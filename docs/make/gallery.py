@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robot_ik.files import make_folder
-from robot_ik.jobs.gallery import draw_gallery
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
+from robot_ik.testbed.gallery import draw_gallery
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

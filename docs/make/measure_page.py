@@ -35,9 +35,9 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from benchmarks.quantity import Quantity
 from benchmarks.quantity_table import show_quantities
 from robot_ik.commands.terminal import say
-from robot_ik.jobs.quantity import Quantity
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer

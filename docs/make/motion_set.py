@@ -43,11 +43,11 @@ from robot_ik.figure.pose_search import find_pose
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.figure.walk import walk
 from robot_ik.goals import PosePriorGoal
-from robot_ik.jobs.gallery import fitted_camera, lens
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
+from robot_ik.testbed.gallery import fitted_camera, lens
 
 Array = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1]

@@ -34,11 +34,11 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.ar.job import heights
-from robot_ik.jobs.arm_camera.error_map import error_picture
-from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
-from robot_ik.jobs.gallery import fitted_camera, lens
-from robot_ik.jobs.robot_setup import Rehearsal
+from robot_ik.testbed.ar.overlay import heights
+from robot_ik.testbed.gallery import fitted_camera, lens
+from robot_ik.workcell.arm_camera.error_map import error_picture
+from robot_ik.workcell.arm_camera.verify import VerifyRequest, run_verify
+from robot_ik.workcell.robot_setup import Rehearsal
 
 Image = NDArray[np.uint8]
 

@@ -23,8 +23,8 @@ from benchmarks.collision.scenes import shelf
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.jobs.films import open_sink
-from robot_ik.jobs.gallery import fitted_camera, lens
+from robot_ik.testbed.gallery import fitted_camera, lens
+from robot_ik.workcell.films import open_sink
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 

@@ -22,7 +22,6 @@ from measure_page import CHROMIUM, DRAWN, find_chromium
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from robot_ik.jobs.testbed import SceneCamera, arm_link, film_in_process
 from robot_ik.testbed.commands import (
     AddObstacle,
     Command,
@@ -44,6 +43,7 @@ from robot_ik.testbed.commands import (
     ShowBranches,
     Start,
 )
+from robot_ik.testbed.filming import SceneCamera, arm_link, film_in_process
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.loop import run

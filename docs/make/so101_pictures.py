@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import robot_ik as rik
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
-from robot_ik.jobs.gallery import fitted_camera, lens
+from robot_ik.testbed.gallery import fitted_camera, lens
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 

@@ -33,7 +33,7 @@ from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.gallery import fitted_camera, lens
+from robot_ik.testbed.gallery import fitted_camera, lens
 
 DOCS = Path(__file__).resolve().parents[1]
 IMAGES = DOCS / "images" / "start"

@@ -15,7 +15,7 @@ from PIL import Image
 from robot_ik import catalogue, load_robot
 from robot_ik.camera.drawing.faces import surface_points
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
-from robot_ik.jobs.gallery import fitted_camera, lens, pose_at_work
+from robot_ik.testbed.gallery import fitted_camera, lens, pose_at_work
 from robot_ik.testbed.gallery_scene import gallery_scene
 
 FOLDER = Path(__file__).resolve().parents[2] / "robot_ik/testbed/frontends/web/thumbnails"

@@ -34,8 +34,8 @@ from robot_ik.commands.terminal import QUIET, Report, Terminal
 from robot_ik.errors import OptionError, install_command
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.ar.job import ArReport as Drawing
-    from robot_ik.jobs.ar.job import ArRequest
+    from robot_ik.testbed.ar.overlay import ArReport as Drawing
+    from robot_ik.testbed.ar.overlay import ArRequest
 
 MIN_SIDE = 16
 """px. Smaller pictures show no marker."""
@@ -104,7 +104,7 @@ class Ar(OverwriteOption, JsonOption):
             KeyboardInterrupt: The run was interrupted. The pictures so far are written.
         """
         request = self.request(terminal)
-        from robot_ik.jobs.ar.job import run_ar
+        from robot_ik.testbed.ar.overlay import run_ar
 
         terminal.progress("drawing")
         report = ArReport(run_ar(request, terminal.counting("picture")))
@@ -122,9 +122,9 @@ class Ar(OverwriteOption, JsonOption):
         pose = parse_robot_pose(self.robot_pose)
         file, geoms = parse_occluders(self.occluders)
         # MuJoCo, Numba and OpenCV take 1.1 s to import, --help takes 0.1 s.
-        from robot_ik.jobs.ar.job import ArRequest
-        from robot_ik.jobs.ar.motion import robot_of
         from robot_ik.robot_file import SHOWN_ROBOT
+        from robot_ik.testbed.ar.motion import robot_of
+        from robot_ik.testbed.ar.overlay import ArRequest
 
         return ArRequest(
             robot=self.robot or robot_of(self.motion) or SHOWN_ROBOT,
@@ -208,7 +208,7 @@ def parse_occluders(items: Iterable[str]) -> tuple[Path | None, tuple[str, ...]]
 
 def default_video(terminal: Terminal) -> Path:
     """Return ``ar.mp4``, or the folder ``ar`` if no video can be written."""
-    from robot_ik.jobs.films import films_can_be_written
+    from robot_ik.workcell.films import films_can_be_written
 
     if films_can_be_written():
         return Path("ar.mp4")

@@ -140,7 +140,7 @@ class Bench(FolderOption, JsonOption):
         """Run the experiment, and write its results, also after Ctrl-C."""
         self._require_possible()
         if self.plot:
-            from robot_ik.jobs.results import require_plots  # matplotlib
+            from robot_ik.workcell.results import require_plots  # matplotlib
 
             require_plots("drawing the plots")
         if self.experiment == "methods":

@@ -68,7 +68,7 @@ class MethodsReport(Report):
         """Write bench.json, and the plots if ``plot`` is set."""
         from robot_ik.bench.methods.plots import draw
         from robot_ik.files import write_atomically
-        from robot_ik.jobs.results import save_json
+        from robot_ik.workcell.results import save_json
 
         results = self.results
         results.cells = [cell for cell in results.cells if cell.count or cell.skipped]

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from robot_ik.bench.theses.a00 import A00Report
     from robot_ik.bench.theses.s12 import S12Report
-    from robot_ik.jobs import Progress
     from robot_ik.theses.table_4_1 import ArmCase
+    from robot_ik.workcell.progress import Progress
 
 NOTHING = "-"
 """Cell of a table for a method that does not serve the goal, or a case that is not run."""
@@ -58,7 +58,7 @@ class ThesisReport(Report):
 
     def save_facts(self, name: str) -> None:
         """Write the facts as JSON."""
-        from robot_ik.jobs.results import save_json
+        from robot_ik.workcell.results import save_json
 
         if self.folder is not None:
             save_json(self.folder / name, self.facts())

@@ -34,9 +34,9 @@ from robot_ik.errors import OptionError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from robot_ik.jobs.arm_camera.samples import SampleSet
-    from robot_ik.jobs.arm_camera.stations import ArmCameraReport
     from robot_ik.ports import Array
+    from robot_ik.workcell.arm_camera.samples import SampleSet
+    from robot_ik.workcell.arm_camera.stations import ArmCameraReport
 
 Result = TypeVar("Result")
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from robot_ik.camera.calibration.intrinsic import CalibrationResult
     from robot_ik.camera.calibration.views import ViewGatherer
-    from robot_ik.jobs.pictures import ViewFolder
+    from robot_ik.workcell.pictures import ViewFolder
 
 COEFFICIENT_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """Names of the distortion coefficients, in OpenCV's order."""
@@ -74,7 +74,7 @@ class CameraCalibrate(OverwriteOption, JsonOption):
         from robot_ik.camera.calibration.views import ViewGatherer
         from robot_ik.camera.patterns import PatternRequest
         from robot_ik.files import timestamp
-        from robot_ik.jobs.pictures import ViewFolder
+        from robot_ik.workcell.pictures import ViewFolder
 
         if not self.sources:
             hint = "give pictures, a folder of pictures, a film, or a camera index: 0"
@@ -108,7 +108,7 @@ class CameraCalibrate(OverwriteOption, JsonOption):
 
     def _gather(self, gatherer: ViewGatherer, folder: ViewFolder, terminal: Terminal) -> None:
         """Gather the views of all sources. Ctrl-C and a lost camera keep the views so far."""
-        from robot_ik.jobs.pictures import gather_views
+        from robot_ik.workcell.pictures import gather_views
 
         reason = ""
         try:

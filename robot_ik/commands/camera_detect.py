@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers
     from robot_ik.ports import Image
+    from robot_ik.workcell.pictures import DrawingFolder, PictureMarkers
 
 DOUBTFUL_AMBIGUITY = 0.6
 """Ambiguity from which a pose is marked: it fits hardly better than its mirror image. No goals are
@@ -78,12 +78,12 @@ class CameraDetect(OverwriteOption, JsonOption):
             CameraError: No picture could be searched.
         """
         from robot_ik.camera.intrinsics import CameraIntrinsics  # NumPy and OpenCV
-        from robot_ik.jobs.pictures import (
+        from robot_ik.workcell.pictures import (
             MAX_BLANK,
             DrawingFolder,
             hint_of_other_markers,
         )
-        from robot_ik.jobs.results import claimed_folder
+        from robot_ik.workcell.results import claimed_folder
 
         if not self.images:
             hint = "for example: robot-ik camera detect photo.jpg"
@@ -115,7 +115,7 @@ class CameraDetect(OverwriteOption, JsonOption):
     ) -> Iterator[PictureMarkers]:
         """Yield all pictures. Append the last ones without a marker to ``blank``."""
         from robot_ik.camera.target_files import load_bodies
-        from robot_ik.jobs.pictures import MarkerFinder, find_markers
+        from robot_ik.workcell.pictures import MarkerFinder, find_markers
 
         bodies = () if self.bodies is None else tuple(load_bodies(self.bodies).values())
         finder = partial(

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from robot_ik.camera.calibration.handeye import HandEye
-    from robot_ik.jobs.arm_camera.camera_and_board import HandEyeRequest
-    from robot_ik.jobs.arm_camera.handeye import HandEyeReport
+    from robot_ik.workcell.arm_camera.camera_and_board import HandEyeRequest
+    from robot_ik.workcell.arm_camera.handeye import HandEyeReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class CameraHandeye(ArmCameraOptions):
 
     def written_files(self) -> list[Path]:
         """Return the files that this run writes. The samples are beside the result."""
-        from robot_ik.jobs.arm_camera.handeye import samples_path
+        from robot_ik.workcell.arm_camera.handeye import samples_path
 
         if self.dry_run:
             return []
@@ -77,8 +77,8 @@ class CameraHandeye(ArmCameraOptions):
     def run(self, terminal: Terminal = QUIET) -> CameraHandeyeReport:
         """Measure, or evaluate earlier samples, and write the pose of the camera."""
         from robot_ik.camera.intrinsics import CameraIntrinsics  # NumPy and OpenCV
-        from robot_ik.jobs.arm_camera import handeye
-        from robot_ik.jobs.arm_camera.samples import SampleSet
+        from robot_ik.workcell.arm_camera import handeye
+        from robot_ik.workcell.arm_camera.samples import SampleSet
 
         if self.samples is not None:
             lens = None if self.intrinsics is None else CameraIntrinsics.load(self.intrinsics)
@@ -98,7 +98,7 @@ class CameraHandeye(ArmCameraOptions):
             OptionError: An option is invalid.
             CameraError: The board is invalid.
         """
-        from robot_ik.jobs.arm_camera.camera_and_board import HandEyeRequest
+        from robot_ik.workcell.arm_camera.camera_and_board import HandEyeRequest
 
         return HandEyeRequest(
             **self.request_values("angles to read"),

@@ -27,7 +27,7 @@ from robot_ik.commands.terminal import QUIET, Report, Terminal
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from robot_ik.jobs.locate import LocateReport
+    from robot_ik.workcell.locate import LocateReport
 
 MAX_PICTURES = 10_000
 """Largest number of pictures that are read."""
@@ -60,7 +60,7 @@ class CameraLocate(OverwriteOption, JsonOption):
     def run(self, terminal: Terminal = QUIET) -> CameraLocateReport:
         """Find the board in the pictures, and write the pose of the camera."""
         from robot_ik.geometry import Pose  # NumPy and OpenCV
-        from robot_ik.jobs import locate
+        from robot_ik.workcell import locate
 
         request = locate.LocateRequest(
             source=self.source,

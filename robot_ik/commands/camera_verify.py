@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
     from robot_ik.camera.calibration.kinematic import PoseError, ZeroOffsets
     from robot_ik.camera.calibration.observability import Unobservable
-    from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
     from robot_ik.ports import Array
+    from robot_ik.workcell.arm_camera.verify import VerifyReport, VerifyRequest
 
 FAULT_FORM = "zero-offset:JOINT=DEG"
 """Form of ``--fault``."""
@@ -105,10 +105,10 @@ class CameraVerify(ArmCameraOptions):
     def run(self, terminal: Terminal = QUIET) -> CameraVerifyReport:
         """Measure, or evaluate earlier samples, and write the zeros after a confirmation."""
         from robot_ik.files import make_folder, write_atomically
-        from robot_ik.jobs.arm_camera import verify
-        from robot_ik.jobs.arm_camera.error_map import error_picture
-        from robot_ik.jobs.arm_camera.samples import VerifySamples
-        from robot_ik.jobs.results import require_plots
+        from robot_ik.workcell.arm_camera import verify
+        from robot_ik.workcell.arm_camera.error_map import error_picture
+        from robot_ik.workcell.arm_camera.samples import VerifySamples
+        from robot_ik.workcell.results import require_plots
 
         request = self.request()
         if self.plot is not None:
@@ -139,8 +139,8 @@ class CameraVerify(ArmCameraOptions):
             OptionError: An option is invalid.
             CameraError: The board is invalid.
         """
-        from robot_ik.jobs.arm_camera.verify import VerifyRequest
-        from robot_ik.jobs.robot_setup import Rehearsal
+        from robot_ik.workcell.arm_camera.verify import VerifyRequest
+        from robot_ik.workcell.robot_setup import Rehearsal
 
         if self.plot is not None and self.plot.suffix.lower() != ".png":
             problem = f"no plot is written as {self.plot}"
@@ -267,7 +267,7 @@ class CameraVerifyReport(Report):
         return "measured badly: does not count" if index in self.measured.excluded else ""
 
     def facts(self) -> dict[str, Any]:
-        from robot_ik.jobs.arm_camera.error_map import regions
+        from robot_ik.workcell.arm_camera.error_map import regions
 
         measured = self.measured
         facts = plan_facts(measured, "verify")
@@ -293,7 +293,7 @@ class CameraVerifyReport(Report):
     def _fit_facts(self, fit: ZeroOffsets) -> dict[str, Any]:
         import numpy as np
 
-        from robot_ik.jobs.arm_camera.error_map import regions
+        from robot_ik.workcell.arm_camera.error_map import regions
 
         samples = self.measured.samples
         sigmas = zip(fit.joints, np.asarray(fit.sigma).tolist(), strict=True)
@@ -331,7 +331,7 @@ def parse_zero_offsets(items: Iterable[str]) -> dict[str, float]:
 
 def region_table(title: str, errors: Sequence[PoseError]) -> Table:
     """Return statistics over all poses and over the halves of the workspace."""
-    from robot_ik.jobs.arm_camera.error_map import regions
+    from robot_ik.workcell.arm_camera.error_map import regions
 
     columns = ("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm")
     rows = [

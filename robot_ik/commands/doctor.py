@@ -45,7 +45,7 @@ class Doctor(JsonOption):
 
     def run(self, terminal: Terminal = QUIET) -> DoctorReport:
         """Run all checks."""
-        from robot_ik.jobs.doctor import CHECKS, run_checks
+        from robot_ik.commands.doctor_checks import CHECKS, run_checks
 
         # An unknown name is reported before the checks.
         config = load_arm(self.arm) if self.bus else None

@@ -35,13 +35,13 @@ from robot_ik.commands.terminal import QUIET, Report, Terminal
 from robot_ik.errors import OptionError
 
 if TYPE_CHECKING:
+    from robot_ik.commands.figure_runs import FigureReport as Performance
+    from robot_ik.commands.figure_runs import FigureRequest
     from robot_ik.figure.abilities import Abilities
     from robot_ik.figure.lion import Lion
     from robot_ik.figure.session import FigureFrame
-    from robot_ik.jobs.ar.job import ArRequest
-    from robot_ik.jobs.figure import FigureReport as Performance
-    from robot_ik.jobs.figure import FigureRequest
     from robot_ik.robot import Robot
+    from robot_ik.testbed.ar.overlay import ArRequest
 
 # MuJoCo, Numba and OpenCV take 1.1 s to import, --help takes 0.1 s: the methods import them.
 
@@ -117,7 +117,7 @@ class Figure(OverwriteOption, JsonOption):
         else:
             report = self._run_figure(make_abilities(robot, terminal), terminal)
         if self.video is not None and not self.camera:
-            from robot_ik.jobs.figure import record
+            from robot_ik.commands.figure_runs import record
 
             terminal.progress(f"drawing {self.video}")
             frames = report.performance.frames
@@ -162,7 +162,7 @@ class Figure(OverwriteOption, JsonOption):
     def _run_lion(self, lion: Lion, terminal: Terminal) -> FigureReport:
         import numpy as np
 
-        from robot_ik.jobs.figure import run_lion
+        from robot_ik.commands.figure_runs import run_lion
         from robot_ik.motion.keyframes import Keyframes
 
         balls = LION_BALLS if self.ball is None else (self.ball,)
@@ -174,8 +174,13 @@ class Figure(OverwriteOption, JsonOption):
         return FigureReport(self, performance)
 
     def _run_figure(self, abilities: Abilities, terminal: Terminal) -> FigureReport:
+        from robot_ik.commands.figure_runs import (
+            FigureRequest,
+            frames_table,
+            run_figure,
+            run_marker,
+        )
         from robot_ik.files import write_atomically
-        from robot_ik.jobs.figure import FigureRequest, frames_table, run_figure, run_marker
 
         request = FigureRequest(
             self._balls(), self.path or "", self.seconds, self._stance(), "active", seed=self.seed
@@ -185,7 +190,7 @@ class Figure(OverwriteOption, JsonOption):
         if not self.camera:
             frames = run_figure(abilities, request)
         elif self.video is None:
-            from robot_ik.jobs.ar.job import marker_positions
+            from robot_ik.testbed.ar.overlay import marker_positions
 
             positions = marker_positions(self._drawing(), figure.robot)
             frames = run_marker(abilities, request, positions)
@@ -199,7 +204,7 @@ class Figure(OverwriteOption, JsonOption):
 
     def _drawing(self) -> ArRequest:
         """Return the pictures of the camera, and what is drawn into them."""
-        from robot_ik.jobs.ar.job import ArRequest
+        from robot_ik.testbed.ar.overlay import ArRequest
 
         is_unseen = self.camera == "synthetic" and self.video is None
         return ArRequest(
@@ -222,7 +227,7 @@ class Figure(OverwriteOption, JsonOption):
         self, abilities: Abilities, request: FigureRequest, notes: list[str], terminal: Terminal
     ) -> Iterator[FigureFrame]:
         """Draw the figure into the pictures of the camera. Append to ``notes``."""
-        from robot_ik.jobs.figure import draw_on_camera
+        from robot_ik.commands.figure_runs import draw_on_camera
 
         progress = terminal.counting("picture")
         drawing, frames = draw_on_camera(abilities, request, self._drawing(), progress)
@@ -242,7 +247,7 @@ class Figure(OverwriteOption, JsonOption):
         terminal: Terminal,
     ) -> Performance:
         """Run through the frames, in a window with ``--viewer``."""
-        from robot_ik.jobs.figure import watch
+        from robot_ik.commands.figure_runs import watch
 
         if not self.viewer:
 
@@ -258,8 +263,8 @@ class Figure(OverwriteOption, JsonOption):
     ) -> Performance:
         import numpy as np
 
+        from robot_ik.commands.figure_runs import BALL_RADIUS, TILES, watch
         from robot_ik.geometry import Pose
-        from robot_ik.jobs.figure import BALL_RADIUS, TILES, watch
         from robot_ik.testbed.frontends.window import Solid, WindowSink
 
         floor = [Solid(Pose(position), half, rgba) for position, half, rgba in TILES]

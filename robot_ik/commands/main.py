@@ -401,7 +401,7 @@ def parse_command(words: Sequence[str]) -> tuple[str, Any]:
 
 def print_versions() -> None:
     """Print the versions of robot_ik and of its dependencies."""
-    from robot_ik.jobs.environment import installed_versions  # reads the metadata of packages
+    from robot_ik.commands.environment import installed_versions  # reads the metadata of packages
 
     versions = {**installed_versions(), "python": sys.version.split()[0]}
     rows = [(name, version or "not installed") for name, version in versions.items()]
@@ -427,7 +427,7 @@ def _import_mujoco_for(command: Any) -> None:
     """Import MuJoCo if the command loads models, so that its error says what is wrong."""
     target = f"{type(command).__module__.rpartition('.')[2]}:{type(command).__name__}"
     if any(row.mujoco for rows in GROUPS.values() for row in rows if row.target == target):
-        from robot_ik.jobs.environment import import_mujoco
+        from robot_ik.commands.environment import import_mujoco
 
         import_mujoco()
 
@@ -439,7 +439,7 @@ def reserved_outputs(command: Any, name: str, terminal: Terminal) -> Iterator[No
     Raises:
         OutputError: A file exists and ``--overwrite`` is not given, or it cannot be written.
     """
-    from robot_ik.jobs.results import claimed, results_folder
+    from robot_ik.workcell.results import claimed, results_folder
 
     overwrite = getattr(command, "overwrite", False)
     with contextlib.ExitStack() as stack:

@@ -53,14 +53,14 @@ if TYPE_CHECKING:
     from robot_ik.execution import Execution
     from robot_ik.geometry import Pose
     from robot_ik.goals import Goal, Tolerance
-    from robot_ik.jobs.marker_turn import AxisPrediction
-    from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup
-    from robot_ik.jobs.verdict import Bound
-    from robot_ik.jobs.vision import SeenTarget, Vision
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
+    from robot_ik.workcell.marker_turn import AxisPrediction
+    from robot_ik.workcell.robot_setup import Rehearsal, RobotSetup
+    from robot_ik.workcell.verdict import Bound
+    from robot_ik.workcell.vision import SeenTarget, Vision
 
 # The phases import MuJoCo, Numba and OpenCV: 1.1 s of CPU time. --help takes 0.1 s without them.
 
@@ -223,14 +223,14 @@ def prepare(command: Reach, stack: ExitStack) -> Cell:
     Raises:
         RobotIkError: An option, a file or a device is wrong.
     """
-    from robot_ik.jobs.films import require_films
-    from robot_ik.jobs.precompile import precompile_solver
-    from robot_ik.jobs.recording import open_recording
-    from robot_ik.jobs.robot_setup import ArmRequest, prepare_robot
-    from robot_ik.jobs.vision import CameraRequest, open_vision
     from robot_ik.motion.keyframes import column_names
+    from robot_ik.motion.recording import open_recording
     from robot_ik.robot_file import find_robot
     from robot_ik.solvers import solver_name
+    from robot_ik.workcell.films import require_films
+    from robot_ik.workcell.precompile import precompile_solver
+    from robot_ik.workcell.robot_setup import ArmRequest, prepare_robot
+    from robot_ik.workcell.vision import CameraRequest, open_vision
 
     goal = parse_goal(command.goal, command.frame) if command.goal else None
     faults = parse_faults(command.fault, command.marker_at)
@@ -309,7 +309,7 @@ def require_possible(command: Reach) -> None:
 
 def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
     """Run the phases one after the other, and keep each result in the report."""
-    from robot_ik.jobs.verdict import EXACT
+    from robot_ik.workcell.verdict import EXACT
 
     setup = cell.setup
     try:
@@ -367,8 +367,8 @@ def look(cell: Cell, terminal: Terminal) -> tuple[Goal, SeenTarget | None]:
 
 def solve(cell: Cell, goal: Goal) -> Solved:
     """Find joint angles for the goal. Nothing moves."""
-    from robot_ik.jobs.verdict import SOLVE_TOLERANCE
     from robot_ik.problem import Problem
+    from robot_ik.workcell.verdict import SOLVE_TOLERANCE
 
     problem = Problem(
         moving_robot(cell),
@@ -408,8 +408,8 @@ def accepted_error(cell: Cell, seen: SeenTarget | None, solution: Solution) -> T
         NotConvergedError: The error of the solution is larger than both.
     """
     from robot_ik.goals import Tolerance
-    from robot_ik.jobs.verdict import SIGMAS, SOLVE_TOLERANCE
     from robot_ik.solution import COLLIDING
+    from robot_ik.workcell.verdict import SIGMAS, SOLVE_TOLERANCE
 
     if seen is not None and not solution.converged and solution.status not in COLLIDING:
         sigma = goal_sigma(cell, seen)
@@ -432,7 +432,7 @@ def predict(
     Raises:
         NotConvergedError: The angle is larger than ``--max-angle``.
     """
-    from robot_ik.jobs.marker_turn import predict_axis, require_angle
+    from robot_ik.workcell.marker_turn import predict_axis, require_angle
 
     marker = None if seen is None else seen.pose_world_marker
     axis = predict_axis(cell.setup.robot, goal, solution, marker)
@@ -514,7 +514,7 @@ def follow(cell: Cell, seconds: float, terminal: Terminal) -> Followed:
 
     from robot_ik.execution import follow as follow_goals
     from robot_ik.goals import PoseGoal, PositionGoal
-    from robot_ik.jobs.verdict import SOLVE_TOLERANCE
+    from robot_ik.workcell.verdict import SOLVE_TOLERANCE
 
     setup = cell.setup
     distances: list[float] = []
@@ -560,7 +560,7 @@ def judge(
         sigma: Standard deviation of the goal.
         best_angle: Predicted angle between both axes, rad.
     """
-    from robot_ik.jobs.verdict import judge_by_camera, judge_read_back, quantisation
+    from robot_ik.workcell.verdict import judge_by_camera, judge_read_back, quantisation
 
     setup = cell.setup
     vision = cell.vision
@@ -592,7 +592,7 @@ def open_window(setup: RobotSetup, vision: Vision | None, stack: ExitStack) -> A
     """Open a MuJoCo window with the robot and its scene."""
     import numpy as np
 
-    from robot_ik.jobs.window_scene import scene_solids, window_scene
+    from robot_ik.testbed.frontends.scene_window import scene_solids, window_scene
     from robot_ik.testbed.frontends.window import WindowSink
 
     scene = window_scene(setup.robot, setup.frame, None if vision is None else vision.scene)
@@ -611,7 +611,7 @@ def parse_faults(items: Iterable[str], marker_at: tuple[float, ...]) -> Rehearsa
     Raises:
         OptionError: An item has another form.
     """
-    from robot_ik.jobs.robot_setup import Rehearsal
+    from robot_ik.workcell.robot_setup import Rehearsal
 
     offsets: list[str] = []
     stuck: list[str] = []

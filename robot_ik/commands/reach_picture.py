@@ -22,10 +22,10 @@ from robot_ik.camera.image import write_image
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import distinct_texts
 from robot_ik.files import write_atomically
-from robot_ik.jobs.films import Film
-from robot_ik.jobs.results import save_json
-from robot_ik.jobs.window_scene import window_scene
 from robot_ik.motion.trajectory import csv_table
+from robot_ik.testbed.frontends.scene_window import window_scene
+from robot_ik.workcell.films import Film
+from robot_ik.workcell.results import save_json
 
 if TYPE_CHECKING:
     from robot_ik.commands.reach_report import ReachReport

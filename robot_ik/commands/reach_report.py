@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from robot_ik.execution import Execution, FollowReport
     from robot_ik.geometry import Pose
     from robot_ik.goals import Goal
-    from robot_ik.jobs.marker_turn import AxisPrediction
-    from robot_ik.jobs.robot_setup import JointLimits, RobotSetup
-    from robot_ik.jobs.verdict import Bound, Judgement
-    from robot_ik.jobs.vision import SeenTarget, Vision
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.ports import Array
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
+    from robot_ik.workcell.marker_turn import AxisPrediction
+    from robot_ik.workcell.robot_setup import JointLimits, RobotSetup
+    from robot_ik.workcell.verdict import Bound, Judgement
+    from robot_ik.workcell.vision import SeenTarget, Vision
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ class ReachReport(Report):
     @property
     def decision(self) -> tuple[bool, str]:
         """Whether the goal is reached, and why."""
-        from robot_ik.jobs.verdict import decide
+        from robot_ik.workcell.verdict import decide
 
         if self.error is not None or self.judged is None:
             return False, ""

@@ -42,7 +42,7 @@ class Robots(JsonOption):
         """Read the files of the catalogue, or load one robot."""
         if not self.robot:
             return RobotsReport(catalogue_rows())
-        from robot_ik.jobs.environment import import_mujoco
+        from robot_ik.commands.environment import import_mujoco
 
         import_mujoco()
         from robot_ik.robot import load_robot

@@ -28,7 +28,7 @@ from robot_ik.commands.terminal import QUIET, Report, Terminal
 from robot_ik.errors import OptionError
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.script import Script, ScriptReport
+    from robot_ik.script import Script, ScriptReport
 
 SERVO_LOG = "robot_ik.hardware"
 """Log of the servos."""
@@ -77,7 +77,7 @@ class Run(JsonOption, OverwriteOption):
             RobotIkError: The script or the environment is wrong. No step was run.
         """
         from robot_ik.hardware import bus_row
-        from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
+        from robot_ik.script import ScriptRequest, ScriptRun, load_script, shipped
 
         if not self.script:
             if replace(self, json=False) != Run():
@@ -102,7 +102,7 @@ class Run(JsonOption, OverwriteOption):
 
     def _write(self, report: RunReport) -> None:
         from robot_ik.files import write_atomically
-        from robot_ik.jobs.script.report import junit_report
+        from robot_ik.script.report import junit_report
 
         if self.junit is not None:
             write_atomically(self.junit, junit_report(report.script))
@@ -139,7 +139,7 @@ class RunReport(Report):
         yield Text(f"{report.script}: {verdict}  {passed}, {time}, {arm}", style=style)
 
     def facts(self) -> Mapping[str, Any]:
-        from robot_ik.jobs.script import json_report
+        from robot_ik.script import json_report
 
         return json_report(self.script)
 

@@ -64,7 +64,7 @@ class ServoCalibrate(BusOptions, OverwriteOption, JsonOption):
     def run(self, terminal: Terminal = QUIET) -> ServoCalibrateReport:
         """Measure, check, and write both files."""
         from robot_ik.hardware.calibration_file import calibration_beside
-        from robot_ik.jobs.results import claimed
+        from robot_ik.workcell.results import claimed
 
         if self.out.suffix != ".toml" or self.out.name.endswith(".calibration.toml"):
             raise OptionError("OUT.toml", f"{self.out}", "a name that ends in .toml")
@@ -116,7 +116,7 @@ class ServoCalibrate(BusOptions, OverwriteOption, JsonOption):
         from robot_ik.hardware.calibration import check_calibration
         from robot_ik.hardware.calibration_file import Calibration, calibration_beside
         from robot_ik.hardware.lerobot_calibration import save_lerobot
-        from robot_ik.jobs.results import claimed
+        from robot_ik.workcell.results import claimed
 
         calibration = Calibration.load(calibration_beside(self.out))
         config = load_arm(self.out)

@@ -64,7 +64,7 @@ class ServoReplay(MovingBusOptions, OverwriteOption, JsonOption):
         with contextlib.ExitStack() as stack:
             sinks: list[JointSink] = []
             if self.record is not None:
-                from robot_ik.jobs.recording import RecordingSink, open_recording
+                from robot_ik.motion.recording import RecordingSink, open_recording
 
                 recording = stack.enter_context(open_recording(self.record, part.names))
                 sinks.append(RecordingSink(recording, part.names, arm.positions))

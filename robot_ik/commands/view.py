@@ -35,8 +35,8 @@ from robot_ik.commands.terminal import QUIET, Report, Terminal
 from robot_ik.errors import MissingExtraError, OptionError, install_command
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.testbed import SceneCamera
     from robot_ik.testbed.commands import CommandLog, Start
+    from robot_ik.testbed.filming import SceneCamera
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.presets import Preset
     from robot_ik.testbed.session import Session
@@ -301,7 +301,7 @@ class View(OverwriteOption):
         self, log: CommandLog, video: Path, seconds: float | None, terminal: Terminal
     ) -> SessionView:
         """Film a command log, and return its last view."""
-        from robot_ik.jobs.testbed import film
+        from robot_ik.testbed.filming import film
 
         width, height = self.size or DEFAULT_SIZE
         with saying_what_is_kept(video, terminal):
@@ -366,7 +366,7 @@ class View(OverwriteOption):
         with contextlib.ExitStack() as stack:
             link = None
             if self.bus != NO_BUS:
-                from robot_ik.jobs.testbed import arm_link
+                from robot_ik.testbed.filming import arm_link
 
                 arm = Path(self.arm) if self.arm else None
                 link = arm_link(start.robot, arm, self.bus, self.on_exit or "")
@@ -400,7 +400,7 @@ class View(OverwriteOption):
                 terminal.say("keys: " + window.help, "dim")
                 yield window.draw
             return
-        from robot_ik.jobs.testbed import SceneCamera, film_in_process
+        from robot_ik.testbed.filming import SceneCamera, film_in_process
         from robot_ik.testbed.frontends.browser import Page
 
         def open_camera() -> SceneCamera:

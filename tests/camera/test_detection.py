@@ -14,7 +14,7 @@ from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.targets import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
-from robot_ik.jobs.pictures import MarkerFinder
+from robot_ik.workcell.pictures import MarkerFinder
 
 #: Marker z towards the camera, marker x along camera x.
 FACING = np.array([0.0, 1.0, 0.0, 0.0])

@@ -26,7 +26,7 @@ from robot_ik.camera.calibration.intrinsic import CalibrationView, calibrate
 from robot_ik.camera.image import read_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.targets import find_corners, unique
-from robot_ik.jobs.pictures import MarkerFinder
+from robot_ik.workcell.pictures import MarkerFinder
 
 FOLDER = Path(__file__).parent.parent / "data" / "opencv"
 

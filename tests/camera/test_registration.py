@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.camera import drawing_errors
+from benchmarks.camera.drawing_errors import DISTORTED
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.drawing.occluders import BoxTable, load_occluders, occluder_boxes
 from robot_ik.camera.drawing.painter import Layer
@@ -18,8 +20,6 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.camera.targets import marker_grid
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar import self_test
-from robot_ik.jobs.ar.self_test import DISTORTED
 from robot_ik.robot import load_robot
 
 BOARD = marker_grid(2, 2, 0.05, 0.012, dictionary="DICT_4X4_50")
@@ -80,7 +80,7 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
 
 
 def test_spheres_are_where_opencv_projects_them() -> None:
-    errors = self_test.projection_errors(DISTORTED)
+    errors = drawing_errors.projection_errors(DISTORTED)
     assert errors.count > 100
     assert errors.rms <= 0.08
     assert errors.worst <= 0.20
@@ -88,14 +88,14 @@ def test_spheres_are_where_opencv_projects_them() -> None:
 
 
 def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
-    errors = self_test.overlay_errors(0.8, 6)
+    errors = drawing_errors.overlay_errors(0.8, 6)
     assert errors.count > 400
     assert errors.rms <= 0.3
     assert errors.worst <= 1.0
 
 
 def test_each_remedy_makes_a_delay_smaller() -> None:
-    found = self_test.latency_errors(0.066, 1.1)
+    found = drawing_errors.latency_errors(0.066, 1.1)
     assert found["delayed video"].rms < 0.3
     assert found["nothing"].rms > 5.0
     assert found["less delay (half)"].rms < 0.6 * found["nothing"].rms

@@ -27,7 +27,7 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import PatternTarget, marker
 from robot_ik.camera.tracker import Tracker
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
-from robot_ik.jobs.pictures import MarkerFinder
+from robot_ik.workcell.pictures import MarkerFinder
 
 
 def picture(value: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:

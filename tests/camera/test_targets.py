@@ -16,7 +16,7 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, random_pose
 from robot_ik.camera.targets import PatternTarget
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.pictures import MarkerFinder
+from robot_ik.workcell.pictures import MarkerFinder
 from tests.camera.rendering import board_picture
 
 BOARD = marker_grid(3, 3, size=0.03, gap=0.0075)

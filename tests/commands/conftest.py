@@ -18,7 +18,7 @@ import pytest
 from robot_ik.commands import terminal
 from robot_ik.commands.main import main
 from robot_ik.hardware import discovery
-from robot_ik.jobs import vision
+from robot_ik.workcell import vision
 from tests.commands.reach_runs import arms, full_pictures, healthy, reach, seen_smaller
 from tests.hardware.joints import with_servo
 

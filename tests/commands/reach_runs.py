@@ -12,8 +12,8 @@ import pytest
 from robot_ik.commands.reach import Reach
 from robot_ik.commands.reach_report import ReachReport
 from robot_ik.goals import Goal
-from robot_ik.jobs import vision
-from robot_ik.jobs.scene import Scene, scene_for
+from robot_ik.workcell import vision
+from robot_ik.workcell.scene import Scene, scene_for
 
 UR = """
 <mujoco model="urlike"><compiler angle="radian"/><worldbody>

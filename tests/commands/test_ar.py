@@ -14,7 +14,7 @@ from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.commands.main import main
 from robot_ik.geometry import Pose
-from robot_ik.jobs import films
+from robot_ik.workcell import films
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,9 @@ from robot_ik import hardware
 from robot_ik.hardware import BUSES, Bus
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.ports import NO_PORTS
-from robot_ik.jobs.script import load_script
-from robot_ik.jobs.script.run import ScriptRequest, ScriptRun
 from robot_ik.ports import VirtualClock
+from robot_ik.script import load_script
+from robot_ik.script.run import ScriptRequest, ScriptRun
 from robot_ik.workcell.teleop import open_pair
 
 COMMANDS = [("reach",), ("run",), ("servo", "scan"), ("servo", "calibrate"), ("camera", "handeye")]

@@ -1,4 +1,4 @@
-"""``robot-ik camera handeye``: output and errors. tests/jobs tests the job."""
+"""``robot-ik camera handeye``: output and errors. tests/workcell tests the job."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA
 from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.arm_camera import handeye
-from robot_ik.jobs.arm_camera.samples import SampleSet
 from robot_ik.robot import load_robot
+from robot_ik.workcell.arm_camera import handeye
+from robot_ik.workcell.arm_camera.samples import SampleSet
 
 CAMERA = Pose((0.05, 0.01, -0.08), rotation_exp([0.0, -0.1, 0.4]))
 POINTS = marker_points(0.12)

@@ -16,10 +16,10 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
 from robot_ik.files import make_folder, write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.jobs import locate
-from robot_ik.jobs.ar import job
-from robot_ik.jobs.arm_camera import handeye, verify
-from robot_ik.jobs.results import claimed
+from robot_ik.testbed.ar import job
+from robot_ik.workcell import locate
+from robot_ik.workcell.arm_camera import handeye, verify
+from robot_ik.workcell.results import claimed
 
 LOCATE = ("locate", "photo.png", "--intrinsics", "lens.yaml", "--board", "marker:7:50")
 SEEN = Pose((0.0, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""``robot-ik camera verify``: output, files and errors. tests/jobs tests the job."""
+"""``robot-ik camera verify``: output, files and errors. tests/workcell tests the job."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from robot_ik.camera.targets import Observation, marker_points
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.arm_camera import verify
-from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
-from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
 from robot_ik.robot import load_robot
+from robot_ik.workcell.arm_camera import verify
+from robot_ik.workcell.arm_camera.samples import SampleSet, VerifySamples
+from robot_ik.workcell.arm_camera.verify import VerifyReport, VerifyRequest
 
 CAMERA = Pose((0.75, -0.5, 0.45), (0.50099, -0.74367, -0.36714, 0.24733))
 POINTS = marker_points(0.08)

@@ -18,8 +18,8 @@ from robot_ik.camera import device
 from robot_ik.camera.device import CameraDevice
 from robot_ik.camera.drawing import probe as drawing_probe
 from robot_ik.camera.drawing.probe import Probe
+from robot_ik.commands import doctor_checks as doctor
 from robot_ik.hardware import checks, ports
-from robot_ik.jobs import doctor
 
 SOON = time.monotonic() + 1e6  # later than the end of every test
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc and /sys")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from robot_ik.camera.drawing.probe import Probe, probe_display, probe_gl, run_probe
+from robot_ik.commands.environment import import_mujoco
 from robot_ik.errors import RobotIkError
-from robot_ik.jobs.environment import import_mujoco
 from tests.waiting import LONG
 
 # What PyOpenGL does without the OSMesa or EGL library (camera.md, 3.1).

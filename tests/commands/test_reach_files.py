@@ -18,8 +18,8 @@ from robot_ik.commands.reach_picture import draw_picture, save_files
 from robot_ik.commands.reach_report import ReachReport
 from robot_ik.errors import OutputError
 from robot_ik.files import plain
-from robot_ik.jobs import scene
-from robot_ik.jobs.results import folder_for_results, results_folder
+from robot_ik.workcell import scene
+from robot_ik.workcell.results import folder_for_results, results_folder
 
 pytestmark = pytest.mark.usefixtures("light_pictures")
 

@@ -24,7 +24,7 @@ from robot_ik.errors import (
 )
 from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.jobs.verdict import LARGEST_ERROR, SIGMAS
+from robot_ik.workcell.verdict import LARGEST_ERROR, SIGMAS
 
 pytestmark = pytest.mark.usefixtures("light_pictures")
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from robot_ik.errors import OutputError
-from robot_ik.jobs.results import results_folder
+from robot_ik.workcell.results import results_folder
 
 OWN = ("reach.png", "summary.json")
 
@@ -98,7 +98,7 @@ def test_every_command_refuses_a_folder_with_results(
 def test_every_command_refuses_a_file_it_cannot_have(
     words: list[str], trouble: str, tmp_path: Path, robot_ik: Any
 ) -> None:
-    from robot_ik.jobs.script import shipped
+    from robot_ik.script import shipped
 
     words = [next(iter(shipped())) if word == "pick_and_place" else word for word in words]
     suffix = {"record": ".csv", "calibrate": ".toml"}.get(words[1], ".json")

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from robot_ik.jobs.robot_setup import RobotSetup
-from robot_ik.jobs.script import shipped
+from robot_ik.script import shipped
+from robot_ik.workcell.robot_setup import RobotSetup
 
 WAIT = 'schema = 1\nname = "wait a little"\n[[steps]]\ndo = "wait"\nseconds = 0.2\n'
 FAIL = WAIT + '[[steps]]\ndo = "expect"\nstate = "fault"\n[[steps]]\ndo = "hold"\n'

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
+from robot_ik.commands import doctor_checks as doctor
 from robot_ik.hardware import checks
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
-from robot_ik.jobs import doctor
 from robot_ik.ports import RealClock
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")

@@ -13,11 +13,11 @@ import pytest
 from PIL import Image as Pictures
 
 from benchmarks.figure.motion import MotionMeasure, measure_motion
+from robot_ik.commands.figure_runs import FilmMaker, frames_table, record
 from robot_ik.commands.main import main
 from robot_ik.errors import InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import FigureFrame, FigureSession
-from robot_ik.jobs.figure import FilmMaker, frames_table, record
 
 
 def play(session: FigureSession, seconds: float) -> list[FigureFrame]:

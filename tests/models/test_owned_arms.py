@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import robot_ik as rik
 from robot_ik.commands.reach import Reach
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.scene import reach_table
+from robot_ik.workcell.scene import reach_table
 from tests.models.arm_checks import touching
 
 Array = NDArray[np.float64]

@@ -142,7 +142,16 @@ def test_a_solve_loads_only_the_core() -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     unneeded = ("body_goals", "batch", "solvers.damped_least_squares", "solvers.combined")
-    unneeded += ("camera", "hardware", "figure", "motion", "testbed", "jobs", "commands")
+    unneeded += (
+        "camera",
+        "hardware",
+        "figure",
+        "motion",
+        "testbed",
+        "script",
+        "workcell",
+        "commands",
+    )
     assert "robot_ik.solvers.levenberg_marquardt" in loaded
     assert sorted(loaded & {f"robot_ik.{name}" for name in unneeded}) == []
 

@@ -14,10 +14,10 @@ import pytest
 from robot_ik.commands import view as view_command
 from robot_ik.commands.main import main
 from robot_ik.errors import ConfigError
-from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
+from robot_ik.testbed.filming import arm_link
 from robot_ik.testbed.loop import run
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.view import View

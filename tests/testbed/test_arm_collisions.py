@@ -11,10 +11,10 @@ import pytest
 import robot_ik as rik
 from robot_ik.errors import ConfigError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory
 from robot_ik.ports import Array
 from robot_ik.testbed.arm import ArmLink, ArmView
+from robot_ik.testbed.filming import arm_link
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.usefixtures("real_time")

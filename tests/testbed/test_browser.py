@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.camera_picture import CameraPicture
 from robot_ik.testbed.commands import (
     DragLink,
@@ -30,6 +29,7 @@ from robot_ik.testbed.commands import (
     SetRunning,
     Start,
 )
+from robot_ik.testbed.filming import arm_link
 from robot_ik.testbed.session import Session
 from tests.testbed.browser_window import Window, open_window
 from tests.testbed.conftest import Bed, looped, running_bed

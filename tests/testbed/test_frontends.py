@@ -14,7 +14,6 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.errors import ConfigError
-from robot_ik.jobs.testbed import film, film_in_process
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS
 from robot_ik.testbed.commands import (
     CommandLog,
@@ -24,6 +23,7 @@ from robot_ik.testbed.commands import (
     SetSpeed,
     Start,
 )
+from robot_ik.testbed.filming import film, film_in_process
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.keys import KEYMAP
 from robot_ik.testbed.loop import last_view, replayed

@@ -23,9 +23,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from robot_ik.errors import CameraError
-from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.camera_picture import CameraPicture
 from robot_ik.testbed.commands import COMMANDS, SetCount, SetRunning, Start
+from robot_ik.testbed.filming import arm_link
 from robot_ik.testbed.view import View
 from tests.memory import resident_memory
 from tests.testbed.channel_client import ChannelClient

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from robot_ik.jobs.quantity import Quantity
+from benchmarks.quantity import Quantity
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.loop import run
 from robot_ik.testbed.session import Session

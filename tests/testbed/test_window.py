@@ -129,8 +129,8 @@ def test_a_display_that_does_not_answer(no_display: None, monkeypatch: pytest.Mo
 SCENE = """
 import threading
 import numpy as np
-from robot_ik.jobs.window_scene import scene_solids
-from robot_ik.jobs.scene import scene_for
+from robot_ik.testbed.frontends.scene_window import scene_solids
+from robot_ik.workcell.scene import scene_for
 from robot_ik.robot import load_robot
 from robot_ik.testbed.frontends.window import WindowSink
 

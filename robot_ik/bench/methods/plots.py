@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_ik.bench.methods.results import Cell, Curve, Growth, Results
-from robot_ik.jobs.results import png_of, require_plots
+from robot_ik.workcell.results import png_of, require_plots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

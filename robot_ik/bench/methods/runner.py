@@ -16,12 +16,12 @@ from robot_ik.budget import Budget
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Tolerance
-from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver
+from robot_ik.workcell.progress import Progress, share_of
 
 WARM_UP = 5
 """Solves whose time does not count. They load the kernel and fill the caches."""

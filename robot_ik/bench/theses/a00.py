@@ -9,10 +9,10 @@ from typing import Any
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
 from robot_ik.errors import GoalError, OptionError, UnsupportedJointError
 from robot_ik.goals import Tolerance
-from robot_ik.jobs import Progress, share_of
 from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS
 from robot_ik.theses.courses import NUMBERS, THESIS_RESULTS, Course, make_course
+from robot_ik.workcell.progress import Progress, share_of
 
 TOLERANCE = Tolerance(position=1e-4, angle=1e-3)
 MUST_PASS = ("lm", "dls", "bfgs", "auto")

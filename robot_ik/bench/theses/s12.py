@@ -14,8 +14,6 @@ import numpy as np
 from robot_ik.bench.theses.tracking import SCHEMA, Track, track
 from robot_ik.budget import Budget
 from robot_ik.goals import PositionGoal, Tolerance
-from robot_ik.jobs import Progress, share_of
-from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
@@ -34,6 +32,8 @@ from robot_ik.theses.table_4_1 import (
     make_arm,
     method_options,
 )
+from robot_ik.workcell.progress import Progress, share_of
+from robot_ik.workcell.results import png_of, require_plots
 
 TOLERANCE = Tolerance(position=DISTANCE, angle=1e-3)
 """Tolerance of a success."""

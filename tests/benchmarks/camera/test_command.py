@@ -11,9 +11,9 @@ import pytest
 from benchmarks.camera import rows
 from benchmarks.camera.__main__ import main
 from benchmarks.camera.rows import Effort, Row
+from benchmarks.quantity import Quantity
 from benchmarks.quantity_table import show_quantities
 from robot_ik.errors import CameraError
-from robot_ik.jobs.quantity import Quantity
 
 
 def test_one_cheap_row_is_printed_beside_what_is_wanted_and_written(

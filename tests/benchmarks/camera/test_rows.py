@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from benchmarks.camera import accuracy
+from benchmarks.camera.drawing_errors import PINHOLE, projection_errors
 from benchmarks.camera.rows import ROWS, Effort
-from robot_ik.jobs.ar.self_test import PINHOLE, projection_errors
-from robot_ik.jobs.quantity import Quantity
+from benchmarks.quantity import Quantity
 
 
 def figures(of: object, **effort: object) -> dict[str, Quantity]:

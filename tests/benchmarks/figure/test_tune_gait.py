@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.figure.tune_gait import TuneOptions, cost, minimise, violation
+from benchmarks.quantity import Quantity
 from robot_ik.figure.figure import load_figure
 from robot_ik.figure.gait import WALK
-from robot_ik.jobs.quantity import Quantity
 
 Array = NDArray[np.float64]
 

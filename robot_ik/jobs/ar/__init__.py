@@ -1,1 +1,0 @@
-"""The robot drawn into a camera's picture."""
