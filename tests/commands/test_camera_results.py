@@ -16,7 +16,7 @@ from robot_ik.camera.synthetic.pictures import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
 from robot_ik.files import make_folder, write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.testbed.ar import job
+from robot_ik.testbed.ar import overlay
 from robot_ik.workcell import locate
 from robot_ik.workcell.arm_camera import handeye, verify
 from robot_ik.workcell.results import claimed
@@ -67,7 +67,7 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
         (locate, "run_locate"),
         (handeye, "run_handeye"),
         (verify, "run_verify"),
-        (job, "load_robot"),
+        (overlay, "load_robot"),
         (sheets, "make_sheet_page"),
     ):
         monkeypatch.setattr(module, name, began)

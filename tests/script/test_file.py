@@ -196,7 +196,7 @@ def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_the_page_of_scripts_lists_each_step_and_each_key() -> None:
-    path = Path(__file__).parents[3] / "docs" / "how-to" / "testing.md"
+    path = Path(__file__).parents[2] / "docs" / "how-to" / "testing.md"
     page = path.read_text(encoding="utf-8")
     table = page[page.index("| `do` |") :]
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", table, re.MULTILINE))

@@ -1,4 +1,4 @@
-"""``robot-ik ar`` as a job: pictures in, pictures out, whatever ends it."""
+"""``robot-ik ar``: pictures in, pictures out, whatever ends it."""
 
 import contextlib
 import importlib.util
@@ -26,7 +26,7 @@ from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Image
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
-from robot_ik.testbed.ar import job
+from robot_ik.testbed.ar import overlay
 from robot_ik.testbed.ar.motion import make_motion, robot_of
 from robot_ik.testbed.ar.overlay import ArRequest, run_ar
 from robot_ik.testbed.ar.script_motion import play_script
@@ -344,7 +344,7 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
         for q in moved.q[moved.times > moved.duration - 0.3]:
             np.testing.assert_allclose(q, end, atol=4e-3)
         # the synthetic film is as long as the script
-        count = job._open(ArRequest(size=(64, 48)), figure, motion, stack).total
+        count = overlay._open(ArRequest(size=(64, 48)), figure, motion, stack).total
         assert count == round(30 * moved.duration)
         with pytest.raises(ConfigError, match="is a script of tabletop_puma, and puma560 is drawn"):
             make_motion(str(path), load_robot("puma560"), figure, stack)
