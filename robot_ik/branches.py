@@ -12,8 +12,9 @@ from robot_ik.collision.avoidance import CollisionAvoidance, require_same_robot
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Array, Pose
 from robot_ik.goals import Goal
+from robot_ik.inverse_kinematics import POOL, problem_kind, put_back
 from robot_ik.model import qpos_addresses
-from robot_ik.problem import Problem
+from robot_ik.problem import Problem, as_goals
 from robot_ik.robot import Robot, require_robot
 from robot_ik.solvers.analytic import SERVED
 from robot_ik.solvers.analytic.branch import Branch, listed_branches
@@ -63,14 +64,30 @@ def solve_all(
     origin = robot.home if start is None else robot.check_q(start, "start")
     if fixed:
         return _with_fixed_joints(robot, goal, origin, fixed, limits, collisions)
+    goals = as_goals(goal)
+    kind = problem_kind(robot, goals, "analytic", {}, None, False)
+    idle = POOL.idle(kind)
     try:
-        problem = Problem(robot, goal, solver="analytic")
+        problem = idle.pop()
+    except IndexError:
+        problem = _problem(robot, goals)
+        idle = POOL.add_kind(kind)
+    else:
+        problem.replace_goals(goals)
+    found = problem.branches(origin)
+    put_back(idle, problem)
+    branches = listed_branches(robot, found, origin, limits=limits)
+    return branches if collisions is None else _measured(branches, collisions)
+
+
+def _problem(robot: Robot, goals: Sequence[Goal]) -> Problem:
+    """Return the problem of the closed form; raise ``UnsupportedGoalError`` if there is none."""
+    try:
+        return Problem(robot, goals, solver="analytic")
     except UnsupportedGoalError as error:
         error.able = ()
         error.hint = f"solve_all serves {SERVED}; solve(…) finds one solution for any arm"
         raise
-    branches = listed_branches(robot, problem.branches(origin), origin, limits=limits)
-    return branches if collisions is None else _measured(branches, collisions)
 
 
 def _with_fixed_joints(

@@ -48,6 +48,8 @@ TICK_ITERATIONS = 1000
 TICK_RESTARTS = 100
 """Random restarts of a tick."""
 
+_TICK_BUDGET = Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS)
+
 BETTER_PERIOD = 0.2
 """Seconds between searches for a branch with a better orientation."""
 
@@ -459,12 +461,15 @@ def follow(
         measured = None if source is None else following.compare(source.read().q)
         report.duration = now - begin
         report.overruns = schedule.overruns
-        tick = FollowTick(
-            report.ticks - 1, now - begin, goal, solution, report.q, capped, measured, better
-        )
-        if on_tick is not None:
-            on_tick(tick)
-        if report.ticks == count or (until is not None and until(tick)):
+        is_last = report.ticks == count
+        if on_tick is not None or until is not None:
+            tick = FollowTick(
+                report.ticks - 1, now - begin, goal, solution, report.q, capped, measured, better
+            )
+            if on_tick is not None:
+                on_tick(tick)
+            is_last = is_last or (until is not None and until(tick))
+        if is_last:
             return report
 
 
@@ -500,7 +505,6 @@ class _FollowState:
 
     def problem_for(self, goals: Sequence[Goal]) -> Problem:
         """Return a problem with these goals: the last one, if targets and weights alone differ."""
-        budget = Budget(iterations=TICK_ITERATIONS, restarts=TICK_RESTARTS)
         kinds = [goal.kind for goal in goals]
         if self._problem is not None and kinds == self._kinds:
             self._problem.replace_goals(goals)
@@ -510,13 +514,17 @@ class _FollowState:
             goals,
             solver=self._solver,
             tolerance=self._tolerance,
-            budget=budget,
+            budget=_TICK_BUDGET,
             keep_branch=True,
         )
         self._search = None
         if self._problem.has_branches:
             self._search = Problem(
-                self._robot, goals, solver=self._solver, tolerance=self._tolerance, budget=budget
+                self._robot,
+                goals,
+                solver=self._solver,
+                tolerance=self._tolerance,
+                budget=_TICK_BUDGET,
             )
         self._kinds = kinds
         if self._collisions is not None:
@@ -542,7 +550,7 @@ class _FollowState:
         report.statuses[solution.status.name] += 1
         difference = solution.q - report.q
         change = np.abs(difference)
-        excess = float((change / self._largest_allowed).max())
+        excess = float(np.maximum.reduce(change / self._largest_allowed))
         if not math.isfinite(excess):  # NUMERICAL
             return solution, False
         q = solution.q
@@ -581,5 +589,5 @@ class _FollowState:
 def _frozen(q: ArrayLike) -> Array:
     """Return a read-only copy, because a sink that wrote into it would move the arm."""
     copy = np.array(q, dtype=float)
-    copy.flags.writeable = False
+    copy.setflags(write=False)
     return copy

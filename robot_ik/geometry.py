@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -43,7 +43,7 @@ INTEGER = int | np.integer
 REAL = int | float | np.integer | np.floating
 """Types of one integer and of one real number. Texts, arrays and complex numbers are neither."""
 
-_WRITE_16_NUMBERS = struct.Struct("16d").pack_into
+_WRITE_16_NUMBERS: Callable[..., None] = struct.Struct("16d").pack_into
 """Faster than ``np.array`` of Python's numbers, and than an assignment to parts of an array."""
 
 

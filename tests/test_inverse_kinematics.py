@@ -1,8 +1,9 @@
 """The front door: names, options, defaults, and what is refused."""
 
+import copy
 import dataclasses
 import gc
-import sys
+import importlib
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -165,7 +166,7 @@ def test_every_lazy_name_of_the_package_is_there():
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """How many problems the front door compiles."""
+    """How many problems ``solve``, ``warm_up`` and ``solve_all`` compile."""
     built = []
 
     class Counted(Problem):
@@ -173,7 +174,8 @@ def compiled(monkeypatch):
             built.append(args)
             super().__init__(*args, **options)
 
-    monkeypatch.setattr(sys.modules["robot_ik.inverse_kinematics"], "Problem", Counted)
+    for module in ("robot_ik.inverse_kinematics", "robot_ik.branches"):
+        monkeypatch.setattr(importlib.import_module(module), "Problem", Counted)
     return built
 
 
@@ -201,6 +203,19 @@ def test_a_loop_of_calls_compiles_once_and_remembers_no_answer(name, compiled):
         assert (result.iterations, result.restarts) == (wanted.iterations, wanted.restarts)
         assert result.goals == (goal,) and result.error == wanted.error
     assert len(compiled) == 1
+
+
+def test_a_loop_of_solve_all_compiles_once_and_remembers_no_branch(compiled):
+    robot = rik.load_robot("puma560")
+    rng = np.random.default_rng(4)
+    for _ in range(6):
+        pose = robot.forward(robot.sample(rng))
+        start = robot.sample(rng)
+        branches = rik.solve_all(robot, pose, start=start)
+        fresh = rik.solve_all(copy.copy(robot), pose, start=start)
+        assert [branch.name for branch in branches] == [branch.name for branch in fresh]
+        assert all(map(np.array_equal, (b.q for b in branches), (b.q for b in fresh)))
+    assert [given for given, *_ in compiled].count(robot) == 1
 
 
 def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_their_own(compiled):

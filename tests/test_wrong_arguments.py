@@ -58,6 +58,7 @@ def follow(robot, **options):
         (lambda r, goal: rik.make_solver("lm", patience=1.5), "patience: 1.5 is not allowed"),
         (lambda r, goal: rik.make_solver("lm", progress="x"), "allowed: a number"),
         (lambda r, goal: rik.PoseGoal.at(None, (1, 2, 3)), "not a pose"),
+        (lambda r, goal: rik.PoseGoal.at(goal.target, goal.target), "the frame comes first"),
         (lambda r, goal: rik.PositionGoal(None, (1, 2, 10**400)), "position must be 3 numbers"),
         (lambda r, goal: rik.Problem(r, goal).retarget((0, 0, 1), None), "no goal None"),
         (lambda r, goal: rik.Pose.from_rotation(2.0 * np.eye(3)), "it scales or mirrors"),
