@@ -193,9 +193,12 @@ def first_compile(robot: Any, method: str) -> dict[str, float]:
 
 def figure_frames() -> Callable[[], Any]:
     """Return the solve of a motion of the humanoid, frame by frame."""
+    from robot_ik.figure import poses as figure_poses
     from robot_ik.figure.figure import load_figure
     from robot_ik.figure.frames import FrameRows
-    from robot_ik.figure.poses import STIFFNESS
+
+    # An earlier version has another name for it.
+    stiffness = getattr(figure_poses, "STIFFNESS", None) or figure_poses.STIFF
 
     figure = load_figure()
     rows = FrameRows(figure, 3)
@@ -204,7 +207,7 @@ def figure_frames() -> Callable[[], Any]:
     rows.momentum(0.1)
     rows.aim(np.array([1.0, 0.0, 1.0]), 8.0)
     rows.position("right_hand", figure.pose(figure.home, "right_hand")[0] * np.ones((3, 1)))
-    return lambda: rows.solve(figure.home, figure.stiffnesses(STIFFNESS), figure.home)
+    return lambda: rows.solve(figure.home, figure.stiffnesses(stiffness), figure.home)
 
 
 def main() -> None:
