@@ -159,7 +159,7 @@ def latency_options(data: Data, _others: Data) -> str:
 
 
 def headlines(data: Data, others: Data) -> str:
-    """Return a table for the front page, with a few figures and the command of each."""
+    """Return a table for the README, with a few figures and the command of each."""
 
     def of(row: str, start: str) -> str:
         chosen = [

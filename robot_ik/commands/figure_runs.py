@@ -62,7 +62,7 @@ _IDLE, _LONGEST = 0.5, 60.0
 
 @dataclass(frozen=True)
 class FigureRequest:
-    """What shall be done.
+    """A request for a run of the figure.
 
     Attributes:
         balls: Where the ball is, one after the other; each is held until nothing goes on any more.

@@ -223,7 +223,7 @@ def test_a_listed_file_must_follow_the_earlier_rules(
 
 
 def test_either_layout_is_accepted_in_a_listed_file(style: ModuleType, checkout: Path) -> None:
-    """A file may be laid out anew before the rest of it follows."""
+    """A file may be formatted again before it follows the other rules."""
     file = checkout / "old.py"
     file.write_text(WIDE_CALL + "\nWIDTH, HEIGHT = 640, 480\n")
     list_files(checkout, "old.py")
