@@ -233,6 +233,13 @@ def test_a_narrow_ascii_help(name: str, robot_ik: Any, monkeypatch: pytest.Monke
     assert max(map(len, run.out.splitlines())) <= 60
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_descriptions_of_options_are_paragraphs(name: str, robot_ik: Any) -> None:
+    for panel in robot_ik(*name.split(), "--help").out.split("╭")[1:]:
+        continued = re.findall(r"^│( {9,})\S", panel, re.MULTILINE)
+        assert len(set(map(len, continued))) <= 1, panel
+
+
 @pytest.mark.parametrize(("name", "option"), OUTPUTS)
 def test_an_unwritable_folder_is_refused_before_the_run(
     name: str, option: str, robot_ik: Any
