@@ -22,7 +22,6 @@ from robot_ik.testbed.commands import (
     SetMethod,
     SetMotion,
     SetRobot,
-    SetRunning,
     Start,
 )
 from robot_ik.testbed.view import View
