@@ -53,8 +53,8 @@ _MIN_GAIN = 1.03
 # Three coefficients that lower the error of the median view by this factor describe the lens.
 _CLEAR_GAIN = 1.5
 # Largest number of iterations of OpenCV's bundle adjustment. OpenCV 4 stops after 30 by default,
-# where the fit of a lens of 94 degrees has not converged. With the start of ``_fit``, 200 were enough
-# for 60 sets of views of each of three lenses in both versions.
+# where the fit of a lens of 94 degrees has not converged. 200 were enough for 60 sets of views of
+# each of three lenses in both versions.
 _ITERATIONS = 300
 # Relative change at which the bundle adjustment stops: as by default, the rounding of a double.
 _SMALLEST_CHANGE = float(np.finfo(float).eps)
