@@ -301,17 +301,16 @@ ALLOWED = {
     (
         "robot_ik/figure/reach_map.py",
         "np.load",
-    ): "a map that it made itself, without pickle; any error makes it anew",
+    ): "a map that it made itself, without pickle; after any error it is made again",
     (
         "robot_ik/figure/reach_map.py",
         "read_bytes",
     ): "for a digest of the model that load_robot has just read",
-    ("robot_ik/commands/figure_runs.py", "read_bytes"): "likewise",
+    ("robot_ik/commands/figure_recording.py", "read_bytes"): "likewise",
     (
-        "robot_ik/commands/figure_runs.py",
+        "robot_ik/testbed/frontends/session_window.py",
         "from_file",
     ): "the model of a robot that load_robot has just read",
-    ("robot_ik/testbed/frontends/session_window.py", "from_file"): "likewise",
     (
         "robot_ik/testbed/frontends/session_window.py",
         "read_text",
@@ -326,7 +325,7 @@ ALLOWED = {
 """(file, call) that reads without ``robot_ik.config``, and why it may."""
 
 NOT_PEOPLE_S = {
-    "requested": "from robot-ik stop; any error means that the arm shall stop",
+    "requested": "from robot-ik stop; any error means that the arm must stop",
 }
 
 

@@ -109,6 +109,7 @@ class Session(Closing):
         self._drag: commands.DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
+        self._waiting_count = 0  # setup commands whose results are not adopted
         self._figure: FigureSession | None = None
         self._frame: FigureFrame
         self.arm = arm
@@ -132,8 +133,8 @@ class Session(Closing):
 
     @property
     def busy(self) -> str:
-        """What is prepared beside the loop. Empty: nothing."""
-        return self._preparer.doing
+        """What is prepared beside the loop. Empty: every setup command has taken effect."""
+        return self._preparer.doing or ("preparing …" if self._waiting_count else "")
 
     @property
     def ball(self) -> Pose:
@@ -356,6 +357,7 @@ class Session(Closing):
         elif isinstance(command, commands.PlanMotion):
             self._ask_plan(command)
         elif isinstance(command, commands.SetupCommand):
+            self._waiting_count += 1
             self._preparer.ask(command)
         elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
             self.report("the kernels of dragging are being compiled: drag again in some seconds")
@@ -620,6 +622,8 @@ class Session(Closing):
 
     def _adopt(self, result: SetupDone) -> None:
         """Apply a prepared setup, or report why it could not be prepared."""
+        if result.command is not None:
+            self._waiting_count -= 1
         if result.ready is None:
             self.report(result.error)
             return

@@ -177,7 +177,7 @@ def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:
     run = robot_ik("camera", "detect", tmp_path / "grey.png", "--id", 4)
     assert run.code == 1 and run.out == ""
     assert "none of the ids 4 of DICT_5X5_50 in 1 picture" in run.err
-    assert "too small, blurred, or without white" in run.err
+    assert "large, sharp, and has white paper" in run.err
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
         ),
         (
             [FoundServo(id, rate, X) for rate in (1_000_000, 57_600, 2_000_000) for id in (1, 2)],
-            ["answer at every rate: the port has none"],
+            ["answer at every rate: the port has no baud rate"],
         ),
         (
             [FoundServo(1, 57_600, X), FoundServo(1, 1_000_000, X)],

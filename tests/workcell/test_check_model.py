@@ -94,8 +94,7 @@ def test_ar_refuses_the_calibration_of_another_model(arm_file: Path, port: str) 
 @pytest.mark.parametrize(
     "command",
     [
-        "view --viewer browser --no-open --no-camera --port 8741 --seconds 0.1 --arm ARM "
-        "--bus PORT",
+        "view --host 127.0.0.1:8741 --seconds 0.1 --arm ARM --bus PORT",
         "servo move shoulder_pan=5 --arm ARM --bus PORT",
         "servo torque on shoulder_pan --arm ARM --bus PORT",
         "servo record FILE --seconds 0.1 --arm ARM --bus PORT",
