@@ -4,8 +4,8 @@
 
 The goals are poses of random postures that keep the margin, so each has a free solution. The same
 goals are solved with and without the condition in turn. The best of some rounds over all goals
-counts for each goal, because other programs on the machine only add to a time. The certificates are of straight lines in
-joint space between free postures.
+counts for each goal, because other programs on the machine only add to a time. The certificates are
+of straight lines in joint space between free postures.
 """
 
 from __future__ import annotations
