@@ -1,4 +1,4 @@
-"""Reading a model file: MuJoCo's model, its frames, home pose, limits, and the compiled tree."""
+"""Reading a model file: MuJoCo's model, its frames, home pose and limits, and the compiled tree."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
     folder = source.parent if isinstance(source, Path) else Path()
     urdf = None
     if "<robot" in text:
-        from robot_ik.urdf import Urdf  # here: it costs 6 ms, which an MJCF file does not need
+        from robot_ik.urdf import Urdf  # imported here: it takes 6 ms and MJCF does not need it
 
         urdf = Urdf.of_text(text, folder)
     if urdf is not None and urdf.problem[0]:
@@ -283,7 +283,7 @@ def _check_numbers(model: mujoco.MjModel, path: Path) -> None:
 
 
 def _check_ranges(model: mujoco.MjModel, path: Path) -> None:
-    """Raise ``ModelError`` for a joint with an empty range. MuJoCo takes most of them for none."""
+    """Raise ``ModelError`` for an empty joint range, which MuJoCo often reads as no limits."""
     for joint in range(model.njnt):
         lower, upper = model.jnt_range[joint].tolist()
         has_range = bool(model.jnt_limited[joint]) or lower != 0.0 or upper != 0.0

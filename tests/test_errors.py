@@ -112,7 +112,7 @@ def test_messages_say_what_was_asked_what_is_possible_and_what_to_try():
         errors.ConfigError("is no number", file="arm.toml", key="bus.baud", allowed="9600 …")
     ) == ("arm.toml: bus.baud: is no number; allowed: 9600 …")
     assert str(errors.UnsupportedGoalError("ccd", "a line goal", ["lm", "dls"])).endswith(
-        "these can: lm, dls"
+        "these solvers do: lm, dls"
     )
     missing = errors.MissingExtraError("viser", "web", "the browser view")
     assert 'pip install "robot-ik-testbed[web]"' in str(missing)

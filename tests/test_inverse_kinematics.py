@@ -145,7 +145,7 @@ def test_a_kind_of_goal_that_a_method_cannot_serve_is_reported_with_those_that_c
     able = able_solvers(rik.Problem(puma, OrientationGoal(None, (1, 0, 0, 0))))
     assert "lm" in able and "ccd" not in able
     with pytest.raises(
-        UnsupportedGoalError, match=r"'ccd' cannot serve a pose goal(.|\n)*lm, (.*, )?dls"
+        UnsupportedGoalError, match=r"'ccd' does not support a pose goal(.|\n)*lm, (.*, )?dls"
     ):
         rik.solve(puma, PoseGoal(None, (0, 0, 1)), solver="ccd")
 

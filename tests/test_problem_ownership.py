@@ -25,7 +25,7 @@ def puma():
 
 
 def problem_for(name, robot, seed=0):
-    """A problem of a kind that the method serves, and poses (5, 4, 4) to move it to."""
+    """A problem of a kind that the method supports, and poses (5, 4, 4) to move it to."""
     rng = np.random.default_rng(seed)
     poses = [robot.forward(robot.sample(rng)) for _ in range(5)]
     kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal

@@ -65,7 +65,7 @@ def weighted_goals(robot: rik.Robot, weights: tuple[float, float]) -> dict[str, 
         "mass": rik.CenterOfMassGoal(None, (0.3, 0.3, 0.5), weight=first),
         "posture": rik.PostureGoal(q=robot.home + 0.4, weight=first),
         "joints": rik.PostureGoal(
-            q=robot.home + 0.4, joints={"joint1": first, "joint3": second}, only=True
+            q=robot.home + 0.4, joints={"joint1": first, "joint3": second}, only_named=True
         ),
     }
     return {

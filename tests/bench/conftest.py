@@ -12,7 +12,7 @@ from robot_ik.commands.main import main
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """`bench` with two methods, of which one serves no poses, on two robots."""
+    """`bench` with two methods, of which one supports no poses, on two robots."""
     out = tmp_path_factory.mktemp("bench") / "new"
     arguments = (
         f"bench --solver analytic lm triangulation --robot puma560 panda --count 12 --out {out}"

@@ -37,7 +37,9 @@ def draw_many(address, out):
 def starts(robot, seed, count=2000, joints=None):
     """Random starts (count, nq) for a goal that concerns some joints, or all."""
     weights = dict.fromkeys(joints or robot.joints, 1.0)
-    problem = Problem(robot, PostureGoal(q=robot.home, joints=weights, only=True), solver="lm")
+    problem = Problem(
+        robot, PostureGoal(q=robot.home, joints=weights, only_named=True), solver="lm"
+    )
     blocks = {
         "tree": robot.tree.block,
         "goals": problem.compiled.block,

@@ -68,7 +68,7 @@ def goals_met_at(robot, q):
         "balance": CenterOfMassGoal(body, robot.center_of_mass(q, body), axes="xy"),
         "posture": PostureGoal(q=q),
         "some joints": PostureGoal(
-            q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only=True
+            q=q, joints={robot.joints[-1]: 3.0, robot.joints[-3]: 1.0}, only_named=True
         ),
     }
 

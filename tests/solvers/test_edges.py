@@ -33,7 +33,7 @@ from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 SHORT = Budget(iterations=300)
 FEW = settings(max_examples=50)
@@ -225,7 +225,7 @@ def test_what_weighs_nothing_is_met_where_it_stands(puma, name):
     ]
     solver = make_solver(name)
     for asked in [*goals, goals]:
-        problem = served(puma, asked, solver=solver)
+        problem = supported_problem(puma, asked, solver=solver)
         if problem is None:
             continue
         solution = problem.solve(np.full(6, 0.1))
@@ -244,10 +244,10 @@ def test_the_same_goal_twice_is_that_goal(puma, name):
     for kind in ("position", "pose"):
         pose = puma.forward(puma.clip(puma.home + rng.uniform(-0.3, 0.3, 6)))
         goal = PositionGoal(None, pose.position) if kind == "position" else PoseGoal.at(None, pose)
-        if served(puma, goal, solver=solver) is None:
+        if supported_problem(puma, goal, solver=solver) is None:
             continue
         once = Problem(puma, goal, solver=solver).solve()
-        if served(puma, [goal] * 3, solver=solver) is None:
+        if supported_problem(puma, [goal] * 3, solver=solver) is None:
             with pytest.raises(UnsupportedGoalError, match=name):
                 Problem(puma, [goal] * 3, solver=solver)
             continue

@@ -27,7 +27,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 SHORT = Budget(iterations=300)
 FEW = settings(max_examples=50)
@@ -124,7 +124,7 @@ def test_limits_may_hold_a_joint_in_one_place(make_robot, name):
     robot = make_robot(chain(), tool="tip")
     held = robot.with_limits([-2, 0.3, -2], [2, 0.3, 2])
     goal = PositionGoal(None, held.forward([0.4, 0.3, 0.6]).position)
-    if served(held, goal, solver=name) is None:
+    if supported_problem(held, goal, solver=name) is None:
         return
     solution = solve(held, goal, solver=name)
     assert solution.q[1] == 0.3
@@ -164,7 +164,7 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
             CenterOfMassGoal(None, (0, far, 0)),
             PostureGoal(q=np.full(6, far)),
         ):
-            problem = served(puma, goal, budget=SHORT, solver=solver)
+            problem = supported_problem(puma, goal, budget=SHORT, solver=solver)
             if problem is None:
                 continue
             solution = problem.solve()
@@ -172,7 +172,7 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
             assert not solution.converged
             if not isinstance(goal, CenterOfMassGoal | PostureGoal):
                 assert solution.status is Status.UNREACHABLE
-    problem = served(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
+    problem = supported_problem(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
     if problem is not None:  # one may try it all the same
         honest(puma, problem.solve(), Tolerance())
 
@@ -191,7 +191,7 @@ def test_size_does_not_matter(make_robot, name, scale):
             PoseGoal.at(None, here),
             AimGoal(None, here.position + size * here.rotation[:, 2]),
         ):
-            problem = served(
+            problem = supported_problem(
                 robot, goal, tolerance=tolerance, budget=Budget(iterations=3000), solver=solver
             )
             if problem is not None:
@@ -212,7 +212,7 @@ def test_a_tolerance_finer_than_floats_ends_and_says_so(puma, name, fine):
     solver = make_solver(name)
     there = puma.forward(puma.home + 0.2)
     for goal in (PositionGoal(None, there.position), PoseGoal.at(None, there)):
-        problem = served(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
+        problem = supported_problem(puma, goal, tolerance=tolerance, budget=SHORT, solver=solver)
         if problem is None:
             continue
         solution = problem.solve()
@@ -236,7 +236,11 @@ def test_one_joint_is_an_arm(make_robot, name):
         0.2: AimGoal(None, robot.forward([0.2]).apply([9, 0, 0]), axis="x"),
         -0.4: PostureGoal(q=[-0.4]),
     }
-    able = {q: goal for q, goal in goals.items() if served(robot, goal, solver=solver) is not None}
+    able = {
+        q: goal
+        for q, goal in goals.items()
+        if supported_problem(robot, goal, solver=solver) is not None
+    }
     for q, goal in able.items():
         solution = Problem(robot, goal, solver=solver).solve()
         assert solution.converged and solution.q == pytest.approx([q], abs=2e-3)
@@ -246,7 +250,7 @@ def test_one_joint_is_an_arm(make_robot, name):
         PositionGoal(None, (0, 0, 0)),
         PositionGoal(None, (-0.5, 0, 0)),
     ):
-        if served(robot, goal, solver=solver) is not None:
+        if supported_problem(robot, goal, solver=solver) is not None:
             honest(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
 
 
@@ -265,7 +269,7 @@ def test_a_frame_that_nothing_moves_is_there_or_never(name, frame):
             AimGoal(frame, here.apply([moved, 0, 1])),
             LineGoal(frame, here.position + world, "z"),
         ):
-            problem = served(robot, goal, solver=solver)
+            problem = supported_problem(robot, goal, solver=solver)
             if problem is None:
                 continue
             solution = problem.solve()
@@ -281,7 +285,9 @@ def test_frozen_joints_stay_and_the_active_ones_are_enough(puma, name):
     q = robot.home + np.array([0.4, 0.2, -0.3])
     goal = PositionGoal(None, robot.forward(q).position)
     solution = (
-        solve(robot, goal, solver=name) if served(robot, goal, solver=name) is not None else None
+        solve(robot, goal, solver=name)
+        if supported_problem(robot, goal, solver=name) is not None
+        else None
     )
     if solution is not None and name != "recursive":
         assert solution.converged and solution.q.shape == (3,)

@@ -24,7 +24,7 @@ from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
 from tests.solvers.goal_judge import KINDS, TOLERANCE, goals_near, measured, near
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 NAMES = list(SOLVERS)
 kinds = pytest.mark.parametrize("kind", KINDS)
@@ -34,7 +34,10 @@ def _serving():
     """Of each kind, the methods that serve it on the PUMA."""
     robot = load_robot("puma560")
     goals = goals_near(robot, 0)
-    return {k: [n for n in NAMES if served(robot, goals[k], solver=n) is not None] for k in KINDS}
+    return {
+        k: [n for n in NAMES if supported_problem(robot, goals[k], solver=n) is not None]
+        for k in KINDS
+    }
 
 
 NAMES_OF = _serving()
@@ -69,7 +72,7 @@ def test_every_kind_is_tried_and_the_table_says_who_serves_it(robots):
 def test_methods_that_do_not_serve_a_kind_refuse_it_by_name(robots, kind):
     for robot in robots.values():
         goal = goals_near(robot, 0)[kind]
-        able = [name for name in NAMES if served(robot, goal, solver=name) is not None]
+        able = [name for name in NAMES if supported_problem(robot, goal, solver=name) is not None]
         for name in set(NAMES) - set(able):
             with pytest.raises(UnsupportedGoalError, match=f"'{name}' cannot") as caught:
                 Problem(robot, goal, solver=name)
@@ -85,7 +88,7 @@ def test_laws_1_2_what_is_reported_is_true(robots, name, kind):
     for robot in robots.values():
         for seed in range(2):
             goal = goals_near(robot, seed)[kind]
-            problem = served(
+            problem = supported_problem(
                 robot, goal, tolerance=TOLERANCE, budget=Budget(iterations=2000), solver=solver
             )
             if problem is None:
@@ -107,7 +110,9 @@ def test_law_3_a_start_at_the_goal_is_the_answer(robots, name, kind):
     tried = []
     for robot in robots.values():
         q = near(robot, 1)
-        problem = served(robot, goals_near(robot, 1)[kind], tolerance=TOLERANCE, solver=name)
+        problem = supported_problem(
+            robot, goals_near(robot, 1)[kind], tolerance=TOLERANCE, solver=name
+        )
         if problem is not None:
             solution = problem.solve(q)
             assert solution.converged and solution.iterations == 0 and solution.restarts == 0
@@ -124,7 +129,7 @@ def test_laws_4_5_9_retargeting_is_a_new_problem_and_nothing_is_remembered_or_mo
     budget = Budget(iterations=60)
     for robot in (robots["srs_arm"], robots["humanoid"]):
         goals = [goals_near(robot, seed)[kind] for seed in (0, 1)]
-        hot = served(robot, goals[0], budget=budget, seed=3, solver=solver)
+        hot = supported_problem(robot, goals[0], budget=budget, seed=3, solver=solver)
         if hot is None:
             continue
         start = near(robot, 6)
@@ -149,7 +154,7 @@ def test_laws_7_8_budgets_hold_and_frozen_joints_stay(robots, name, kind):
     whole = robots["srs_arm"]
     robot = robots["part of srs_arm"]
     goal = goals_near(robot, 1)[kind]
-    if served(robot, goal, solver=name) is None:
+    if supported_problem(robot, goal, solver=name) is None:
         return
     solution = Problem(robot, goal, tolerance=TOLERANCE, solver=name).solve()
     assert solution.iterations > 0
@@ -178,7 +183,9 @@ def test_a_goal_is_met_by_its_own_tolerance(robots, name, kind):
     q = near(robot, 1)
     goal_at = goals_near(robot, 1)[kind]
     goal = dataclasses.replace(goal_at, tolerance=wide)
-    problem = served(robot, goal, tolerance=fine, budget=Budget(iterations=2000), solver=name)
+    problem = supported_problem(
+        robot, goal, tolerance=fine, budget=Budget(iterations=2000), solver=name
+    )
     if problem is None:
         return
     solution = problem.solve(robot.clip(q - 0.8))

@@ -26,7 +26,7 @@ from robot_ik.solution import Status
 from robot_ik.solvers import SOLVERS, make_solver
 from tests.residual_rows import columns_of
 from tests.solvers.goal_judge import BODY, KINDS, LOOKS, TOLERANCE, cost, direction, measured, near
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
 
@@ -135,7 +135,7 @@ def test_law_6_stretched_out_to_a_far_goal_it_ends_where_no_small_step_helps(nam
 @pytest.mark.parametrize("name", list(SOLVERS))
 def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
     for robot in tied.values():
-        problem = served(
+        problem = supported_problem(
             robot,
             never(robot, kind),
             tolerance=TOLERANCE,
@@ -161,7 +161,9 @@ def test_law_6_what_cannot_be_reached_is_said_and_approached(tied, name, kind):
 def test_law_6_tracking_comes_to_rest(tied, name, kind):
     for robot in tied.values():
         budget = Budget(restarts=0)
-        problem = served(robot, never(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget)
+        problem = supported_problem(
+            robot, never(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget
+        )
         if problem is None:
             continue
         q = robot.home

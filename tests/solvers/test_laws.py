@@ -24,9 +24,9 @@ from tests.solvers.law_cases import (
     general,
     goal_of,
     inside,
+    is_supported,
     measured,
     outcome,
-    serves,
     stepping,
 )
 
@@ -201,7 +201,7 @@ def test_law_7_budgets_hold(name, robot_name, robots):
 def test_law_7_methods_that_take_few_steps_keep_budgets_too(name, robots):
     robot = robots("puma560")
     never = out_of_reach(
-        "puma560", "pose" if serves(name, "puma560", "pose") else "position", "near"
+        "puma560", "pose" if is_supported(name, "puma560", "pose") else "position", "near"
     )
     for budget, status in (
         (Budget(iterations=0), "ITERATION_LIMIT"),

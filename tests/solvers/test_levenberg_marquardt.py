@@ -15,7 +15,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
-from tests.solvers.law_cases import served
+from tests.solvers.law_cases import supported_problem
 
 # A lift, and on it a wrist with a range of nearly two revolutions; home is at one end of them.
 ROUND = """<mujoco model="round"><compiler angle="radian"/><worldbody>
@@ -85,7 +85,7 @@ def test_these_options_and_priorities_exclude_each_other_by_name(robots):
         PositionGoal(None, (0.4, 0.1, 0.3)),
         PositionGoal("flange", (0.4, 0.1, 0.3), priority=1),
     ]
-    assert served(robot, goals, solver="lm") is not None
+    assert supported_problem(robot, goals, solver="lm") is not None
     with pytest.raises(UnsupportedGoalError, match="with clamp"):
         Problem(robot, goals, solver=make_solver("lm", gain=0.5)).solve()
 

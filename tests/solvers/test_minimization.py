@@ -258,7 +258,7 @@ def test_cold_poses_are_met_to_a_micrometre(kind, robots, reachable):
 def test_priorities_are_refused_by_name(robots):
     goals = [PositionGoal(None, (0.3, 0.3, 0)), PositionGoal("hand", (0.1, 0.1, 0), priority=1)]
     with pytest.raises(
-        UnsupportedGoalError, match="'bfgs' cannot serve goals of different priorities"
+        UnsupportedGoalError, match="'bfgs' does not support goals of different priorities"
     ) as caught:
         solve(robots("planar"), goals, solver="bfgs")
     assert "lm" in caught.value.able

@@ -175,7 +175,7 @@ def _growth(
     size: int,
     seed: int,
 ) -> Iterator[Growth]:
-    """Yield the time of a step, or nothing if the method does not serve the goals."""
+    """Yield the time of a step, or nothing if the method does not support the goals."""
     rng = np.random.default_rng([seed, size])
     # No solution is within this tolerance, so every solve takes all its steps.
     unattainable = Tolerance(1e-300, 1e-300)

@@ -55,7 +55,7 @@ class Bench:
         robot: The robot.
         problems: The problems.
         cell: Receives the results.
-        problem: The prepared problem. None if the method cannot serve the set.
+        problem: The prepared problem. None if the method does not support the set.
     """
 
     solver: Solver
@@ -122,8 +122,8 @@ class Bench:
 def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settings) -> Bench:
     """Load the kernels and fill the caches before the measurement.
 
-    A method that serves no poses gets positions. If it cannot serve the robot, the cell has the
-    reason.
+    A method that supports no poses gets positions. If it does not support the robot, the cell has
+    the reason.
     """
     cell = Cell(solver=solver.name, robot=robot.name, set=problems.name, asked=len(problems))
     bench = Bench(solver, robot, problems, cell)

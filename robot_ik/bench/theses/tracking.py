@@ -27,7 +27,7 @@ class Track:
         milliseconds: Mean time of a solve.
         iterations: Mean iterations of a solve.
         restarts: Restarts of all solves.
-        refused: Whether the method does not serve this goal or robot. All numbers are then zero.
+        refused: Whether the method does not support this goal or robot. All numbers are then zero.
     """
 
     frames: int

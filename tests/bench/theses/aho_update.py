@@ -144,7 +144,7 @@ def close(e: Array) -> bool:
 
 
 def step_of(jacobian: Array, e: Array, svd: bool) -> Array:
-    """Δq = J⁺e.  Raises LinAlgError where JJᵀ has no inverse."""
+    """Δq = J⁺e. Raises LinAlgError where JJᵀ has no inverse."""
     if svd:
         return np.linalg.pinv(jacobian, rcond=1e-4) @ e
     square = jacobian @ jacobian.T

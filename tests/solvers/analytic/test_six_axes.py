@@ -145,7 +145,7 @@ def test_goals_without_a_closed_form_are_refused_by_name():
     ):
         solve(robot, goal, solver="analytic")
     with pytest.raises(
-        UnsupportedGoalError, match="\nsolve_all serves two parallel hinges"
+        UnsupportedGoalError, match="\nsolve_all supports two parallel hinges"
     ) as caught:
         solve_all(robot, goal)
     assert caught.value.able == ()
