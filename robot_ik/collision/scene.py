@@ -426,7 +426,7 @@ def always_near(scene: Scene, pairs: Ints, margin: float) -> tuple[Touching, ...
                 deepest[names[i]] = max(deepest.get(names[i], -margin), -distance)
                 bodies[names[i]] = model.geom_bodyid[[a, b]].tolist()
         depths = {pair: min(d, depths.get(pair, d)) for pair, d in deepest.items()}
-        # Other geoms of the same two parts may touch in the next posture.
+        # In the next posture other geoms of the same two parts may touch.
         candidates = [i for i in candidates if names[i] in depths]
     contacts = [
         Touching((pair[0], pair[1]), depth, _exclude_line(model, bodies[pair]))
@@ -487,7 +487,7 @@ def load_scene(
     active: they stay at home.
 
     Args:
-        path: An MJCF file, or what else ``load_robot`` takes.
+        path: An MJCF file, or another source that ``load_robot`` takes.
         joints: Names of the joints that may move, as for ``load_robot``.
         tool: Name of the default frame.
     """

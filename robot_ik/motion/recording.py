@@ -43,7 +43,7 @@ class Moment:
         measured: Measured positions (n,), in the same units.
         goal: Goal in the world.
         text: Event at this time. Empty if there is none.
-        robot: Index of the robot, if several stand side by side.
+        robot: Index of the robot, if there are several side by side.
     """
 
     now: float
@@ -56,10 +56,9 @@ class Moment:
 
 
 class Recording(Closing):
-    """A file that takes moments until it is closed.
+    """A file to which moments are written until it is closed.
 
-    If the file cannot be written any more, as on a full disk, it is removed. A partial file would
-    be damaged.
+    If writing fails, as on a full disk, the file is removed, because a partial file is invalid.
 
     Args:
         path: The file.
@@ -178,7 +177,8 @@ _INFO = 20
 class McapRecording(Recording):
     """An MCAP file with the topics ``/joint_commands``, ``/joint_states``, ``/goal``, ``/rosout``.
 
-    If several robots stand side by side, the topics of robot 1 are below ``/robot_1``, and so on.
+    If there are several robots side by side, the topics of robot 1 are below ``/robot_1``, and so
+    on.
     """
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
@@ -249,7 +249,7 @@ def require_recording(path: Path) -> None:
         MissingExtraError: The suffix is ``.mcap``, but the extra ``record`` is not installed.
     """
     if path.suffix not in SUFFIXES:
-        problem = f"the format is not clear from the name {path.name!r}"
+        problem = f"the name {path.name!r} has no known suffix"
         allowed = " or ".join(SUFFIXES)
         raise ConfigError(problem, file="command line", key="--record", allowed=allowed)
     if path.suffix == ".mcap":

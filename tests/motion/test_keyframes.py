@@ -258,7 +258,7 @@ def test_names_that_are_not_there_are_answered_with_the_close_ones() -> None:
     book.record("stand", book.robot.home)
     with pytest.raises(TrajectoryError, match="did you mean stand"):
         book["stend"]
-    with pytest.raises(TrajectoryError, match="there is a pose 'stand' already"):
+    with pytest.raises(TrajectoryError, match="there is already a pose 'stand'"):
         book.record("stand", book.robot.home)
     with pytest.raises(TrajectoryError, match="two or more poses"):
         book.record_motion("m", ["stand"])

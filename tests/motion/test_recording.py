@@ -64,7 +64,7 @@ def test_the_mcap_reader_reads_back_an_mcap_file(tmp_path: Path) -> None:
 
 
 def test_an_unknown_suffix_is_rejected(tmp_path: Path) -> None:
-    message = r"format is not clear from the name 'a\.txt'; allowed: \.csv"
+    message = r"the name 'a\.txt' has no known suffix; allowed: \.csv"
     with pytest.raises(ConfigError, match=message):
         open_recording(tmp_path / "a.txt", JOINTS).__enter__()
 

@@ -1,4 +1,4 @@
-"""Run solvers on problem sets. Only the call is timed, and MuJoCo judges the solution."""
+"""Run solvers on problem sets. Only the call is timed, and MuJoCo measures the success."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CURVE_STEPS = 200
 """Steps of a convergence curve."""
 
 LEAST_PROBLEMS = 10
-"""Least number of problems of a set, also beyond its time."""
+"""Smallest number of problems of a set, even if its time is over."""
 
 BATCH = 500
 """Poses of a batch for each problem of the other sets."""
@@ -146,7 +146,7 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
 
 
 def curve(bench: Bench, settings: Settings) -> Curve | None:
-    """Return how the error falls on the first problems. None for a method without steps."""
+    """Return the error by step on the first problems. None for a method without steps."""
     if bench.problem is None:
         return None
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
@@ -196,7 +196,7 @@ class Campaign:
     settings: Settings
 
     def prepare(self, progress: Progress) -> list[Bench]:
-        """Make the problem sets and load the kernels. Nothing is measured."""
+        """Create the problem sets and load the kernels. Nothing is measured."""
         pairs = [(name, robot) for name in self.sets if name not in EXTRA for robot in self.robots]
         benches: list[Bench] = []
         for k, (name, robot) in enumerate(pairs):

@@ -82,8 +82,10 @@ def test_a_pose_that_cannot_be_reached_keeps_the_position(name):
     assert plain.error.position < EXACT_POSITION
     np.testing.assert_array_equal(plain.q, best.q)
     degrees = f"{np.degrees(plain.error.angle):.1f}°"
-    sentence = f"position reached; the orientation error of {degrees} "
+    sentence = (
+        f"position reached; the orientation error of {degrees} "
         "is the smallest possible for this arm"
+    )
     assert plain.meaning == sentence
     with pytest.raises(NotConvergedError, match=sentence):
         plain.require()
