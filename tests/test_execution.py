@@ -168,7 +168,7 @@ def test_a_sink_that_fails_stops_the_sinks_after_it_too():
     assert len(recorder) == 31
 
 
-def test_no_sink_can_bend_the_command():
+def test_no_sink_can_change_the_command():
     class Bender:
         def send(self, q, now):
             q[0] = 1e3

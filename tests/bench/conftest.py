@@ -23,5 +23,5 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def results(folder: Path) -> Results:
-    """What it found."""
+    """The results of this run."""
     return Results.model_validate_json((folder / "bench.json").read_bytes())

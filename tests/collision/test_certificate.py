@@ -1,4 +1,4 @@
-"""Certified motions: dense sampling by MuJoCo finds no contact, and refuted ones have one."""
+"""Certified motions: dense samples by MuJoCo have no contact, and refuted motions have one."""
 
 import mujoco
 import numpy as np
@@ -11,11 +11,11 @@ from robot_ik.errors import MotionBlockedError, OptionError
 from robot_ik.motion.certificate import certify
 
 STEP = 0.002
-"""rad or m. Distance of the samples that judge a certificate."""
+"""rad or m. Distance of the samples that check a certificate."""
 
 
 def hall(robot, rng):
-    """Thin plates with slots between them, around a robot; none that is always in its way."""
+    """Thin plates with slots between them around a robot, without plates that always touch it."""
     samples = np.array([robot.sample(rng) for _ in range(50)])
     bare = rik.Scene(robot).free(samples).mean()
     plates = []
@@ -37,7 +37,7 @@ def dense(robot, first, last):
 
 
 @pytest.mark.parametrize("name", ["puma560", "panda", "ur5e", "humanoid", "omx_f"])
-def test_certified_edges_have_no_contact_and_refuted_ones_have_one(name):
+def test_certified_edges_have_no_contact_and_refuted_edges_have_a_contact(name):
     rng = np.random.default_rng(7)
     robot = rik.load_robot(name)
     scene = rik.Scene(robot, hall(robot, rng))
@@ -223,7 +223,7 @@ CRANK = """<mujoco><compiler angle="radian"/><worldbody>
 </worldbody><equality>
   <joint joint1="ride" joint2="lead" polycoef="{law}"/>
 </equality></mujoco>"""
-"""A joint that turns and a sled that follows it by a polynomial."""
+"""A hinge and a slide that follows it by a polynomial."""
 
 
 @pytest.mark.parametrize(

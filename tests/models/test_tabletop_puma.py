@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "models" / "tabletop_puma"
 README = (FOLDER / "README.md").read_text(encoding="utf-8")
 JOINTS = tuple(f"joint{i}" for i in range(1, 7))
-# ROBOTIS e-manual, specification tables, kg; which servo is where is the README's.
+# ROBOTIS e-manual, specification tables, kg. The README assigns the servos to the joints.
 SERVO_MASS = {"XM430-W210": 0.082, "XM430-W350": 0.082, "XL430-W250": 0.0572, "XL330-M288": 0.018}
 
 
@@ -53,7 +53,7 @@ def carrying() -> np.ndarray:
 
 
 def rows(head: str) -> list[list[str]]:
-    """Cells of the README's table that starts so."""
+    """Return the cells of the README's table with this head."""
     lines = README[README.index(head) :].split("\n\n")[0].splitlines()[2:]
     return [
         [cell.strip().replace("−", "-") for cell in line.strip("|").split("|")] for line in lines

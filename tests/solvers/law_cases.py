@@ -1,4 +1,4 @@
-"""Methods, robots and goals of the ten laws, and their judges: shared by the laws' files."""
+"""Methods, robots and goals of the laws of solvers, and MuJoCo's error, for several test files."""
 
 import itertools
 import tomllib
@@ -43,9 +43,9 @@ def cases(*kinds, names=NAMES):
     )
 
 
-# Methods that serve every robot and every kind of goal.
+# Methods that support every robot and every kind of goal.
 GENERAL = [n for n in NAMES if all(is_supported(n, r, k) for r in ROBOTS for k in KINDS)]
-# Of those, the ones that take steps until a budget ends them.
+# Those of them that take steps until a budget ends them.
 STEPPING = [n for n in GENERAL if issubclass(SOLVERS[n], IterativeSolver)]
 general = pytest.mark.parametrize("name", GENERAL)
 stepping = pytest.mark.parametrize("name", STEPPING)
@@ -60,7 +60,7 @@ def goal_of(robot, q, kind="pose", frame=None):
 
 
 def measured(robot, q, goal):
-    """Metres and radians off, by MuJoCo alone, from the full qpos."""
+    """Return the error in metres and radians, by MuJoCo, from the full qpos."""
     data = mujoco.MjData(robot.model)
     data.qpos[:] = robot.qpos(q)
     mujoco.mj_forward(robot.model, data)
@@ -73,7 +73,7 @@ def measured(robot, q, goal):
 
 
 def supported_problem(robot, goal, *, solver, **options):
-    """The problem, or None where the method does not support it."""
+    """Return the problem, or None if the method does not support it."""
     try:
         return Problem(robot, goal, solver=solver, **options)
     except UnsupportedGoalError:

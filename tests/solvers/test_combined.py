@@ -1,4 +1,4 @@
-"""combined: methods in turn within one budget, from one start or from each other's results."""
+"""combined: methods in turn within one budget, from one start or from the last method's result."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def poses_of(robot, count, seed=1):
 
 
 def behind_the_limits():
-    """A pose that no method reaches, and that nothing proves unreachable."""
+    """A pose that no method reaches, and that no method proves unreachable."""
     return PoseGoal(None, (0.02, 0.03, -0.5), (0.5, 0.5, -0.5, 0.5))
 
 
@@ -115,7 +115,7 @@ def test_a_budget_of_seconds_is_one_for_all_methods(puma):
 
 
 @pytest.mark.parametrize("methods", ["ccd lm", "dls lm"])
-def test_a_spent_budget_is_not_reported_as_a_failure(puma, methods):
+def test_an_exhausted_budget_is_not_reported_as_a_failure(puma, methods):
     budget = Budget(iterations=40)
     solution = combined(puma, behind_the_limits(), methods, budget=budget).solve()
     assert solution.status is Status.ITERATION_LIMIT
@@ -129,7 +129,7 @@ def test_a_goal_that_is_proven_out_of_reach_gets_no_restarts(puma):
 
 
 class Recorder:
-    """A prepared method that remembers its budget."""
+    """A prepared method that stores its budget."""
 
     proves_best = False
 
@@ -145,7 +145,7 @@ class Recorder:
 @pytest.mark.parametrize(
     ("others", "restarts"), [([], 0), ([OrientationGoal(None, (1, 0, 0, 0))], None)]
 )
-def test_goals_beside_one_that_is_out_of_reach_get_restarts(puma, others, restarts):
+def test_goals_beside_an_unreachable_goal_get_restarts(puma, others, restarts):
     far = PositionGoal("flange", (3.0, 1.0, 1.0))
     problem = Problem(puma, [far, *others], solver="ccd")
     attempts = [Recorder("ccd", problem), Recorder("lm", problem)]
@@ -232,7 +232,7 @@ def test_only_the_last_method_restarts_after_a_hand_over(puma):
     assert together.restarts > 0
 
 
-def test_the_start_of_a_solve_is_not_that_of_the_solve_before(puma):
+def test_a_solve_does_not_start_at_the_end_of_the_last_solve(puma):
     pose = poses_of(puma, 1)[0]
     problem = combined(puma, PoseGoal.at(None, pose), "ccd dls", hand_over=True)
     first = problem.solve()

@@ -1,6 +1,6 @@
-"""Goals of every kind, and a judge that knows nothing of ``Goal.error``.
+"""Goals of every kind, and their errors without ``Goal.error``.
 
-It reads what a goal says in public and asks MuJoCo where things are.
+The errors are computed from the public fields of a goal and from MuJoCo's forward pass.
 """
 
 from functools import cache
@@ -45,7 +45,7 @@ BODY = {"humanoid": "right_upper_arm", "puma560": None, "srs_arm": None}
 
 
 def goals_met_at(robot, q):
-    """A goal of every kind and of every part, met at q (nq,), by what it is called in the tests."""
+    """Return goals of every kind and part that are met at q (nq,), by their names in the tests."""
     pose = robot.forward(q)
     (eye, axis) = LOOKS[robot.name]
     eye_pose = robot.forward(q, eye)
@@ -74,7 +74,7 @@ def goals_met_at(robot, q):
 
 
 def near(robot, seed, way=0.35):
-    """A q (nq,) inside the limits and not far from home."""
+    """Return a q (nq,) inside the limits near home."""
     rng = np.random.default_rng(seed)
     return robot.clip(robot.integrate(robot.home, rng.uniform(-way, way, robot.nv)))
 
@@ -105,7 +105,7 @@ def angle_between(a, b):
 
 
 def measured(robot, q, goal):
-    """Metres and radians off, from MuJoCo's data and the goal's public fields alone."""
+    """Return the error in metres and radians, from MuJoCo's data and the goal's public fields."""
     model = robot.model
     data = data_of(robot)
     data.qpos[:] = robot.qpos(q)
@@ -154,7 +154,7 @@ def measured(robot, q, goal):
 
 
 def joints_off(robot, qpos, goal):
-    """The largest way of a joint that counts, metres and radians."""
+    """Return the largest distance of a joint that counts, metres and radians."""
     model = robot.model
     way = np.zeros(robot.model.nv)
     mujoco.mj_differentiatePos(model, way, 1.0, qpos, robot.qpos(goal.q))
