@@ -102,7 +102,7 @@ def test_an_unknown_suffix_of_the_recording_is_rejected_before_the_film_begins(
     tmp_path: Path,
 ) -> None:
     film_file = tmp_path / "a.mp4"
-    with pytest.raises(ConfigError, match="the format is not clear"):
+    with pytest.raises(ConfigError, match="has no known suffix"):
         film(CommandLog(Start("puma560"), ()), film_file, record=tmp_path / "a.txt", seconds=1.0)
     assert not film_file.exists()
 
