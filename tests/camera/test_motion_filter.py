@@ -36,7 +36,7 @@ def test_a_still_target_gives_the_mean_and_is_not_predicted(
     seen = []
     still = MotionFilter(
         FilterOptions(
-            process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), least_sigma=(0.0, 0.0)
+            process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), min_sigma=(0.0, 0.0)
         )
     )
     usual = MotionFilter()
@@ -97,7 +97,7 @@ def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(
 def test_the_covariance_is_honest() -> None:
     """Normalised errors of a walk that is what the filter assumes: six degrees of freedom."""
     rng = np.random.default_rng(3)
-    options = FilterOptions(process_noise=(0.5, 2.0), least_sigma=(0.0, 0.0))
+    options = FilterOptions(process_noise=(0.5, 2.0), min_sigma=(0.0, 0.0))
     squares = []
     for _ in range(6):
         tracked = MotionFilter(options)

@@ -198,14 +198,14 @@ def test_what_was_not_shown_is_named() -> None:
     for text in (
         "the board in the right",
         "the board in the lower right",
-        "its left side tilted away",
+        "the left side of the board tilted away",
     ):
         assert text in missing
-    assert "its right side" not in missing and "the board in the left" not in missing
+    assert "the right side" not in missing and "the board in the left" not in missing
     tops = {"top": -1.0, "bottom": 1.0}
     shown = max(tops, key=lambda side: float((coverage.tilts[:, 1] * tops[side]).max()))
-    assert f"its {shown} side" not in missing
-    assert f"its {({'top', 'bottom'} - {shown}).pop()} side" in missing
+    assert f"the {shown} side" not in missing
+    assert f"the {({'top', 'bottom'} - {shown}).pop()} side" in missing
 
 
 @pytest.mark.parametrize("side", TILTS)
