@@ -214,7 +214,7 @@ def test_a_stall_is_counted_and_not_caught_up(puma):
     assert report.rate < 90.0
 
 
-def test_an_interrupt_propagates_and_nothing_more_is_sent(puma):
+def test_an_interrupt_propagates_and_ends_the_commands(puma):
     recorder = RecorderSink(puma.joints)
 
     def interrupt(tick):
