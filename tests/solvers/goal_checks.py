@@ -160,7 +160,7 @@ def joints_off(robot, qpos, goal):
     mujoco.mj_differentiatePos(model, way, 1.0, qpos, robot.qpos(goal.q))
     metres = radians = 0.0
     for name in robot.joints:
-        if goal.joints.get(name, 0.0 if goal.only else 1.0) == 0.0:
+        if goal.joints.get(name, 0.0 if goal.only_named else 1.0) == 0.0:
             continue
         joint = model.joint(name)
         first = int(model.joint(name).dofadr[0])
