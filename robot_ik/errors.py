@@ -254,7 +254,7 @@ class MissingExtraError(RobotIkError, ImportError):
 
 
 class ViewerError(RobotIkError):
-    """A window cannot be opened. The hint says what to run instead."""
+    """A window cannot be opened. The hint names an alternative command."""
 
 
 class OutputError(RobotIkError, OSError):

@@ -398,8 +398,8 @@ def follow(
     With ``collisions`` each tick is one step of differential inverse kinematics that keeps the
     margin: the joints slow down in front of an obstacle and slide along it, and move away from an
     obstacle that comes nearer (``scene.move``). ``solver`` is not used then. The status of a tick
-    is ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
-    hold every step back.
+    is CONVERGED at the goal, BLOCKED_BY_COLLISION if collisions hold every step back, and otherwise
+    ITERATION_LIMIT.
 
     Goals may change their targets and weights in each tick. A goal of another kind or frame, or
     with a weight that becomes zero or was zero, builds a new problem, which compiles its method

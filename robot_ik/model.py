@@ -122,7 +122,7 @@ def read_model(
     """Read an MJCF or URDF file, such a text, or a spec.
 
     Joints without a name get the name ``joint_<id>``. A URDF keeps the frames of its fixed joints
-    unless it asks for ``fusestatic``.
+    unless it sets ``fusestatic``.
 
     Args:
         source: The file, text or spec. An ``MjModel`` is returned as given.
@@ -220,7 +220,7 @@ def _mujoco_errors(path: Path) -> Iterator[None]:
                 mujoco.set_mju_user_warning(handler)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        hint = "MJCF and URDF files are read; meshes must be where the file says"
+        hint = "MJCF and URDF files are read; meshes must be at the paths in the file"
         if "find decoder" in reason:
             hint = "the name of a model ends with .xml or .urdf; an arm file is for --arm"
         raise ModelError(

@@ -136,7 +136,7 @@ def open_robot(
         name: Robot of the catalogue, path of a model, or a loaded robot.
         arm: Arm file or its content. None: the arm file beside the model.
         bus: ``"sim"``, ``"pty"`` or a serial port such as ``"/dev/ttyUSB0"``.
-        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``. None: as the arm file says.
+        on_exit: ``"torque_off"``, ``"hold"`` or ``"park"``. None: as in the arm file.
         start: (n,) initial values of the robot's joints, or joint name -> value, for simulated
             servos. None: home of the robot.
         virtual_bus: Simulated servos to use instead of new ones.
@@ -145,7 +145,7 @@ def open_robot(
 
     Raises:
         ConfigError: There is no arm file, or it does not fit the model.
-        CalibrationMismatchError: The model is not the one of the calibration.
+        CalibrationMismatchError: The calibration belongs to another model.
         ModelError: The model cannot be read.
     """
     robot = name if isinstance(name, Robot) else load_robot(name)

@@ -1,7 +1,7 @@
 """Goals that keep the feet of a robot in place while another frame moves.
 
 ``keep`` of ``robot.toml`` names the frames. The commands and the testbed add these goals unless the
-user asks for others.
+user gives other goals.
 """
 
 from __future__ import annotations

@@ -215,5 +215,9 @@ def test_a_stiff_joint_moves_less_as_in_weighted_least_squares(tmp_path):
 )
 def test_equalities_that_no_solver_satisfies_are_named_at_loading(tmp_path, caplog, equality, kind):
     arm(tmp_path, equality)
-    said = [record.getMessage() for record in caplog.records]
-    assert (len(said) == 1 and f"of the kind {kind} are not kept" in said[0]) if kind else not said
+    messages = [record.getMessage() for record in caplog.records]
+    assert (
+        (len(messages) == 1 and f"of the kind {kind} are not kept" in messages[0])
+        if kind
+        else not messages
+    )

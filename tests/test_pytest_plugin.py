@@ -60,7 +60,7 @@ from robot_ik.hardware.dynamixel import DynamixelBus
 
 @pytest.fixture
 def virtual_arm_config():
-    return ArmConfig.generic("nobody's", ["a", "b"], -1.0, 1.0)
+    return ArmConfig.generic("two_joints", ["a", "b"], -1.0, 1.0)
 
 def test_port(virtual_port, virtual_bus, fault_script):
     bus = DynamixelBus(virtual_port, 1_000_000)
@@ -116,5 +116,5 @@ def test_the_plugin_imports_no_large_module() -> None:
         "import sys, pytest; before = set(sys.modules); import robot_ik.pytest_plugin;"
         f"print(sorted(set({heavy}) & (set(sys.modules) - before)))"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert said.stdout == "[]\n", said
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "[]\n", done

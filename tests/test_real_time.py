@@ -58,10 +58,10 @@ def test_a_test_that_fails_after_a_halt_is_repeated(tmp_path: Path) -> None:
         cwd=tmp_path,
         check=False,
     )
-    said = [line.split(" - ")[0] for line in run.stdout.splitlines()]
-    assert "PASSED test_halts.py::test_late_once" in said, run.stdout
+    lines = [line.split(" - ")[0] for line in run.stdout.splitlines()]
+    assert "PASSED test_halts.py::test_late_once" in lines, run.stdout
     for name in ("late_always", "wrong", "plain"):
-        assert f"FAILED test_halts.py::test_{name}" in said
+        assert f"FAILED test_halts.py::test_{name}" in lines
     assert "3 failed, 1 passed, 6 warnings" in run.stdout  # one warning for each further try
-    assert "try 5" in said and "try 6" not in said
+    assert "try 5" in lines and "try 6" not in lines
     assert "tried again: the machine halted for 0." in run.stdout

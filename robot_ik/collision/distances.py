@@ -129,7 +129,7 @@ class ShapeTables:
 def capsule_around(points: Array, radii: Array) -> Array:
     """Return ends and radius (7,) of a capsule that contains balls (n, 3), (n,).
 
-    Its axis is a principal axis of the points. Its length is the one with the smallest volume of a
+    Its axis is a principal axis of the points. Its length gives the smallest volume of a
     few that are tried.
     """
     center = points.mean(axis=0)

@@ -28,7 +28,7 @@ SAME_DIRECTION = 1e-7
 """Largest difference of two unit directions on one straight line."""
 
 STRAIGHT = 1e-10
-"""rad or m. Largest distance of samples from a line that stands for them."""
+"""rad or m. Largest distance of samples from a line that replaces them."""
 
 
 @dataclass(frozen=True)

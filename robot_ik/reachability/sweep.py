@@ -75,7 +75,7 @@ def arm_form(robot: Robot, frame: str | None, values: int = SWEPT_VALUES) -> Arm
     """
     node, local = robot.attachment(frame)
     chain = robot.tree.ancestors(node)
-    # A closed form moves each joint by itself.
+    # A closed form moves each joint independently.
     is_coupled = bool(np.isin(robot.tree.coupled[:, 0], chain).any())
     form = None if is_coupled else recognise(robot.tree, node, local, full_pose=True)
     if form is not None:

@@ -27,10 +27,10 @@ SHARE = 0.6
 
 def smallest_distance(scene, rows, pairs=None):
     """Distance of the nearest pair on straight lines between rows (n, nq), by MuJoCo."""
-    return min(scene.clearance(q, pairs).distance for q in densely(rows))
+    return min(scene.clearance(q, pairs).distance for q in dense_postures(rows))
 
 
-def densely(rows):
+def dense_postures(rows):
     """Samples of straight lines between rows (n, nq)."""
     samples = []
     for first, last in itertools.pairwise(rows):
@@ -67,7 +67,7 @@ def blocked_ends(avoid, count, seed=0):
     rows = free_postures(avoid, 20 * count, seed)
     pairs = []
     for first, last in itertools.pairwise(rows):
-        if not avoid.free(np.array(densely(np.array([first, last])))).all():
+        if not avoid.free(np.array(dense_postures(np.array([first, last])))).all():
             pairs.append((first, last))
     return pairs[:count]
 
@@ -282,7 +282,9 @@ def test_the_retreat_from_a_grasp_is_straight_and_only_the_allowed_pair_is_near(
     with_part = np.isin(scene.pairs, fingers).any(axis=1)
     with_part &= (scene.pairs == scene.model.geom("part").id).any(axis=1)
     assert smallest_distance(scene, trajectory.q, scene.pairs[~with_part]) >= MARGIN - 1e-6
-    distances = [scene.clearance(q, scene.pairs[with_part]).distance for q in densely(trajectory.q)]
+    distances = [
+        scene.clearance(q, scene.pairs[with_part]).distance for q in dense_postures(trajectory.q)
+    ]
     assert min(distances) >= distances[0] - 1e-3
     leaves = int(np.argmax(np.array(distances) >= MARGIN))
     assert min(distances[leaves:]) >= MARGIN - 1e-6
@@ -302,7 +304,7 @@ def test_an_arm_retreats_from_a_part_that_its_hand_touches():
     result = rik.plan(robot, robot.home, goal, collisions=avoid, allowed=[("hand", "part")])
     trajectory = result.require()
     assert trajectory.certified
-    distances = np.array([scene.clearance(q).distance for q in densely(trajectory.q)])
+    distances = np.array([scene.clearance(q).distance for q in dense_postures(trajectory.q)])
     leaves = int(np.argmax(distances >= MARGIN))
     assert distances[:leaves].min() >= distances[0] - 1e-3
     assert distances[leaves:].min() >= MARGIN - 1e-6

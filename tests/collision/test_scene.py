@@ -36,7 +36,7 @@ def mujoco_is_free(scene, q):
     return depth >= 0.0, depth
 
 
-def crowd(rng, count=6):
+def random_obstacles(rng, count=6):
     """Obstacles of every kind around a robot."""
     obstacles = [rik.Plane("floor", pose=rik.Pose((0.0, 0.0, -0.4)))]
     for k in range(count):
@@ -64,7 +64,7 @@ def crowd(rng, count=6):
 def test_free_agrees_with_mujoco(name, crowded):
     rng = np.random.default_rng(3)
     robot = rik.load_robot(name)
-    scene = rik.Scene(robot, crowd(rng) if crowded else [])
+    scene = rik.Scene(robot, random_obstacles(rng) if crowded else [])
     q = np.array([robot.sample(rng) for _ in range(200)])
     free = scene.free(q)
     for row in range(len(q)):
@@ -79,7 +79,7 @@ def test_free_agrees_with_mujoco(name, crowded):
 def test_distances_equal_those_of_mujoco(name):
     rng = np.random.default_rng(4)
     robot = rik.load_robot(name)
-    scene = rik.Scene(robot, crowd(rng))
+    scene = rik.Scene(robot, random_obstacles(rng))
     q = np.array([robot.sample(rng) for _ in range(60)])
     found = scene.distances(q, reach=0.3)
     for row in range(len(q)):
@@ -93,7 +93,7 @@ def test_distances_equal_those_of_mujoco(name):
 def test_a_margin_is_kept():
     rng = np.random.default_rng(5)
     robot = rik.load_robot("ur5e")
-    scene = rik.Scene(robot, crowd(rng))
+    scene = rik.Scene(robot, random_obstacles(rng))
     q = np.array([robot.sample(rng) for _ in range(200)])
     free = scene.free(q, margin=0.03)
     clearances = np.array([scene.clearance(row).distance for row in q])

@@ -110,8 +110,8 @@ def load_xml(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Robot]:
 
 
 @pytest.fixture(scope="session")
-def roam() -> Callable[[Robot, np.random.Generator], np.ndarray]:
-    """``roam(robot, rng)``: any q, also outside the limits, with quaternions of any length."""
+def draw_q() -> Callable[[Robot, np.random.Generator], np.ndarray]:
+    """``draw_q(robot, rng)``: any q, also outside the limits, with quaternions of any length."""
 
     def draw(robot: Robot, rng: np.random.Generator) -> np.ndarray:
         return rng.normal(size=robot.nq)

@@ -47,12 +47,12 @@ def check_against_mujoco(robot, q, data, columns):
 @settings(max_examples=50)
 @given(data=st.data(), seed=st.integers(0, 2**32))
 def test_random_trees_move_as_in_mujoco(
-    any_model, load_xml, mujoco_at, dof_addresses, roam, data, seed
+    any_model, load_xml, mujoco_at, dof_addresses, draw_q, data, seed
 ):
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
-    q = roam(robot, rng)
+    q = draw_q(robot, rng)
     columns = dof_addresses(robot)
     check_against_mujoco(robot, q, mujoco_at(robot, q), columns)
 
@@ -71,11 +71,11 @@ def test_random_trees_move_as_in_mujoco(
 
 @settings(max_examples=40)
 @given(data=st.data(), seed=st.integers(0, 2**32))
-def test_clip_gives_the_nearest_q_inside_the_limits(any_model, load_xml, roam, data, seed):
+def test_clip_gives_the_nearest_q_inside_the_limits(any_model, load_xml, draw_q, data, seed):
     drawn = data.draw(any_model)
     robot = load_xml(drawn.xml, drawn.joints)
     rng = np.random.default_rng(seed)
-    q = roam(robot, rng)
+    q = draw_q(robot, rng)
     inside = robot.clip(q)
     tree = robot.tree
     for k, a, v in zip(tree.kind, tree.qadr, tree.vadr, strict=True):

@@ -196,7 +196,7 @@ def test_torques_leave_the_margins_that_the_readme_promises() -> None:
 
 
 def test_static_loads_equal_the_moment_of_the_later_links() -> None:
-    """Stretched out level, joint 2 bears all later links: a moment of masses and positions."""
+    """Stretched out level, joint 2 carries all later links: a moment of masses and positions."""
     make = torques()
     model = make.loaded_model(robot())
     q = np.radians([0.0, 0.0, -90.0, 0.0, 0.0, 0.0])

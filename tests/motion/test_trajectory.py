@@ -177,7 +177,7 @@ def test_a_goal_outside_the_limits_is_refused_with_joint_value_and_range(number_
 
 
 @pytest.mark.parametrize(
-    ("start", "goal", "said"),
+    ("start", "goal", "message"),
     [
         ([0.0, np.nan], [0.0, 0.0], "start has nan for joint 'j1'"),
         ([0.0, 0.0], [np.inf, 0.0], "goal has inf for joint 'j0'"),
@@ -185,8 +185,8 @@ def test_a_goal_outside_the_limits_is_refused_with_joint_value_and_range(number_
         ([0.0, 0.0], [[0.0, 0.0]], "goal has shape"),
     ],
 )
-def test_malformed_vectors_are_refused(number_robot, start, goal, said):
-    with pytest.raises(TrajectoryError, match=said):
+def test_malformed_vectors_are_refused(number_robot, start, goal, message):
+    with pytest.raises(TrajectoryError, match=message):
         joint_move(number_robot([1.0, 1.0], [1.0, 1.0]), start, goal)
 
 
@@ -297,7 +297,7 @@ def test_csv_into_a_missing_folder_is_refused_and_leaves_no_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "line 1"),
         ("x,a\n0,1\n", "line 1"),
@@ -311,9 +311,9 @@ def test_csv_into_a_missing_folder_is_refused_and_leaves_no_file(tmp_path):
         ("time_s,robot,commanded.a,measured.a\n0,0,,1\n", "no samples"),
     ],
 )
-def test_a_malformed_csv_is_refused_with_the_line(tmp_path, text, said):
+def test_a_malformed_csv_is_refused_with_the_line(tmp_path, text, message):
     (tmp_path / "t.csv").write_text(text)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         Trajectory.load_csv(tmp_path / "t.csv")
     with pytest.raises(ConfigError, match="cannot be read"):
         Trajectory.load_csv(tmp_path / "none.csv")
@@ -322,12 +322,12 @@ def test_a_malformed_csv_is_refused_with_the_line(tmp_path, text, said):
 def test_wrong_vectors_and_endless_moves_are_refused_with_a_message():
     robot = load_robot("puma560")
     end = robot.home + 0.1
-    for arguments, says in (
+    for arguments, message in (
         ({"velocity_limits": np.ones(5)}, "velocity_limits must be 6 numbers"),
         ({"acceleration_limits": "fast"}, "acceleration_limits must be 6 numbers"),
         ({"velocity_limits": 1e-300}, "samples at 100 Hz"),
     ):
-        with pytest.raises(TrajectoryError, match=says):
+        with pytest.raises(TrajectoryError, match=message):
             joint_move(robot, robot.home, end, **arguments)
     with pytest.raises(TrajectoryError, match="start must be 6 numbers"):
         joint_move(robot, "home", end)

@@ -112,7 +112,7 @@ def measured(robot, q, goal):
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     if isinstance(goal, PostureGoal):
-        return joints_off(robot, data.qpos, goal)
+        return joint_errors(robot, data.qpos, goal)
     if isinstance(goal, CenterOfMassGoal):
         off = goal.position - data.subtree_com[model.body(goal.frame).id if goal.frame else 0]
         return float(np.linalg.norm([off["xyz".index(a)] for a in goal.axes])), 0.0
@@ -153,7 +153,7 @@ def measured(robot, q, goal):
     return float(across[type(goal)]), 0.0
 
 
-def joints_off(robot, qpos, goal):
+def joint_errors(robot, qpos, goal):
     """Return the largest distance of a joint that counts, metres and radians."""
     model = robot.model
     way = np.zeros(robot.model.nv)

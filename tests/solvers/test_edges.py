@@ -174,7 +174,7 @@ def test_an_empty_list_of_goals_is_refused(puma, nothing):
 
 
 @pytest.mark.parametrize(
-    ("ask", "says"),
+    ("ask", "message"),
     [
         (lambda robot, goal: solve("puma560", goal), "load_robot"),
         (lambda robot, goal: solve(robot, goal, tolerance=1e-3), "Tolerance"),
@@ -191,8 +191,8 @@ def test_an_empty_list_of_goals_is_refused(puma, nothing):
         (lambda robot, goal: solve(robot, PostureGoal(q=[1, 2])), "has 6 numbers"),
     ],
 )
-def test_likely_mistakes_get_a_clear_message(puma, ask, says):
-    with pytest.raises(RobotIkError, match=says):
+def test_likely_mistakes_get_a_clear_message(puma, ask, message):
+    with pytest.raises(RobotIkError, match=message):
         ask(puma, PositionGoal(None, (0.3, 0.3, 0.5)))
 
 

@@ -73,7 +73,7 @@ def one_joint(kind='type="hinge" axis="0 0 1" range="-1 1"'):
     )
 
 
-def honest(robot, solution, tolerance):
+def assert_status_is_true(robot, solution, tolerance):
     """Assert that q is finite and inside the limits, and that the status agrees with MuJoCo."""
     assert np.isfinite(solution.q).all() and not robot.outside(solution.q)
     within = (
@@ -102,7 +102,7 @@ def test_a_range_whose_lower_end_is_above_its_upper_is_refused(make_robot, joint
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper", "says"),
+    ("lower", "upper", "message"),
     [
         ([1], [-1], "lower <= upper"),
         ([2], [3], "no range is left for joint 'j'"),
@@ -114,8 +114,8 @@ def test_a_range_whose_lower_end_is_above_its_upper_is_refused(make_robot, joint
         ("low", "high", "1 numbers each"),
     ],
 )
-def test_limits_that_are_empty_or_malformed_are_refused(make_robot, lower, upper, says):
-    with pytest.raises(ModelError, match=says):
+def test_limits_that_are_empty_or_malformed_are_refused(make_robot, lower, upper, message):
+    with pytest.raises(ModelError, match=message):
         make_robot(one_joint()).with_limits(lower, upper)
 
 
@@ -128,7 +128,7 @@ def test_equal_limits_hold_a_joint(make_robot, name):
         return
     solution = solve(held, goal, solver=name)
     assert solution.q[1] == 0.3
-    honest(held, solution, Tolerance())
+    assert_status_is_true(held, solution, Tolerance())
     assert solution.converged or name == "recursive"
 
 
@@ -168,13 +168,13 @@ def test_very_distant_targets_are_unreachable_and_finite(puma, name):
             if problem is None:
                 continue
             solution = problem.solve()
-            honest(puma, solution, Tolerance())
+            assert_status_is_true(puma, solution, Tolerance())
             assert not solution.converged
             if not isinstance(goal, CenterOfMassGoal | PostureGoal):
                 assert solution.status is Status.UNREACHABLE
     problem = supported_problem(puma, AimGoal(None, (1e9, 1e9, 1e9)), solver=solver)
     if problem is not None:
-        honest(puma, problem.solve(), Tolerance())
+        assert_status_is_true(puma, problem.solve(), Tolerance())
 
 
 @names
@@ -196,7 +196,7 @@ def test_the_size_of_a_robot_does_not_change_the_result(make_robot, name, scale)
             )
             if problem is not None:
                 solution = problem.solve([0, 0.1, 0.1])
-                honest(robot, solution, tolerance)
+                assert_status_is_true(robot, solution, tolerance)
                 results.append((solution.status, solution.q))
     half = len(results) // 2
     assert (half >= 1) == (name != "analytic")  # it has no closed form for this chain
@@ -251,7 +251,7 @@ def test_a_robot_with_one_joint_is_solved(make_robot, name):
         PositionGoal(None, (-0.5, 0, 0)),
     ):
         if supported_problem(robot, goal, solver=solver) is not None:
-            honest(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
+            assert_status_is_true(robot, Problem(robot, goal, solver=solver).solve(), Tolerance())
 
 
 @names

@@ -32,7 +32,7 @@ UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
 
 
 @pytest.fixture(scope="module")
-def tied():
+def narrow_robots():
     """The PUMA and the figure (standing on its pelvis) with little range in every joint."""
     figure = load_robot("humanoid")
     figure = load_robot("humanoid", joints=[joint for joint in figure.joints if joint != "root"])
@@ -43,7 +43,7 @@ def tied():
     return {robot.name: robot for robot in narrow}
 
 
-def never(robot, kind):
+def unreachable_goal(robot, kind):
     """A goal of that kind that the limits put out of reach."""
     pose = robot.forward(robot.home)
     (eye, axis) = LOOKS[robot.name]
@@ -95,12 +95,12 @@ def slope(problem, q):
 
 @unreachable
 @pytest.mark.parametrize("name", ["auto", "lm", "combined"])
-def test_law_6_lm_ends_where_no_small_step_helps(tied, name, kind):
+def test_law_6_lm_ends_where_no_small_step_helps(narrow_robots, name, kind):
     # The default budget polishes the best descent. A budget that ends between two does not.
     budget = Budget() if name == "lm" else Budget(restarts=0)
-    for robot in tied.values():
+    for robot in narrow_robots.values():
         problem = Problem(
-            robot, never(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name
+            robot, unreachable_goal(robot, kind), tolerance=TOLERANCE, budget=budget, solver=name
         )
         solution = problem.solve(near(robot, 2, 0.1))
         assert not solution.converged
@@ -133,11 +133,11 @@ def test_law_6_stretched_out_to_a_distant_goal_no_small_step_helps(name):
 
 @unreachable
 @pytest.mark.parametrize("name", list(SOLVERS))
-def test_law_6_an_unreachable_goal_is_reported_and_approached(tied, name, kind):
-    for robot in tied.values():
+def test_law_6_an_unreachable_goal_is_reported_and_approached(narrow_robots, name, kind):
+    for robot in narrow_robots.values():
         problem = supported_problem(
             robot,
-            never(robot, kind),
+            unreachable_goal(robot, kind),
             tolerance=TOLERANCE,
             budget=Budget(iterations=200),
             solver=name,
@@ -158,11 +158,11 @@ def test_law_6_an_unreachable_goal_is_reported_and_approached(tied, name, kind):
 
 @unreachable
 @pytest.mark.parametrize("name", ["auto", "lm", "dls", "sdls", "bfgs"])
-def test_law_6_tracking_comes_to_rest(tied, name, kind):
-    for robot in tied.values():
+def test_law_6_tracking_comes_to_rest(narrow_robots, name, kind):
+    for robot in narrow_robots.values():
         budget = Budget(restarts=0)
         problem = supported_problem(
-            robot, never(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget
+            robot, unreachable_goal(robot, kind), solver=name, tolerance=TOLERANCE, budget=budget
         )
         if problem is None:
             continue

@@ -131,12 +131,12 @@ def test_law_6_an_unreachable_goal_is_reported_and_approached(
         assert not solution.converged and inside(robot, solution.q)
         if where == "far":
             assert solution.status is Status.UNREACHABLE
-        assert worth(problem, robot, solution.q, goal) <= worth(problem, robot, start, goal) * (
+        assert cost_of(problem, robot, solution.q, goal) <= cost_of(problem, robot, start, goal) * (
             1 + 1e-9
         )
 
 
-def worth(problem, robot, q, goal):
+def cost_of(problem, robot, q, goal):
     """Return the cost by MuJoCo: squares of metres over the length scale, and of radians."""
     metres, radians = measured(robot, q, goal)
     return (metres / length_scale(robot, goal)) ** 2 + radians**2

@@ -90,7 +90,7 @@ def test_the_cost_never_rises_within_a_try(robot_name, position, robots, reachab
 # Against SciPy
 
 
-def scipys_least(problem, linear_model, start):
+def scipy_minimum(problem, linear_model, start):
     """Return the cost at which L-BFGS-B ends in the same box, with gradient and cost by MuJoCo."""
     robot = problem.robot
 
@@ -128,10 +128,10 @@ def test_it_ends_at_the_minimum_of_scipy(robot_name, what, robots, reachable, li
         problem = Problem(robot, goals, budget=ONE_TRY, tolerance=FINE, solver=Minimization())
         q = problem.solve(near).q
         cost = half_square(problem, q)
-        assert scipys_least(problem, linear_model, q) >= cost - 1e-8 * (
+        assert scipy_minimum(problem, linear_model, q) >= cost - 1e-8 * (
             1 + cost
         )  # no lower cost is possible
-        same += abs(scipys_least(problem, linear_model, near) - cost) <= 1e-6 * cost
+        same += abs(scipy_minimum(problem, linear_model, near) - cost) <= 1e-6 * cost
     assert same >= 0.8 * count  # two methods may find different local minima
 
 

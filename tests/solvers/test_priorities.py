@@ -30,7 +30,7 @@ def arm():
     return load_robot("srs_arm")
 
 
-def slope_left(robot, q, frame, wanted):
+def remaining_slope(robot, q, frame, wanted):
     """Return the possible motion towards ``wanted`` within pose and limits: zero at the optimum."""
     jacobian = robot.jacobian(q, frame)
     way = wanted - q
@@ -57,7 +57,7 @@ def test_the_pose_is_met_and_the_posture_uses_all_remaining_freedom(arm):
         result = solve(arm, [pose, PostureGoal(q=arm.home, priority=1)], solver="lm")
         assert result.errors[0].position < 1e-4 and result.errors[0].angle < 1e-3
         assert not arm.outside(result.q)
-        assert slope_left(arm, result.q, None, arm.home) < 2e-3
+        assert remaining_slope(arm, result.q, None, arm.home) < 2e-3
 
 
 def test_an_unreachable_first_priority_is_as_near_as_without_other_goals(arm):

@@ -159,7 +159,7 @@ def test_the_aim_rest_of_a_floating_base_equals_that_of_mujoco(linear_model, one
 # Goal halving
 
 
-def landing_of(problem, q, wanted, before, share, step):
+def distance_from_subgoal(problem, q, wanted, before, share, step):
     there = problem.robot.clip(problem.robot.integrate(q, np.asarray(step)))
     frame = problem.robot.measure(there)
     after = (problem.goals[0].target.position - frame.position) / length_scale(
@@ -182,9 +182,9 @@ def test_a_step_that_ends_far_from_its_subgoal_is_halved(robots, linear_model, o
         share = step[0] / whole[0]
         np.testing.assert_allclose(step, share * whole, atol=1e-12)
         assert np.log2(share) == pytest.approx(round(np.log2(share)), abs=1e-9)
-        assert landing_of(problem, q, e, e, share, step) <= NEAR
+        assert distance_from_subgoal(problem, q, e, e, share, step) <= NEAR
         if share < 1.0:
-            assert landing_of(problem, q, e, e, 2 * share, 2 * step) > NEAR
+            assert distance_from_subgoal(problem, q, e, e, 2 * share, 2 * step) > NEAR
             halved += 1
     assert halved > 5
 

@@ -699,7 +699,7 @@ class PreparedFiveJoint:
         return branches
 
     def _trace(self) -> Array:
-        """Return the one row of a closed form's trace."""
+        """Return the trace, which has one row."""
         arrays = self.search.arrays
         position, angle = arrays["error"].max(axis=0)
         step = float(np.linalg.norm(arrays["q"] - self._start))

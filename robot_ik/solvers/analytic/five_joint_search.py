@@ -204,7 +204,7 @@ def box_bound(arm, target, search, first, last, enough, position_slack):
     """Return a lower bound of the angle for parameters in [first, last]; inf if none is possible.
 
     Bearing and turn vary over arcs. Each arc lies in the hull of four points, and the objective is
-    linear in each of them. So it is largest at one of 16 corners, whatever the pitch. For each
+    linear in each of them. So it is largest at one of 16 corners, for every pitch. For each
     corner the best pitch is the pitch nearest to the optimum of the corner that some parameter in
     the box may allow. The limits of the pitch joints are left out if the bound without them is at
     least ``enough``.

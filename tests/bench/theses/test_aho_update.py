@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 
 @pytest.fixture(scope="module", autouse=True)
-def beside() -> Any:
+def import_copy() -> Any:
     """Make the copy, which is beside this file, importable."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(Path(__file__).parent)

@@ -46,7 +46,7 @@ def test_no_other_method_finds_a_better_orientation(name, free_axis):
         assert (robot.lower <= solution.q).all() and (solution.q <= robot.upper).all()
         others = rik.Problem(robot, goal, solver="lm")
         for q in configurations_at(robot, pose.position, rng, 8):
-            # Tolerances of 0.1 mm and the bound is for the exact position, hence the margin.
+            # The tolerance is 0.1 mm and the bound is for the exact position, so it needs a margin.
             better = others.solve(q)
             if better.error.position < EXACT_POSITION:
                 assert better.error.angle > solution.angle_bound - 1e-4

@@ -50,7 +50,7 @@ def row(pose):
     return np.concatenate([pose.position, pose.rotation.ravel()])
 
 
-def called_unreachable(robot, goal, tolerance, poses):
+def proven_unreachable(robot, goal, tolerance, poses):
     """Return (n,) whether the proof calls poses unreachable, without solving them."""
     problem = Problem(robot, goal, solver="lm", tolerance=tolerance)
     if limb := limb_of(problem):
@@ -86,7 +86,7 @@ def called_unreachable(robot, goal, tolerance, poses):
     return np.array(found)
 
 
-def edge_cases(robot, rng):
+def random_q_at_edges(robot, rng):
     """Joint angles inside the limits, many of them at a limit or with aligned axes."""
     q = robot.sample(rng)
     luck = rng.random(robot.nq)
@@ -104,7 +104,7 @@ def test_a_goal_within_tolerance_of_a_reachable_pose_is_never_unreachable(
     rng = np.random.default_rng(1)
     poses = []
     for k in range(700):
-        pose = robot.forward(edge_cases(robot, rng))
+        pose = robot.forward(random_q_at_edges(robot, rng))
         share = 0.9999 if k % 2 else rng.random()
         poses.append(
             Pose(
@@ -114,7 +114,7 @@ def test_a_goal_within_tolerance_of_a_reachable_pose_is_never_unreachable(
         )
     pose = robot.forward(robot.home)
     goal = PositionGoal(None, pose.position) if name == "two links" else PoseGoal.at(None, pose)
-    assert not called_unreachable(robot, goal, tolerance, poses).any()
+    assert not proven_unreachable(robot, goal, tolerance, poses).any()
 
 
 @pytest.mark.parametrize("name", [*ARMS, "two links"])
@@ -131,7 +131,7 @@ def test_most_unreachable_goals_are_proven(name, tmp_path):
             )
             for _ in range(120)
         ]
-    proven = called_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
+    proven = proven_unreachable(robot, goals[0], TOLERANCES[0], [g.target for g in goals])
     solver = "auto" if name in LIMBS else "analytic"
     missed = 0
     for goal, never in zip(goals, proven, strict=True):
@@ -146,7 +146,7 @@ def test_a_hole_in_the_workspace_is_proven_without_limits():
     free = robot.forward(robot.home)
     column = Pose((0.02, 0.03, free.position[2]), free.wxyz)
     for pose, never in ((column, True), (free, False)):
-        assert called_unreachable(robot, PoseGoal.at(None, free), TOLERANCES[0], [pose])[0] == never
+        assert proven_unreachable(robot, PoseGoal.at(None, free), TOLERANCES[0], [pose])[0] == never
 
 
 def test_status_and_batch_report_the_proof():
