@@ -446,6 +446,21 @@ def test_what_is_prepared_beside_the_loop_replays_as_if_at_once(tmp_path: Path) 
     assert last.view().digest() == log.digest and last.view().instances[0].method == "lm"
 
 
+def test_a_session_is_busy_until_a_prepared_command_has_taken_effect() -> None:
+    with Session(Start(), beside=True) as session:
+        while session.busy or not session.ready:
+            session.tick()
+        session.send(SetCount(2))
+        session.tick()
+        preparer = next(
+            thread for thread in threading.enumerate() if thread.name == "testbed-preparer"
+        )
+    preparer.join()  # the result waits in the queue
+    assert session.busy and session.count == 1
+    session.tick()
+    assert not session.busy and session.count == 2
+
+
 def test_every_command_survives_its_log() -> None:
     shown = [command for _, command in SCRIPT] + [
         SetRobot("srs_arm"),
