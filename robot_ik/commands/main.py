@@ -149,20 +149,14 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "servo record",
             "Record the arm while a person guides it by hand.",
             "servo_record:ServoRecord",
-            aliases=(
-                "record",
-                "servo teach",
-            ),
+            aliases=("record",),
             mujoco=False,
         ),
         Row(
             "servo replay",
             "Repeat a recording within the limits.",
             "servo_replay:ServoReplay",
-            aliases=(
-                "replay",
-                "servo play",
-            ),
+            aliases=("replay",),
             mujoco=False,
         ),
         Row(
