@@ -48,6 +48,11 @@ EPILOGUE = """--debug shows tracebacks and the whole log (also: ROBOT_IK_DEBUG=1
 
 Exit codes: 0 done; 1 not achieved; 2 wrong input; 130 Ctrl-C"""
 
+AMBIGUOUS_ALIASES = {
+    "calibrate": "robot-ik servo calibrate runs; for a camera: robot-ik camera calibrate"
+}
+"""Alias that may mean two commands -> first line on stderr, which names both."""
+
 HELP_FLAGS = frozenset(("--help", "-h"))
 VERSION_FLAGS = ("--version", "-V")
 
@@ -381,6 +386,8 @@ def run_command(arguments: Sequence[str], *, debug: bool = False) -> int:
     name, command = parse_command(words)
     if command is None:  # help was printed
         return DONE if HELP_FLAGS.intersection(words) else WRONG_INPUT
+    if name in AMBIGUOUS_ALIASES:
+        say(AMBIGUOUS_ALIASES[name], "yellow")
     return _run(command, name, debug=debug)
 
 
