@@ -14,7 +14,7 @@ entry is an error once its file follows all rules or no longer exists, so the li
 Usage:
     python .ci/check_style.py             check all files
     python .ci/check_style.py --update    remove entries that are no longer needed
-    python .ci/check_style.py --format    mend what ruff can mend, each file by its own rules
+    python .ci/check_style.py --format    let ruff fix each file by its own rules
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ ROOT = Path(__file__).resolve().parent.parent
 EXCEPTIONS = Path(".ci/style_exceptions.txt")
 #: Line length of the files in the list of exceptions, in characters.
 OLD_LINE_LENGTH = 110
-#: Rules that do not hold for the files in the list of exceptions.
+#: Rules that do not apply to the files in the list of exceptions.
 NEW_RULES = ("ARG", "STY")
 #: Rules about the layout. For a listed file, that of either line length is accepted.
 LAYOUT_RULES = ("FMT", "I001")
-#: A table needs this many numbers before its own layout is worth more than that of the formatter.
+#: Smallest number of numbers in a table that may have its own layout.
 TABLE_NUMBERS = 4
 
 ADVICE = {
     "ARG": "remove the argument, or start its name with an underscore if a caller passes it",
     "D": "write a Google docstring: one summary line, then Args, Returns and Raises",
     "E501": "break the line; `make format` breaks code, text and comments are broken by hand",
-    "E70": "write one statement a line",
+    "E70": "write one statement per line",
     "FMT": "run `make format`",
     "I001": "run `make format`",
-    "STY001": "write one assignment a line",
+    "STY001": "write one assignment per line",
     "STY002": "remove the banner; split the file if it needs headings",
     "STY003": "remove the comment and let the formatter lay the statement out",
 }
@@ -60,7 +60,7 @@ _RUFF_LINE = re.compile(r"(?P<path>.+?):(?P<line>\d+):\d+: (?P<rule>[A-Z]+\d+|[\
 
 @dataclass(frozen=True, order=True)
 class Finding:
-    """One place that does not follow a rule. Line 0 stands for the whole file."""
+    """One violation of a rule. Line 0 means the whole file."""
 
     path: str
     line: int
@@ -73,7 +73,7 @@ class Finding:
 
 
 def check_source(path: str, source: str) -> list[Finding]:
-    """Return what the rules STY001 to STY003 find in the text of one Python file."""
+    """Return the findings of the rules STY001 to STY003 in the text of one Python file."""
     tree = ast.parse(source, filename=path)
     findings = [
         Finding(path, node.lineno, "STY001", "several values are assigned in one statement")
@@ -225,9 +225,9 @@ def _is_arithmetic(node: ast.expr) -> bool:
 
 @dataclass
 class Report:
-    """What a run of the checks found."""
+    """Results of a run of the checks."""
 
-    #: Findings that must be mended, in files of either kind.
+    #: Findings that must be fixed, in files of either kind.
     findings: list[Finding] = field(default_factory=list)
     #: Entries of the list whose files follow all rules.
     followed: list[str] = field(default_factory=list)
@@ -269,7 +269,7 @@ class Checker:
         return report
 
     def new_findings(self) -> list[Finding]:
-        """Return what does not follow the rules of today, in all files, listed or not."""
+        """Return the findings of the current rules, in all files, listed or not."""
         findings = [*self._ruff_check([]), *self._ruff_format([])]
         for path in self._ruff("check", "--show-files", "."):
             name = (
@@ -284,7 +284,7 @@ class Checker:
         return findings
 
     def old_findings(self, paths: Sequence[str]) -> list[Finding]:
-        """Return what does not follow the earlier rules, in the files of the list."""
+        """Return the findings of the earlier rules, in the files of the list."""
         if not paths:
             return []
         length = ["--line-length", str(OLD_LINE_LENGTH)]
@@ -302,7 +302,7 @@ class Checker:
         return sorted(removed)
 
     def format(self) -> None:
-        """Mend what ruff can mend and lay out the files that need it, each by its line length."""
+        """Apply the fixes of ruff and format the files with findings, each by its line length."""
         listed = set(self.listed())
         paths = sorted({finding.path for finding in self.check().findings})
         old_length = ["--line-length", str(OLD_LINE_LENGTH)]
@@ -333,7 +333,7 @@ class Checker:
 
 
 def advice(rules: set[str]) -> list[str]:
-    """Return what to write instead, for the rules that were found."""
+    """Return advice for the rules that were found."""
     return [
         f"  {start}: {text}"
         for start, text in ADVICE.items()
@@ -345,7 +345,7 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(description="Check the style of the source files.")
     parser.add_argument("--update", action="store_true", help="remove entries that are not needed")
-    parser.add_argument("--format", action="store_true", help="lay out all files")
+    parser.add_argument("--format", action="store_true", help="format all files")
     options = parser.parse_args(arguments)
     checker = Checker(root)
     if options.format:
@@ -353,7 +353,7 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
         return 0
     if options.update:
         for path in checker.update():
-            print(f"{path}: taken off {EXCEPTIONS}")
+            print(f"{path}: removed from {EXCEPTIONS}")
         return 0
 
     report = checker.check()

@@ -88,7 +88,7 @@ def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> N
 
 
 @pytest.mark.parametrize("at", [(1000, 1000), (-500, -500), (-300, 100), (100, 2000)])
-def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
+def test_corners_outside_the_picture_are_returned(at: tuple[int, int]) -> None:
     rough = np.array([[0, 0], [100, 0], [100, 100], [0, 100]]) + np.array(at, dtype=float)
     (corners,) = refine_markers(
         np.full((480, 640), 128, np.uint8), [rough], [7], "DICT_4X4_50", STANDARD_CAMERA

@@ -59,7 +59,9 @@ def chessboards() -> list[CalibrationView]:
     return views
 
 
-def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[CalibrationView]) -> None:
+def test_a_calibration_from_photographs_is_more_accurate_than_opencvs(
+    chessboards: list[CalibrationView],
+) -> None:
     theirs = opencv_rms([(gray_of(view.name), view.found) for view in chessboards])
     mine = calibrate(chessboards, (640, 480))
     assert mine.intrinsics.rms < min(0.2, 0.6 * theirs)
@@ -80,7 +82,7 @@ def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
     assert np.std(off) < 0.12
 
 
-def test_a_folder_of_photographs_is_judged_by_the_same_checks(tmp_path: Path) -> None:
+def test_a_folder_of_photographs_passes_the_same_checks(tmp_path: Path) -> None:
     for name in ("choriginal.jpg", "tutorial_camera_charuco.yml", "left01.jpg"):
         (tmp_path / name).write_bytes((FOLDER / name).read_bytes())
     figures = {one.quantity: one for one in photographs(Effort(photographs=str(tmp_path)))}

@@ -48,7 +48,7 @@ def angles(pairs: list[tuple[Pose, Pose]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("distance", "sigma"), [(1.0, 0.05), (1.0, 0.15), (1.5, 0.1)])
-def test_a_memory_is_never_worse_than_the_smaller_error(distance: float, sigma: float) -> None:
+def test_memory_does_not_increase_the_rms_error(distance: float, sigma: float) -> None:
     for seed in range(3):
         memory = PoseMemory()
         alone = []
@@ -64,7 +64,7 @@ def test_a_memory_is_never_worse_than_the_smaller_error(distance: float, sigma: 
         assert (two > 5).sum() < 0.7 * (one > 5).sum()
 
 
-def test_a_wrong_pose_does_not_stay_alive() -> None:
+def test_a_wrong_pose_does_not_persist() -> None:
     """Ten pictures prefer the wrong pose, then the right one is chosen again after a few."""
     memory = PoseMemory()
     pose = Pose((0.0, 0.0, 0.7), quat_multiply(FACING, rotation_exp([0.5, 0.1, 0.0])))
@@ -81,7 +81,7 @@ def test_a_wrong_pose_does_not_stay_alive() -> None:
     assert not any(wrong[13:])
 
 
-def test_one_wrong_picture_among_right_ones_changes_nothing() -> None:
+def test_one_wrong_picture_does_not_change_the_result() -> None:
     memory = PoseMemory()
     rng = np.random.default_rng(2)
     pose = Pose((0.0, 0.0, 1.2), quat_multiply(FACING, rotation_exp([0.3, 0.1, 0.0])))
@@ -150,7 +150,7 @@ def test_targets_of_two_dictionaries_are_tracked() -> None:
 
 
 def test_a_large_board_is_fitted_in_part_and_every_target_is_found() -> None:
-    """48 markers on a board, and one marker of it again as a target of its own."""
+    """48 markers on a board, and one of them as a separate target, too."""
     board = marker_grid(8, 6, 0.02, 0.005, dictionary="DICT_5X5_50")
     single = MarkerTarget({0: board.markers[0]}, board.dictionary, "first marker")
     pose = Pose((0.0, 0.0, 0.4), quat_multiply(FACING, rotation_exp([0.2, 0.0, 0.0])))

@@ -191,7 +191,7 @@ def test_a_checkout_that_follows_prints_nothing(
 
 
 @pytest.mark.parametrize("source", [LONG_LINE, PACKED, UNUSED, WIDE_CALL])
-def test_a_listed_file_is_held_to_the_earlier_rules(
+def test_a_listed_file_is_checked_by_the_earlier_rules(
     style: ModuleType, checkout: Path, source: str
 ) -> None:
     (checkout / "old.py").write_text(source)
@@ -223,7 +223,7 @@ def test_a_listed_file_must_follow_the_earlier_rules(
 
 
 def test_either_layout_is_accepted_in_a_listed_file(style: ModuleType, checkout: Path) -> None:
-    """A file may be laid out anew before the rest of it follows."""
+    """A file may be formatted before it follows the other rules."""
     file = checkout / "old.py"
     file.write_text(WIDE_CALL + "\nWIDTH, HEIGHT = 640, 480\n")
     list_files(checkout, "old.py")
@@ -237,7 +237,7 @@ def test_either_layout_is_accepted_in_a_listed_file(style: ModuleType, checkout:
     assert style.main([], checkout) == 0
 
 
-def test_an_entry_is_an_error_once_its_file_follows_or_is_gone(
+def test_an_entry_without_a_file_or_a_violation_is_an_error(
     style: ModuleType, checkout: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (checkout / "good.py").write_text(GOOD)

@@ -1,4 +1,4 @@
-"""The comparison with other libraries: one robot for all, MuJoCo judges, a poor peer fails."""
+"""The comparison with other libraries: one robot for all, MuJoCo judges, a wrong library fails."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
             data.joint(joint).qpos[:] = angle
         mujoco.mj_kinematics(read, data)
         there = [robot.measure(q, site).matrix for site in task.sites]
-        if task.free_base:  # a URDF has no base that floats: seen from the body that does
+        if task.free_base:  # a URDF has no floating base, so poses are relative to that body
             root = mujoco.MjData(plain)
             root.qpos[:] = q
             mujoco.mj_kinematics(plain, root)
@@ -129,7 +129,7 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("pitch", [0.3, np.pi / 2, -np.pi / 2])
-def test_roll_pitch_yaw_is_a_urdfs(pitch: float) -> None:
+def test_roll_pitch_yaw_follows_the_urdf_convention(pitch: float) -> None:
     def about(axis: int, angle: float) -> np.ndarray:
         quat = np.zeros(4)
         mujoco.mju_axisAngle2Quat(quat, np.eye(3)[axis], angle)
@@ -149,7 +149,9 @@ def test_roll_pitch_yaw_is_a_urdfs(pitch: float) -> None:
 @pytest.mark.parametrize(
     "robots", [["puma560"], pytest.param(["puma560", "humanoid"], marks=pytest.mark.soak)]
 )
-def test_ours_solves_all_and_the_results_say_with_what(robots: list[str], tmp_path: Path) -> None:
+def test_robot_ik_solves_all_and_the_results_contain_the_versions(
+    robots: list[str], tmp_path: Path
+) -> None:
     out = tmp_path / "results"
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "2", "--seed", "5"]
     names = ["robot_ik_analytic"] + ["robot_ik", "robot_ik_lm"] * ("humanoid" in robots)
@@ -206,7 +208,7 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     )
 
 
-def test_an_unknown_library_is_reported_with_those_that_there_are(
+def test_an_unknown_library_is_reported_with_the_known_names(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as end:
@@ -214,12 +216,12 @@ def test_an_unknown_library_is_reported_with_those_that_there_are(
     assert end.value.code == 2 and "eaikk" in capsys.readouterr().err
 
 
-def test_libraries_say_what_pip_installs_for_them() -> None:
+def test_libraries_name_their_pip_packages() -> None:
     for name, kind in worker.LIBRARIES.items():
         assert isinstance(kind, str) or kind.needs, name
 
 
-def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> None:
+def test_rounds_are_merged_by_success_of_all_and_time_of_the_fastest() -> None:
     one = {
         "n": 10,
         "success": 1.0,
@@ -247,7 +249,7 @@ def test_rounds_are_put_together_by_success_of_all_and_time_of_the_fastest() -> 
 
 
 @pytest.mark.parametrize(("name", "module"), [("ikpy", "ikpy"), ("rtb_lm", "roboticstoolbox")])
-def test_another_library_takes_part(name: str, module: str, tmp_path: Path) -> None:
+def test_another_library_is_compared(name: str, module: str, tmp_path: Path) -> None:
     if importlib.util.find_spec(module) is None:
         command = "python -m benchmarks.peers install ENVIRONMENTS --libraries"
         pytest.skip(f"needs {module}: {command} {name}")

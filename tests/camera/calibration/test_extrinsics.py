@@ -46,7 +46,7 @@ def extrinsics_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
     twist=st.lists(st.floats(-3, 3), min_size=6, max_size=6),
     parent=st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=12),
 )
-def test_the_file_gives_back_what_was_written(
+def test_the_written_file_is_read_back(
     twist: list[float], parent: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("place") / "place.toml"
@@ -106,7 +106,7 @@ def test_a_wrong_file_is_reported_in_one_sentence(
         CameraExtrinsics.load(path)
 
 
-def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
+def test_a_camera_is_located_with_a_consistent_uncertainty() -> None:
     true = BOARD.compose(SEEN.inverse())
     errors = []
     stated = []
@@ -123,7 +123,7 @@ def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
     )
 
 
-def test_frames_are_averaged_and_a_hand_before_the_board_does_no_harm() -> None:
+def test_frames_are_averaged_even_with_a_hand_before_the_board() -> None:
     true = BOARD.compose(SEEN.inverse())
     rng = np.random.default_rng(1)
     views = [observed(rng) for _ in range(9)]
@@ -179,27 +179,27 @@ def pattern_frame(board: PatternTarget, pose: Pose) -> Frame:
 @pytest.mark.parametrize(
     "text", ["", "marker:7", "grid:3x:50:12", "marker:x:50", "grid:3x2:-50:12", "cube"]
 )
-def test_a_board_that_means_nothing_is_refused(text: str) -> None:
+def test_a_meaningless_board_is_rejected(text: str) -> None:
     with pytest.raises(CameraError, match="is not a board") as refused:
         parse_target(text)
     assert "charuco:COLUMNSxROWS" in refused.value.hint
 
 
-def test_metres_in_the_words_of_a_board_are_reported() -> None:
+def test_metres_in_the_text_of_a_board_are_reported() -> None:
     with pytest.raises(CameraError, match=r"0\.05 mm is too small for a board") as refused:
         parse_target("grid:2x2:0.05:0.0125")
     assert "0.05 m are 50" in refused.value.hint
 
 
 @pytest.mark.parametrize("text", ["charuco:8x6:2000:22", "chessboard:9x6:2000"])
-def test_a_pattern_that_cannot_be_is_refused_in_millimetres(text: str) -> None:
+def test_an_impossible_pattern_is_rejected_in_millimetres(text: str) -> None:
     """It was said to have squares of 2 m, which were to be 2 mm."""
     with pytest.raises(CameraError, match="a square of 2000 mm is not possible") as refused:
         parse_target(text)
     assert refused.value.hint == "give 1 to 1000 mm"
 
 
-def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
+def test_a_body_is_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "bodies.toml"
     one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
     path.write_text(one.format(name="hand", id=3))
@@ -216,7 +216,7 @@ def test_a_body_is_taken_from_a_file(tmp_path: Path) -> None:
     assert f"{path}:table" in refused.value.hint
 
 
-def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
+def test_a_film_of_a_moving_board_gives_no_camera_pose() -> None:
     """It gave one, 3 µm well known, beside residuals of 58 px."""
     rng = np.random.default_rng(8)
     moving = []
@@ -229,7 +229,7 @@ def test_a_film_in_which_the_board_moves_gives_no_place() -> None:
     assert "handeye" in str(refused.value.hint)
 
 
-def test_a_board_of_other_sizes_gives_no_place() -> None:
+def test_a_board_with_wrong_sizes_gives_no_camera_pose() -> None:
     """Gaps twice as wide as the layout says: no pose meets the corners."""
     printed = marker_grid(3, 2, 0.05, 0.03).markers
     points = np.concatenate([pose.apply(marker_points(side)) for side, pose in printed.values()])

@@ -1,4 +1,4 @@
-"""Hand-eye calibration: laws of AX = XB, accuracy, honest uncertainty, refusals and outliers."""
+"""Hand-eye calibration: laws of AX = XB, accuracy, consistent uncertainty, errors and outliers."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None
 
 @settings(max_examples=4)
 @given(seed=st.integers(0, 10**6))
-def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> None:
+def test_another_world_frame_transforms_only_the_answer(seed: int) -> None:
     _, samples = handeye_set(8, mounting="eye_to_hand", seed=seed)
     world = Pose().plus(np.random.default_rng(seed).normal(0, 1, 6))
     elsewhere = [HandEyeSample(world.compose(one.pose_world_hand), one.view) for one in samples]
@@ -92,7 +92,7 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
-def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(
+def test_fifteen_views_meet_the_target_with_a_consistent_uncertainty(
     mounting: Mounting,
 ) -> None:
     errors = []
@@ -131,13 +131,13 @@ def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
         )
 
     off, alone = found(0.0, 0.05)
-    assert off > 3 * alone  # the views agree with each other, and say nothing of it
+    assert off > 3 * alone  # the views agree with each other, so the stated error does not show it
     again, stated = found(0.05, 0.05)
     assert again == off < 2 * stated and stated < 2 * off
     assert found(0.01, 0.0)[1] < 0.5 * stated
 
 
-def test_views_turned_by_little_are_said_to_be_worse() -> None:
+def test_small_rotations_give_a_larger_sigma() -> None:
     said = []
     for spread in (8.0, 25.0):
         _, samples = handeye_set(seed=1, spread_deg=spread)
@@ -145,7 +145,7 @@ def test_views_turned_by_little_are_said_to_be_worse() -> None:
     assert said[0] > 2 * said[1]
 
 
-def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
+def test_with_an_exact_arm_it_equals_scipys_least_squares_of_all_corners() -> None:
     truth, samples = handeye_set(12, mounting="eye_to_hand", seed=5, arm_sigma=(0.0, 0.0))
     found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
 
@@ -176,7 +176,7 @@ def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
     assert found.residuals[4].left_out_position > 3e-3
 
 
-def test_a_flipped_first_estimate_does_no_harm() -> None:
+def test_a_flipped_first_estimate_does_not_change_the_result() -> None:
     truth, samples = handeye_set(mounting="eye_to_hand", seed=7)
     view = samples[6].view
     mirrored = view.pose.compose(Pose(wxyz=rotation_exp([0.9, 0.3, 0.0])))
@@ -196,14 +196,14 @@ def test_a_flipped_first_estimate_does_no_harm() -> None:
         ({"count": 3}, "3 views are too few"),
     ],
 )
-def test_motions_that_cannot_tell_are_refused(changes: dict[str, object], text: str) -> None:
+def test_uninformative_motions_are_rejected(changes: dict[str, object], text: str) -> None:
     _, samples = handeye_set(**changes)  # type: ignore[arg-type]
     with pytest.raises(CalibrationError, match=text) as refused:
         solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
     assert "30 degrees" in refused.value.hint
 
 
-def test_a_view_that_makes_no_sense_is_refused() -> None:
+def test_an_invalid_view_is_rejected() -> None:
     for points, pixels in (
         (MARKER, np.zeros((3, 2))),
         (MARKER[:3], np.zeros((3, 2))),
@@ -218,7 +218,7 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
 
 
 @pytest.mark.parametrize("mounting", ["eye_in_hand", "eye_to_hand"])
-def test_pictures_that_belong_to_other_joint_angles_give_no_mount(mounting: Mounting) -> None:
+def test_pictures_with_wrong_joint_angles_give_no_mount(mounting: Mounting) -> None:
     _, samples = handeye_set(12, mounting=mounting, seed=3)
     views = [one.view for one in samples]
     shuffled = [
@@ -244,7 +244,7 @@ def test_the_mean_rotation_is_scipys_whatever_the_signs(seed: int) -> None:
     assert (mean.inv() * turns.mean()).magnitude() < 1e-7
 
 
-def test_the_robust_mean_leaves_a_stray_pose_alone() -> None:
+def test_the_robust_mean_ignores_an_outlier_pose() -> None:
     rng = np.random.default_rng(0)
     poses = [Pose().plus(rng.normal(0, 1e-3, 6)) for _ in range(9)]
     mean = robust_mean_pose([*poses, Pose((0.3, 0, 0), (0, 1, 0, 0))])

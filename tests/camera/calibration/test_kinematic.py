@@ -247,7 +247,7 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("off", [None, "joint2", "joint3"])
-def test_hand_eye_views_show_a_zero_that_is_off_by_half_a_degree(
+def test_hand_eye_views_show_a_zero_offset_of_half_a_degree(
     robot: Robot, off: str | None, seed: int
 ) -> None:
     """12 views with servo ticks and 0.1 px. The poses of camera and board are unknown."""

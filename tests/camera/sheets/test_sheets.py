@@ -107,7 +107,7 @@ def test_the_print_is_found_by_the_detector_at_the_right_size() -> None:
         assert there == pytest.approx(pose.position[:2], abs=2e-4)
 
 
-def test_a_cell_border_lies_where_it_should_in_the_print() -> None:
+def test_a_cell_border_is_at_its_exact_position_in_the_print() -> None:
     """Accurate to 0.1 mm, by the grey values of the pixels on an edge."""
     asked = SheetRequest("marker", size_mm=50.0)
     sheet = make_sheet_page(asked)
@@ -129,7 +129,7 @@ def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
         assert scale == pytest.approx(1000.0, rel=1e-3)
 
 
-def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
+def test_the_sheet_contains_its_command_and_its_name() -> None:
     text = " ".join(
         w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).labels
     )
@@ -159,7 +159,7 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
         SheetRequest("chessboard", 18.0, 7, 5),
     ],
 )
-def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
+def test_the_sheet_contains_the_argument_for_other_commands(asked: SheetRequest) -> None:
     page = make_sheet_page(asked)
     (text,) = [w.text for w in page.labels if "--board" in w.text]
     board = parse_target(text.split("--board ")[1], asked.dictionary)
@@ -229,13 +229,13 @@ def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None
         (SheetRequest("marker", page="a7"), "unknown paper 'a7'", "a4"),
     ],
 )
-def test_what_cannot_be_printed_is_refused(asked: SheetRequest, message: str, hint: str) -> None:
+def test_unprintable_boards_are_rejected(asked: SheetRequest, message: str, hint: str) -> None:
     with pytest.raises((CameraError, CalibrationError), match=message) as caught:
         make_sheet_page(asked)
     assert hint in caught.value.hint
 
 
-def test_the_size_that_is_said_to_fit_fits() -> None:
+def test_the_suggested_size_fits() -> None:
     asked = SheetRequest("charuco", size_mm=55.0)
     with pytest.raises(CameraError) as caught:
         make_sheet_page(asked)

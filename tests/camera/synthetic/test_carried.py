@@ -1,4 +1,4 @@
-"""A synthetic camera on the hand sees from where the joints put it."""
+"""A synthetic camera on the hand has the pose that follows from the joint angles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 
 
-def test_each_picture_is_taken_from_where_the_hand_is() -> None:
+def test_each_picture_is_taken_from_the_pose_of_the_hand() -> None:
     robot = load_robot("puma560")
     lens = STANDARD_CAMERA.scaled(320, 240)
     carried = Pose((0.1, 0.0, -0.05), rotation_exp([0.0, -0.2, 0.3]))
