@@ -1,9 +1,8 @@
 """The run-time loops: ``execute`` plays a trajectory, ``follow`` follows goals.
 
-Both use absolute deadlines, so a delay below one period is caught up and delays never add up. After
-a longer delay the rest of the schedule moves, because two samples sent at once are a jump for a
-servo. An exception, KeyboardInterrupt too, leaves the loop at once and nothing more is sent. The
-exit policy of the arm decides what the arm does then.
+Both wait with a ``Schedule``, so delays do not add up. An exception, KeyboardInterrupt too, leaves
+the loop at once and nothing more is sent. The exit policy of the arm decides what the arm then
+does.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, RealClock
 from robot_ik.problem import Problem, check_arguments
+from robot_ik.schedule import Schedule, regular
 from robot_ik.solvers import make_solver
 
 if TYPE_CHECKING:
@@ -220,29 +220,6 @@ class FollowReport:
         return self.statuses.get("CONVERGED", 0)
 
 
-class Schedule:
-    """Deadlines one period apart that move after a long delay instead of bunching up.
-
-    Attributes:
-        overruns: Number of ticks that were late by a period or more.
-    """
-
-    def __init__(self, clock: Clock) -> None:
-        self.clock = clock
-        self.origin = clock.now()
-        self.overruns = 0
-
-    def wait(self, due: float, period: float) -> float:
-        """Sleep until ``due`` seconds after the origin, and return the time on the clock."""
-        self.clock.sleep_until(self.origin + due)
-        now = self.clock.now()
-        late = now - (self.origin + due)
-        if period > 0.0 and late >= period:
-            self.overruns += 1
-            self.origin += late
-        return now
-
-
 def clock_of(clock: Clock | None, source: JointSource | None, sinks: Sequence[JointSink]) -> Clock:
     """Return the given clock, else the clock of the arm, else the clock of the machine.
 
@@ -296,9 +273,9 @@ def execute(
     times = np.zeros(count)
     measured = np.zeros(commanded.shape)
     measured_times = np.zeros(count)
-    begin = schedule.origin
-    for k, q in enumerate(commanded):
-        now = schedule.wait(due[k], due[k] - due[k - 1] if k else 0.0)
+    begin = 0.0
+    samples = zip(due.tolist(), commanded, strict=True)
+    for k, (now, q) in enumerate(schedule.ticks(samples)):
         if k == 0:
             begin = now
         times[k] = now - begin
@@ -446,10 +423,9 @@ def follow(
     following = _FollowState(robot, method, tolerance, first, largest_step, rate, collisions)
     report = following.report
     schedule = Schedule(clock)
-    begin = schedule.origin
-    while True:
-        now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
-        if report.ticks == 0:
+    begin = 0.0
+    for now, k in schedule.ticks(regular(rate, count)):
+        if k == 0:
             begin = now
         goal = goals.poll(now)
         solution, capped = following.step(goal)
@@ -459,13 +435,12 @@ def follow(
         measured = None if source is None else following.compare(source.read().q)
         report.duration = now - begin
         report.overruns = schedule.overruns
-        tick = FollowTick(
-            report.ticks - 1, now - begin, goal, solution, report.q, capped, measured, better
-        )
+        tick = FollowTick(k, now - begin, goal, solution, report.q, capped, measured, better)
         if on_tick is not None:
             on_tick(tick)
-        if report.ticks == count or (until is not None and until(tick)):
-            return report
+        if until is not None and until(tick):
+            break
+    return report
 
 
 class _FollowState:

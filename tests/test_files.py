@@ -306,12 +306,11 @@ ALLOWED = {
         "robot_ik/figure/reach_map.py",
         "read_bytes",
     ): "for a digest of the model that load_robot has just read",
-    ("robot_ik/commands/figure_runs.py", "read_bytes"): "likewise",
+    ("robot_ik/commands/figure_recording.py", "read_bytes"): "likewise",
     (
-        "robot_ik/commands/figure_runs.py",
+        "robot_ik/testbed/frontends/session_window.py",
         "from_file",
     ): "the model of a robot that load_robot has just read",
-    ("robot_ik/testbed/frontends/session_window.py", "from_file"): "likewise",
     (
         "robot_ik/testbed/frontends/session_window.py",
         "read_text",

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.figure.actions import reach_ball
 from robot_ik.figure.figure import RATE as FIGURE_RATE
@@ -47,7 +48,6 @@ from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.pose_prior import PosePrior
 from robot_ik.problem import Problem
-from robot_ik.testbed.gallery import fitted_camera, lens
 
 Array = NDArray[np.float64]
 DOCS = Path(__file__).resolve().parents[1]
@@ -302,7 +302,7 @@ def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
             points = np.concatenate(
                 [surface_points(robot.model, robot.qpos(pose)) for pose in (robot.home, q)]
             )
-            optics = lens(*size)
+            optics = portrait_lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
             body = Body(robot.model, robot.qpos(q))
             row.append(photograph([body], optics, camera, SEAMLESS).image)

@@ -24,6 +24,7 @@ import robot_ik as rik
 from benchmarks.camera.pictures import pattern_set
 from robot_ik.camera.drawing.drawn_robot import DrawnRobot
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.patterns import CharucoPattern
@@ -35,7 +36,6 @@ from robot_ik.camera.synthetic.sensor import SensorModel
 from robot_ik.camera.target_files import parse_target
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.testbed.ar.overlay import heights
-from robot_ik.testbed.gallery import fitted_camera, lens
 from robot_ik.workcell.arm_camera.error_map import error_picture
 from robot_ik.workcell.arm_camera.verify import VerifyRequest, run_verify
 from robot_ik.workcell.robot_setup import Rehearsal
@@ -109,7 +109,7 @@ def draw(scene: Scene) -> Image:
     solution, ball = solved(scene)
     robot = solution.robot
     model = with_ball(robot.path, ball)
-    optics = lens(*SIZE)
+    optics = portrait_lens(*SIZE)
     poses = [robot.qpos(robot.home), robot.qpos(solution.q)]
     shapes = [surface_points(model, qpos) for qpos in poses]
     floor = float(surface_points(robot.model, poses[0])[:, 2].min())

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 import robot_ik as rik
 from benchmarks.collision.scenes import shelf
 from robot_ik.camera.drawing.faces import surface_points
+from robot_ik.camera.drawing.framing import fitted_camera, portrait_lens
 from robot_ik.camera.drawing.studio import SEAMLESS, Body, photograph
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.testbed.gallery import fitted_camera, lens
 from robot_ik.workcell.films import open_sink
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
@@ -132,7 +132,7 @@ class View:
         model = coloured(scene)
         rows = trajectory.q[:: max(1, len(trajectory) // VIEW_POSTURES)]
         points = [surface_points(model, robot.qpos(q)) for q in rows]
-        optics = lens(*size)
+        optics = portrait_lens(*size)
         camera = fitted_camera(np.concatenate(points), VIEW_DEG, optics)
         tools = rik.forward_batch(robot, trajectory.q).positions
         return cls(scene, model, optics, camera, tools)

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import TrajectoryError, distinct_texts
-from robot_ik.files import write_atomically
 from robot_ik.geometry import Array
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
@@ -27,7 +26,6 @@ from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import (
     Trajectory,
     checked_samples,
-    csv_table,
     require_positive,
     sample_count,
 )
@@ -341,20 +339,16 @@ class Keyframes:
         return Keyframes(self.robot, times, rows)
 
     def save_csv(self, path: Path | str) -> None:
-        """Write a header (t, a column for each number of q) and one row a key, in full precision.
+        """Write a row for each key, as ``Trajectory.save_csv`` does.
 
         Raises:
             OutputError: The folder is missing or not writable.
         """
-        rows = np.column_stack([self.times, self.q]).tolist()
-        text = csv_table(["t", *column_names(self.robot)], rows)
-        write_atomically(Path(path), text)
+        Trajectory(self.times, self.q, column_names(self.robot)).save_csv(path)
 
     @classmethod
     def load_csv(cls, path: Path | str, robot: Robot, *, loop: bool = False) -> Keyframes:
-        """Read a file of ``save_csv``, ``Trajectory.save_csv`` or ``robot-ik figure``.
-
-        Lines that begin with # and columns that are not joints are skipped.
+        """Read any recording of the robot. Each row is a key.
 
         Raises:
             ConfigError: The file is not such a table, a joint has no column, or a cell is not a

@@ -194,11 +194,12 @@ def test_frames_are_read_back_equal(robot: rik.Robot, tmp_path: Path) -> None:
     assert (Keyframes.load_csv(tmp_path / "frames.csv", robot).q == frames.q).all()
 
 
-def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> None:
+def test_recordings_with_further_columns_are_read(tmp_path: Path) -> None:
     puma = rik.load_robot("puma560")
-    head = ["t", "action", *column_names(puma)[::-1], "com_x"]
+    joints = [f"commanded.{name}" for name in column_names(puma)[::-1]]
+    head = ["time_s", "action", *joints, "com_x"]
     rows = [[f"{k / 60}", "walk", *["0.25"] * 6, "1"] for k in range(3)]
-    text = "# model: x, rate 60\n" + "\n".join(",".join(row) for row in [head, *rows]) + "\n"
+    text = "\n".join(",".join(row) for row in [head, *rows]) + "\n"
     (tmp_path / "frames.csv").write_text(text)
     motion = Keyframes.load_csv(tmp_path / "frames.csv", puma)
     assert len(motion) == 3 and (motion.q == 0.25).all()

@@ -267,7 +267,7 @@ def test_csv_has_a_header_that_a_person_reads(tmp_path):
         tmp_path / "t.csv"
     )
     text = (tmp_path / "t.csv").read_text()
-    assert text == 'time_s,waist,"arm, upper"\n0.0,0.5,1.0\n0.01,0.25,2.0\n'
+    assert text == 'time_s,commanded.waist,"commanded.arm, upper"\n0.0,0.5,1.0\n0.01,0.25,2.0\n'
     assert Trajectory.load_csv(tmp_path / "t.csv").joints == ("waist", "arm, upper")
 
 
@@ -275,11 +275,12 @@ def test_csv_has_a_header_that_a_person_reads(tmp_path):
     "text",
     [
         "time_s,robot,commanded.a,commanded.b,measured.a,measured.b,text\n0,0,1,2,,,\n1,0,,,5,6,on\n2,0,3,4,7,8,\n",
-        "time_s,a_commanded,b_commanded,a_measured,b_measured\n0,1,2,5,6\n2,3,4,7,8\n",
+        "time_s,commanded.a,commanded.b,measured.a,measured.b\n0,1,2,5,6\n2,3,4,7,8\n",
+        "time_s,action,measured.a,measured.b,com_x\n0,walk,1,2,9\n1,walk,,,9\n2,walk,3,4,9\n",
     ],
-    ids=["recording", "reach"],
+    ids=["recording", "without goals", "measured only, with further columns"],
 )
-def test_what_was_commanded_is_read_from_tables_of_what_was_measured(tmp_path, text):
+def test_commanded_positions_are_read_and_measured_ones_if_there_are_no_others(tmp_path, text):
     (tmp_path / "t.csv").write_text(text)
     again = Trajectory.load_csv(tmp_path / "t.csv")
     assert again.joints == ("a", "b") and again.times.tolist() == [0.0, 2.0]
@@ -300,12 +301,14 @@ def test_csv_into_nowhere_is_said_and_leaves_nothing(tmp_path):
     ("text", "said"),
     [
         ("", "line 1"),
-        ("x,a\n0,1\n", "line 1"),
-        ("time_s,a\n", "no samples"),
-        ("time_s,a\n0,x\n", "line 2"),
-        ("time_s,a\n0,1\n1\n", "line 3"),
-        ("time_s,a\n1,1\n0,1\n", "must increase"),
-        ("time_s,a\n0,nan\n", "line 2"),
+        ("time_s,a\n0,1\n", "allowed: time_s,commanded.JOINT"),
+        ("t,commanded.a\n0,1\n", "line 1"),
+        ("x,commanded.a\n0,1\n", "line 1"),
+        ("time_s,commanded.a\n", "no samples"),
+        ("time_s,commanded.a\n0,x\n", "line 2"),
+        ("time_s,commanded.a\n0,1\n1\n", "line 3"),
+        ("time_s,commanded.a\n1,1\n0,1\n", "must increase"),
+        ("time_s,commanded.a\n0,nan\n", "line 2"),
         ("time_s,robot,commanded.a,measured.a\n0,0,1,\n0,1\n", "line 3"),
         ("time_s,robot,commanded.a,measured.a\n0,1,1,\n0,2,1,\n", "several robots"),
         ("time_s,robot,commanded.a,measured.a\n0,0,,1\n", "no samples"),

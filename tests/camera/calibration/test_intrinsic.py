@@ -128,6 +128,15 @@ def test_a_wide_angle_lens_needs_eight_coefficients() -> None:
     assert five.intrinsics.rms >= eight.intrinsics.rms
 
 
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_the_fit_of_a_very_wide_lens_converges(seed: int) -> None:
+    found = views(VERY_WIDE, 9, seed=seed, fill=(0.5, 1.1))
+    result = calibrate(found, SIZE, coefficients=8)
+    # The noise of the corners is 0.05 px in each direction.
+    assert result.intrinsics.rms < 0.08
+    assert result.intrinsics.fx == pytest.approx(VERY_WIDE.fx, rel=0.005)
+
+
 def test_the_lens_determines_the_number_of_coefficients() -> None:
     wide = calibrate(views(VERY_WIDE, 9, seed=4, fill=(0.5, 1.1)), SIZE, coefficients=None)
     assert wide.intrinsics.model == "rational_polynomial"
