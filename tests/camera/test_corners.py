@@ -205,8 +205,8 @@ def test_many_markers_at_once_are_as_each_alone() -> None:
     assert len(found) == 2
     together = refine_markers(image, found, [7, 7], "DICT_4X4_50", STRAIGHT)
     for corners, result in zip(found, together, strict=True):
-        alone = refined(image, corners)
-        assert result.pixels == pytest.approx(alone.pixels, abs=0.01)
+        single = refined(image, corners)
+        assert result.pixels == pytest.approx(single.pixels, abs=0.01)
     assert refine_markers(image, [], [], "DICT_4X4_50", STRAIGHT) == []
 
 

@@ -129,8 +129,8 @@ def test_an_unlisted_marker_never_becomes_a_goal() -> None:
 
 
 def test_a_lost_marker_gives_no_goal_until_it_is_found_again() -> None:
-    here = marker_at(0.0, 0.0, 0.4)
-    goals = source_for(frame({7: here}, 0), frame({}, 1), frame({7: here}, 2))
+    pose = marker_at(0.0, 0.0, 0.4)
+    goals = source_for(frame({7: pose}, 0), frame({}, 1), frame({7: pose}, 2))
     assert goals.poll(0.00) is not None
     assert goals.poll(0.03) is None
     assert goals.last is None

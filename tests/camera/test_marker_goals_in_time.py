@@ -184,16 +184,16 @@ def test_an_invalid_policy_is_rejected(arguments: tuple, said: str) -> None:
 
 
 def test_the_pose_of_a_camera_on_the_arm_is_that_at_the_time_of_the_picture() -> None:
-    asked = []
+    times = []
 
     def camera(time: float) -> Pose:
-        asked.append(time)
+        times.append(time)
         return Pose((0.3 + time, 0.1, 0.6), FACING)
 
     goals = reported(sideways(3, speed=-1.0))
     goals.pose_world_camera = camera
     places = [goals.poll(k / 30) for k in range(3)]
-    assert asked == [0.0, 1 / 30, 2 / 30]
+    assert times == [0.0, 1 / 30, 2 / 30]
     # The camera moves, and the marker moves the opposite way in its picture: it is at rest.
     assert all(goal is not None for goal in places)
     np.testing.assert_allclose(places[2].target.position, places[0].target.position, atol=1e-5)  # type: ignore[union-attr]

@@ -68,8 +68,8 @@ def test_constant_velocity_is_tracked_and_predicted_without_lag(
         tracked.update(t, Pose(velocity * t, rotation_exp(rate * t)), NOISE)
     t = 59 * PERIOD + ahead
     found = tracked.predict(t)
-    off = found.pose.minus(Pose(velocity * t, rotation_exp(rate * t)))
-    assert np.linalg.norm(off[:3]) < 1e-5 and np.linalg.norm(off[3:]) < 1e-3
+    error = found.pose.minus(Pose(velocity * t, rotation_exp(rate * t)))
+    assert np.linalg.norm(error[:3]) < 1e-5 and np.linalg.norm(error[3:]) < 1e-3
     np.testing.assert_allclose(found.velocity, [*velocity, *rate], atol=5e-3)
 
 
@@ -106,8 +106,8 @@ def test_the_covariance_is_consistent() -> None:
         for k in range(60):
             tracked.update(k * PERIOD, noisy(truth, rng), NOISE)
             found = tracked.predict(k * PERIOD)
-            off = found.pose.minus(truth)
-            squares.append(off @ np.linalg.solve(found.covariance, off))
+            error = found.pose.minus(truth)
+            squares.append(error @ np.linalg.solve(found.covariance, error))
             change = rng.normal(0.0, np.repeat(options.process_noise, 3)) * np.sqrt(PERIOD)
             truth = truth.plus(PERIOD * (rate + 0.5 * change))
             rate = rate + change
@@ -136,8 +136,8 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
     assert (
         tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN
     )  # the count restarts
-    said = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
-    assert said == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
+    updates = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
+    assert updates == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
     assert np.abs(tracked.predict(15 * PERIOD).pose.minus(away)).max() < 1e-9
 
 

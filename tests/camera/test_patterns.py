@@ -58,10 +58,10 @@ def test_corners_of_a_chessboard_are_found_to_hundredths_of_a_pixel() -> None:
         true = STANDARD_CAMERA.project(pose.apply(found.points_board))
         errors.append(found.pixels - true)
         assert 0.6 < found.blur < 1.2
-    off = np.concatenate(errors)
-    assert len(off) == 108
-    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.03
-    assert np.abs(off.mean(axis=0)).max() < 0.01
+    all_errors = np.concatenate(errors)
+    assert len(all_errors) == 108
+    assert np.sqrt(np.mean(np.sum(all_errors**2, axis=1))) < 0.03
+    assert np.abs(all_errors.mean(axis=0)).max() < 0.01
 
 
 def test_a_start_that_is_half_a_pixel_off_ends_at_the_same_corner() -> None:

@@ -38,15 +38,15 @@ def test_the_stated_uncertainty_of_a_board_agrees_with_its_errors(
 ) -> None:
     """Facing the camera, where corners are weakest; aslant on paper that ends near the print."""
     rng = np.random.default_rng(4)
-    off = []
+    errors = []
     inside = []
     for seed in range(8):
         pose = random_pose(STANDARD_CAMERA, rng, distance, size=0.112, tilt_deg=tilt)
         seen = BOARD.find(frame_of(picture(pose, seed, margin)), STANDARD_CAMERA)
         assert seen is not None
-        off.append(seen.pose.distance(pose)[1])
-        inside.append(off[-1] ** 2 / np.trace(seen.covariance[3:, 3:]))
-    assert np.sqrt(np.mean(np.square(off))) < most
+        errors.append(seen.pose.distance(pose)[1])
+        inside.append(errors[-1] ** 2 / np.trace(seen.covariance[3:, 3:]))
+    assert np.sqrt(np.mean(np.square(errors))) < most
     assert 0.3 < np.sqrt(np.mean(inside)) < 1.5  # the stated sigma is consistent
 
 

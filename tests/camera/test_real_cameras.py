@@ -255,8 +255,8 @@ def test_a_marker_with_a_misread_id_is_rejected() -> None:
     found = MarkerDetector(DICTIONARY).detect(image)
     ids = [found[0].id, found[1].id, found[2].id, 17]
     fitted = refine_markers(image, [d.corners for d in found], ids, DICTIONARY, CAMERA)
-    assert [one.refined for one in fitted] == [True, True, True, False]
-    assert [one.verified for one in fitted] == [True, True, True, False]
+    assert [fit.refined for fit in fitted] == [True, True, True, False]
+    assert [fit.verified for fit in fitted] == [True, True, True, False]
     assert (fitted[3].pixels == found[3].corners).all()
 
 
@@ -269,7 +269,7 @@ def test_the_code_of_a_marker_alone_is_not_a_marker(
     real = MarkerDetector.detect
 
     def misread(detector: MarkerDetector, gray: NDArray[np.uint8]) -> list[Detection]:
-        return [replace(one, id=31) for one in real(detector, gray)]
+        return [replace(detection, id=31) for detection in real(detector, gray)]
 
     monkeypatch.setattr(MarkerDetector, "detect", misread)
     assert find_corners(frame_of(image), CAMERA, DICTIONARY) == []

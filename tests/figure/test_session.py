@@ -139,11 +139,11 @@ def frames_of(abilities: Abilities, ball: tuple[float, float, float]) -> bytes:
 def test_the_same_balls_give_the_same_frames_beside_other_sessions(abilities: Abilities) -> None:
     """Frames do not depend on when the planner's thread is ready."""
     balls = [(0.5, 0.2, 1.4), (2.0, 0.5, 1.2), (0.2, -0.2, 2.35)]
-    alone = [frames_of(abilities, ball) for ball in balls]
+    separate = [frames_of(abilities, ball) for ball in balls]
     others = [Abilities(abilities.figure.duplicate(), abilities.maps) for _ in range(len(balls))]
     with ThreadPoolExecutor(len(balls)) as pool:
         together = list(pool.map(frames_of, others, balls))
-    assert together == alone
+    assert together == separate
 
 
 def test_a_closed_session_has_no_thread(abilities: Abilities) -> None:

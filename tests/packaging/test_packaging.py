@@ -108,9 +108,9 @@ def test_import_opens_nothing_and_loads_nothing_heavy() -> None:
     child = [sys.executable, "-c", WATCHED_IMPORT]
     result = subprocess.run(child, capture_output=True, text=True, env=environment)
     assert result.returncode == 0, result.stderr
-    said = json.loads(result.stdout)
-    assert said["seen"] == []
-    assert said["threads"] == 1
+    facts = json.loads(result.stdout)
+    assert facts["seen"] == []
+    assert facts["threads"] == 1
     heavy = {
         "numba",
         "llvmlite",
@@ -123,7 +123,7 @@ def test_import_opens_nothing_and_loads_nothing_heavy() -> None:
         "pydantic",
     }
     heavy |= {"rich", "cyclopts", "viser", "av", "matplotlib", "yaml", "scipy"}
-    assert heavy.isdisjoint(said["loaded"])
+    assert heavy.isdisjoint(facts["loaded"])
 
 
 ONE_SOLVE = """
@@ -177,6 +177,8 @@ def test_a_type_checker_sees_the_editable_install(
     )
     cache = pytestconfig.cache.mkdir("mypy")  # numpy's types are read once
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(cache), "mine.py"]
-    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
-    assert 'expression has type "Robot"' in said and "config.ArmConfig" in said, said
-    assert "import-not-found" not in said
+    output = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False
+    ).stdout
+    assert 'expression has type "Robot"' in output and "config.ArmConfig" in output, output
+    assert "import-not-found" not in output

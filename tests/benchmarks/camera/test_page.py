@@ -55,7 +55,9 @@ def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleTy
 @pytest.mark.soak  # it measures the rows again
 def test_the_remedies_are_the_current_ones() -> None:
     data = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))
-    reported = {one["quantity"]: one["value"] for one in data["rows"]["latency"]["figures"]}
-    found = {one.quantity: one.value for one in latency(Effort())}
+    reported = {
+        figure["quantity"]: figure["value"] for figure in data["rows"]["latency"]["figures"]
+    }
+    found = {quantity.quantity: quantity.value for quantity in latency(Effort())}
     assert list(found) == list(reported)
     assert list(found.values()) == pytest.approx(list(reported.values()), rel=0.02, abs=0.02)

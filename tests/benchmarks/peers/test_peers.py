@@ -103,18 +103,18 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
         for joint, angle in zip(task.joints, q[base:], strict=True):
             data.joint(joint).qpos[:] = angle
         mujoco.mj_kinematics(read, data)
-        there = [robot.measure(q, site).matrix for site in task.sites]
+        expected = [robot.measure(q, site).matrix for site in task.sites]
         if task.free_base:  # a URDF has no floating base, so poses are relative to that body
             root = mujoco.MjData(plain)
             root.qpos[:] = q
             mujoco.mj_kinematics(plain, root)
             rotation = root.xmat[1].reshape(3, 3)
             position = root.xpos[1]
-            there = [
+            expected = [
                 np.block([[rotation.T @ t[:3, :3], rotation.T @ (t[:3, 3:] - position[:, None])]])
-                for t in there
+                for t in expected
             ]
-        for site, pose in zip(task.sites, there, strict=True):
+        for site, pose in zip(task.sites, expected, strict=True):
             np.testing.assert_allclose(data.body(site).xpos, np.asarray(pose)[:3, 3], atol=1e-9)
         if not task.free_base:
             pose = task.frames[0]
@@ -122,7 +122,7 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
                 rotation = np.eye(4)
                 rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
                 pose = pose @ rotation @ frame
-            np.testing.assert_allclose(pose, there[0], atol=1e-12)
+            np.testing.assert_allclose(pose, expected[0], atol=1e-12)
     if not task.free_base:
         np.testing.assert_allclose(frames_of(plain), task.frames)
         assert urdf_of(plain) == (folder / "model.urdf").read_text(encoding="utf-8")
@@ -156,25 +156,27 @@ def test_robot_ik_solves_all_and_the_results_contain_the_versions(
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "2", "--seed", "5"]
     names = ["robot_ik_analytic"] + ["robot_ik", "robot_ik_lm"] * ("humanoid" in robots)
     assert main(["run", *arguments, "--libraries", *names, "--robots", *robots]) == 0
-    said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
-    assert said["seed"] == 5 and said["rounds"] == 2 and said["machine"]["when"]
-    assert set(said["libraries"]) == set(names) and not said["missing"] and not said["failed"]
+    results = json.loads((out / "peers.json").read_text(encoding="utf-8"))
+    assert results["seed"] == 5 and results["rounds"] == 2 and results["machine"]["when"]
+    assert (
+        set(results["libraries"]) == set(names) and not results["missing"] and not results["failed"]
+    )
     for name in names:
-        one = said["libraries"][name]
-        assert set(one["versions"]) == {"robot-ik-testbed", "mujoco", "numba"}
-        assert len(one["calibration_us"]) >= 2
+        library = results["libraries"][name]
+        assert set(library["versions"]) == {"robot-ik-testbed", "mujoco", "numba"}
+        assert len(library["calibration_us"]) >= 2
         for kind in ("cold", "warm", "wrist", "elbow"):
-            cell = one["robots"]["puma560"][kind]
+            cell = library["robots"]["puma560"][kind]
             assert cell["exact"] == 1.0 and cell["n"] == 2 * COUNT and cell["median_us"] > 0.0, (
                 name,
                 kind,
             )
-        assert one["robots"]["puma560"]["unreachable"]["success"] == 0.0
-    assert set(said["libraries"]["robot_ik_analytic"]["robots"]) == {"puma560"}, (
+        assert library["robots"]["puma560"]["unreachable"]["success"] == 0.0
+    assert set(results["libraries"]["robot_ik_analytic"]["robots"]) == {"puma560"}, (
         "no closed form for four goals"
     )
     if "humanoid" in robots:
-        assert said["libraries"]["robot_ik_lm"]["robots"]["humanoid"]["cold"]["success"] == 1.0
+        assert results["libraries"]["robot_ik_lm"]["robots"]["humanoid"]["cold"]["success"] == 1.0
 
 
 def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
@@ -188,19 +190,19 @@ def test_a_poor_peer_fails_and_one_that_is_missing_is_named(
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "1", "--robots", "puma560"]
     assert main(["run", *arguments, "--libraries", *names, f"{tmp_path}/none.py:Gone"]) == 1
     reported = capsys.readouterr().err
-    said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
+    results = json.loads((out / "peers.json").read_text(encoding="utf-8"))
 
     def cold(kind: str) -> Any:
-        return said["libraries"][f"{file}:{kind}"]["robots"]["puma560"]["cold"]
+        return results["libraries"][f"{file}:{kind}"]["robots"]["puma560"]["cold"]
 
     assert [cold(kind)["success"] for kind in ("Idle", "Broken", "Beyond")] == [0.0, 0.0, 0.0]
-    assert said["libraries"][f"{file}:Picky"]["robots"] == {}
-    assert "reads another robot" in said["failed"][f"{file}:OtherRobot"]
+    assert results["libraries"][f"{file}:Picky"]["robots"] == {}
+    assert "reads another robot" in results["failed"][f"{file}:OtherRobot"]
     assert (
-        f"{file}:Dead" in said["failed"]
-        and "there is no file" in said["failed"][f"{tmp_path}/none.py:Gone"]
+        f"{file}:Dead" in results["failed"]
+        and "there is no file" in results["failed"][f"{tmp_path}/none.py:Gone"]
     )
-    assert "pip install 'nobody-has-this' 'numpy<2'" in said["missing"][f"{file}:NotHere"]
+    assert "pip install 'nobody-has-this' 'numpy<2'" in results["missing"][f"{file}:NotHere"]
     assert (
         "missing: " in reported
         and "pip install 'nobody-has-this'" in reported
@@ -222,7 +224,7 @@ def test_libraries_name_their_pip_packages() -> None:
 
 
 def test_rounds_are_merged_by_success_of_all_and_time_of_the_fastest() -> None:
-    one = {
+    first = {
         "n": 10,
         "success": 1.0,
         "exact": 0.5,
@@ -230,7 +232,7 @@ def test_rounds_are_merged_by_success_of_all_and_time_of_the_fastest() -> None:
         "cpu_mean_us": 9.0,
         "cpu_p99_us": 20.0,
     }
-    two = one | {
+    second = first | {
         "n": 30,
         "success": 0.0,
         "exact": 0.5,
@@ -238,7 +240,7 @@ def test_rounds_are_merged_by_success_of_all_and_time_of_the_fastest() -> None:
         "cpu_mean_us": 8.0,
         "jumps": 2,
     }
-    found = merged([one, two])
+    found = merged([first, second])
     assert (
         found["success"] == 0.25
         and found["exact"] == 0.5
@@ -253,6 +255,6 @@ def test_another_library_is_compared(name: str, module: str, tmp_path: Path) -> 
     if importlib.util.find_spec(module) is None:
         command = "python -m benchmarks.peers install ENVIRONMENTS --libraries"
         pytest.skip(f"needs {module}: {command} {name}")
-    said = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
-    cell = said["libraries"][name]["robots"]["puma560"]["warm"]
-    assert cell["success"] > 0.9 and not said["failed"]
+    results = compare([name], ["puma560"], tmp_path, count=COUNT, rounds=1)
+    cell = results["libraries"][name]["robots"]["puma560"]["warm"]
+    assert cell["success"] > 0.9 and not results["failed"]

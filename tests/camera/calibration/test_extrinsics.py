@@ -114,9 +114,9 @@ def test_a_camera_is_located_with_a_consistent_uncertainty() -> None:
         extrinsics = locate_camera([observed(np.random.default_rng(seed))], BOARD, STANDARD_CAMERA)
         errors.append(extrinsics.pose_parent_camera.distance(true))
         stated.append((extrinsics.sigma_position, extrinsics.sigma_angle))
-    off, said = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
-    assert off[0] < 2e-3 and off[1] < np.deg2rad(0.25)
-    assert (off < 2 * said).all() and (said < 2 * off).all()
+    errors_rms, stated_rms = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
+    assert errors_rms[0] < 2e-3 and errors_rms[1] < np.deg2rad(0.25)
+    assert (errors_rms < 2 * stated_rms).all() and (stated_rms < 2 * errors_rms).all()
     assert 0.05 < extrinsics.residual_px < 0.2
     assert extrinsics.residual_mm == pytest.approx(
         1e3 * extrinsics.residual_px * 0.7 / 800, rel=0.1
@@ -127,11 +127,11 @@ def test_frames_are_averaged_even_with_a_hand_before_the_board() -> None:
     true = BOARD.compose(SEEN.inverse())
     rng = np.random.default_rng(1)
     views = [observed(rng) for _ in range(9)]
-    one = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
+    single = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
     spoilt = Observation(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
     part = Observation(POINTS[:8], views[1].pixels[:8], SEEN, 0.1)
     many = locate_camera([*views, spoilt, part], BOARD, STANDARD_CAMERA)
-    assert many.residual_px < 0.6 * one.residual_px and many.views == 11
+    assert many.residual_px < 0.6 * single.residual_px and many.views == 11
     assert many.pose_parent_camera.distance(true)[0] < 5e-4
     with pytest.raises(CameraError, match="no picture"):
         locate_camera([], BOARD, STANDARD_CAMERA)
@@ -201,15 +201,15 @@ def test_an_impossible_pattern_is_rejected_in_millimetres(text: str) -> None:
 
 def test_a_body_is_read_from_a_file(tmp_path: Path) -> None:
     path = tmp_path / "bodies.toml"
-    one = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
-    path.write_text(one.format(name="hand", id=3))
+    body_text = '[[body]]\nname = "{name}"\nmarkers = [{{ id = {id}, size = 0.04 }}]\n'
+    path.write_text(body_text.format(name="hand", id=3))
     board = parse_target(str(path), "DICT_4X4_50")
     assert (
         isinstance(board, MarkerTarget)
         and set(board.squares) == {3}
         and board.dictionary == "DICT_4X4_50"
     )
-    path.write_text(one.format(name="hand", id=3) + one.format(name="table", id=4))
+    path.write_text(body_text.format(name="hand", id=3) + body_text.format(name="table", id=4))
     assert set(parse_target(f"{path}:table").squares) == {4}
     with pytest.raises(CameraError, match="several bodies") as refused:
         parse_target(str(path))
@@ -221,9 +221,9 @@ def test_a_film_of_a_moving_board_gives_no_camera_pose() -> None:
     rng = np.random.default_rng(8)
     moving = []
     for k in range(6):
-        there = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
-        pixels = STANDARD_CAMERA.project(there.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
-        moving.append(Observation(POINTS, pixels, there, 0.1))
+        pose = Pose((0.04 * k - 0.1, 0.0, 0.0)).compose(SEEN)
+        pixels = STANDARD_CAMERA.project(pose.apply(POINTS)) + rng.normal(0, 0.1, (len(POINTS), 2))
+        moving.append(Observation(POINTS, pixels, pose, 0.1))
     with pytest.raises(CalibrationError, match=r"move by .* px between the pictures") as refused:
         locate_camera(moving, BOARD, STANDARD_CAMERA)
     assert "handeye" in str(refused.value.hint)

@@ -83,12 +83,12 @@ def twenty(pictures: list[tuple[Pose, FoundPattern]]) -> CalibrationResult:
 def test_corners_of_a_charuco_board_are_found_without_bias(
     pictures: list[tuple[Pose, FoundPattern]],
 ) -> None:
-    off = np.concatenate(
+    errors = np.concatenate(
         [f.pixels - STANDARD_CAMERA.project(p.apply(f.points_board)) for p, f in pictures]
     )
-    assert len(pictures) == 20 and len(off) > 600
-    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
-    assert np.abs(off.mean(axis=0)).max() < 0.01
+    assert len(pictures) == 20 and len(errors) > 600
+    assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.06
+    assert np.abs(errors.mean(axis=0)).max() < 0.01
 
 
 def test_twenty_views_give_the_camera(twenty: CalibrationResult) -> None:
@@ -109,10 +109,10 @@ def test_twenty_views_give_the_camera(twenty: CalibrationResult) -> None:
 def test_standard_deviations_and_hold_out_error_are_consistent(twenty: CalibrationResult) -> None:
     camera = twenty.intrinsics
     true = STANDARD_CAMERA
-    off = np.array(
+    errors = np.array(
         [camera.fx - true.fx, camera.fy - true.fy, camera.cx - true.cx, camera.cy - true.cy]
     )
-    assert (np.abs(off) < 4.0 * np.array(camera.std[:4])).all()
+    assert (np.abs(errors) < 4.0 * np.array(camera.std[:4])).all()
     assert camera.std[0] < 0.002 * true.fx and max(camera.std[2:4]) < 2.0
     assert camera.views == 20
     assert camera.rms <= twenty.hold_out_rms < 1.2 * camera.rms

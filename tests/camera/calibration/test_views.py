@@ -185,10 +185,10 @@ def test_a_board_with_only_some_requested_markers_is_reported(
     gatherer: ViewGatherer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # OpenCV finds parts of a board in photographs, but not in clean drawings.
-    there = gatherer.pattern.find(frame(0).image)
+    view = gatherer.pattern.find(frame(0).image)
 
     def find(pattern: ChessboardPattern, image: np.ndarray) -> FoundPattern | None:
-        return there if (pattern.columns, pattern.rows) == (10, 6) else None
+        return view if (pattern.columns, pattern.rows) == (10, 6) else None
 
     monkeypatch.setattr(ChessboardPattern, "find", find)
     assert gatherer.offer(frame(0), "photo", selective=False)

@@ -63,9 +63,11 @@ def test_styles_and_blending(model_of: Callable[..., mujoco.MjModel]) -> None:
 def test_hidden_lines_are_left_out(model_of: Callable[..., mujoco.MjModel]) -> None:
     wall = "<geom type='box' size='.3 .3 .01' pos='0 0 .8'/>"
     picture = np.zeros((480, 640, 3), np.uint8)
-    alone = overlay.draw_robot(picture, model_of(wall), [], LENS, Pose(), style="outline")
+    wall_only = overlay.draw_robot(picture, model_of(wall), [], LENS, Pose(), style="outline")
     hiding = model_of(wall + "<geom type='box' size='.1 .1 .1' pos='0 0 1.2'/>")
-    assert (overlay.draw_robot(picture, hiding, [], LENS, Pose(), style="outline") == alone).all()
+    assert (
+        overlay.draw_robot(picture, hiding, [], LENS, Pose(), style="outline") == wall_only
+    ).all()
 
 
 def test_wrong_picture_size_and_style_are_refused(model_of: Callable[..., mujoco.MjModel]) -> None:

@@ -45,8 +45,10 @@ def test_a_motion_is_read_back_equal_and_stands_where_mujoco_says(
     assert read.joints == made.joints and (read.values == made.values).all() and read.rate == 30.0
     again = exported_motion(read, robot)
     frames = motion.sampled(30.0)
-    off = [np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, again.q, strict=True)]
-    assert max(off) < 1e-10  # degrees to 17 digits, and one tilted hinge through a matrix
+    differences = [
+        np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, again.q, strict=True)
+    ]
+    assert max(differences) < 1e-10  # degrees to 17 digits, and one tilted hinge through a matrix
     # Each BVH joint is at the MuJoCo anchor of its joints.
     positions, _ = read.poses()
     data = mujoco.MjData(robot.model)
