@@ -1,6 +1,6 @@
 """Times of detection, drawing and goals.
 
-Processor time of one thread, without OpenCV's threads, is the time on a core of its own. Time by
+Processor time of one thread, without OpenCV's threads, is the time on a dedicated core. Time by
 the clock, with OpenCV's threads, is the time that a user waits. It depends on other programs. Each
 is the best of three rounds of a picture, and the median over pictures. Delays are by the clock.
 """

@@ -1,6 +1,6 @@
 """Brute force for arms with five joints: independent of the closed form of ``robot_ik``.
 
-``Search`` knows only the joint axes of MuJoCo at q = 0. It lays a grid over the last two joints.
+``Search`` uses only the joint axes of MuJoCo at q = 0. It lays a grid over the last two joints.
 For each pair the position fixes the first three joints up to two choices each, by plane
 trigonometry. The best pair is refined by smaller and smaller grids.
 """
