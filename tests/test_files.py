@@ -301,7 +301,7 @@ ALLOWED = {
     (
         "robot_ik/figure/reach_map.py",
         "np.load",
-    ): "a map that it made itself, without pickle; any error makes it anew",
+    ): "a map that it made itself, without pickle; after any error it is made again",
     (
         "robot_ik/figure/reach_map.py",
         "read_bytes",
@@ -325,7 +325,7 @@ ALLOWED = {
 """(file, call) that reads without ``robot_ik.config``, and why it may."""
 
 NOT_PEOPLE_S = {
-    "requested": "from robot-ik stop; any error means that the arm shall stop",
+    "requested": "from robot-ik stop; any error means that the arm must stop",
 }
 
 

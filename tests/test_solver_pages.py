@@ -17,7 +17,7 @@ METHODS = DOCS / "reference" / "solvers"
 PLOTS = DOCS / "images" / "solvers"
 HEADINGS = [
     "Formula and source",
-    "What is ours",
+    "Differences from the sources",
     "When to use it, and when not",
     "Convergence",
     "Options",

@@ -73,7 +73,7 @@ class Plan:
         solution: The solution of a goal in task space that was not met. None otherwise.
         goal_postures: Number of postures of the goal that the search could end at.
         iterations: Random postures that were drawn.
-        restarts: Searches that began anew.
+        restarts: Number of restarts of the search.
         nodes: Nodes of the last trees: of the start, and of the goal.
         out_of_time: Whether the seconds of the budget ended before its iterations.
         seconds: Wall-clock time of the whole call.
@@ -183,7 +183,7 @@ def plan(
         solver: Method for a goal in task space: a name in ``SOLVERS`` or a solver.
         tolerance: Of a goal in task space. Default 0.1 mm and 1 mrad.
         budget: Its iterations are random postures. A budget without seconds gives bit-equal
-            results for a seed. Its restarts are searches that begin anew.
+            results for a seed. Its restarts are new searches from the start.
         seed: Seed of the random postures.
         speed: Share of the velocity and acceleration limits to use, above 0 and up to 1.
         rate: Samples a second, Hz.

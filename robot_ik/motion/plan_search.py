@@ -33,7 +33,7 @@ LONGEST_EDGE = 1.0
 """rad or m. Longest edge of a tree."""
 
 FIRST_ITERATIONS = 1024
-"""Iterations after which the first search begins anew. A new search is often quicker than an old
+"""Iterations after which the first search restarts. A new search is often quicker than an old
 one. Each time when all shares of the reserve have been tried, the number is doubled."""
 
 MAX_DOUBLINGS = 8
@@ -62,7 +62,7 @@ class SearchResult:
     Attributes:
         corners: (k, nq) the path, whose edges are proven. None if none was found.
         iterations: Random postures that were drawn.
-        restarts: Searches that began anew.
+        restarts: Number of restarts of the search.
         nodes: Nodes of the last trees: of the start, and of the goals.
         out_of_time: Whether the seconds ended before the iterations.
     """
