@@ -454,7 +454,7 @@ def main() -> int:
         "--seconds",
         type=float,
         default=10.0,
-        help="for which processor time and bytes are counted, three times",
+        help="time in which processor time and bytes are counted, s; three times",
     )
     asked = parser.parse_args()
     rows = list[Quantity]()

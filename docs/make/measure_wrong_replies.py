@@ -320,7 +320,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--values", type=int, default=100_000, help="values of each protocol")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all chances")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random choices")
     options = parser.parse_args()
     table = Table("protocol", "replies", "values", "wrong values", "reads without a value")
     console = Console()

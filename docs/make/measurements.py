@@ -132,7 +132,7 @@ def targets_table(tables: ModuleType) -> str:
 
 
 def path_table(tables: ModuleType) -> str:
-    """Largest joint change in one tick, and largest error, along a path past a singular wrist."""
+    """Return a table of the largest joint change and error on a path past a singular wrist."""
     robot = rik.load_robot("puma560")
     rows = []
     for name in methods():
@@ -148,7 +148,7 @@ def path_table(tables: ModuleType) -> str:
 
 
 def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
-    """Follows the path tick by tick without restarts.
+    """Follow the path tick by tick without restarts.
 
     Returns:
         Largest joint change in a tick and largest error, rad.
@@ -170,7 +170,7 @@ def follow(robot: rik.Robot, name: str, off: float) -> tuple[float, float]:
 
 
 def path(robot: rik.Robot, off: float) -> list[rik.Pose]:
-    """Poses along which joint 5 swings through zero, ``off`` (rad) beside the singular one."""
+    """Return poses at which joint 5 moves through zero, ``off`` (rad) beside the singular pose."""
     q = robot.home.copy()
     q[_WRIST] = 0.0
     swing = robot.jacobian(q)[3:, _WRIST]
