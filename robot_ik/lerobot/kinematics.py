@@ -9,6 +9,7 @@ It imports neither LeRobot nor placo. LeRobot's processor steps take it as their
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 
@@ -155,8 +156,15 @@ class Kinematics:
         return far if is_nearer or is_better else near
 
     def _is_far(self, start: Array, target: Pose) -> bool:
-        metres, radians = self.robot.forward(start, self.frame).distance(target)
-        return metres > FAR_POSITION or radians > FAR_ANGLE
+        """Return whether the frame at ``start`` (nq,) is far from ``target``."""
+        # Arrays instead of a `Pose`, which would take as long as the solve.
+        position = np.empty((1, 3))
+        wxyz = np.empty((1, 4))
+        self.robot.forward_rows(start[None], self.frame, position, wxyz)
+        if math.dist(position[0], target.position) > FAR_POSITION:
+            return True
+        cosine_of_half = abs(float(wxyz[0] @ target.wxyz))
+        return cosine_of_half < math.cos(0.5 * FAR_ANGLE)
 
 
 def _joints_that_move(robot: Robot, frame: str | None) -> tuple[str, ...]:
