@@ -220,8 +220,8 @@ def ask_problem(problem: rik.Problem, case: Case) -> dict[str, Any]:
     return {"q": rows, "seconds": seconds}
 
 
-def parts_of_the_call(robot: rik.Robot, kinematics: Kinematics, case: Case) -> list[str]:
-    """Return a table of the solve inside a call of ``Kinematics``, and of a search without proof."""
+def solves_alone(robot: rik.Robot, kinematics: Kinematics, case: Case) -> list[str]:
+    """Return a table of the solve inside a call of ``Kinematics``, and of a numeric search."""
     pose = rik.Pose.identity()
     best = rik.PoseGoal(kinematics.frame, pose.position, pose.wxyz, orientation="best")
     exact = rik.PoseGoal(kinematics.frame, pose.position, pose.wxyz)
@@ -229,10 +229,8 @@ def parts_of_the_call(robot: rik.Robot, kinematics: Kinematics, case: Case) -> l
     closed_form = rik.Problem(robot, best, keep_branch=True)
     numeric = rik.Problem(robot, exact, solver="lm", budget=near)
     answers = {
-        "`Problem.solve`: closed form with proof, on the branch of the start": ask_problem(
-            closed_form, case
-        ),
-        "`Problem.solve`, `lm`: search from the start, no proof": ask_problem(numeric, case),
+        "`Problem.solve`: closed form on the branch of the start": ask_problem(closed_form, case),
+        "`Problem.solve`, `lm`: search from the start": ask_problem(numeric, case),
     }
     rows = [f"| {title} | {cell(robot, case, answer)} |" for title, answer in answers.items()]
     return ["", f"| {case.title}: the solve alone | poses met, time |", "|---|---:|", *rows]
@@ -272,7 +270,7 @@ def lines(python: str) -> list[str]:
         one, several = (cell(robot, case, answers[f"{name}/{calls}"]) for calls in case.calls)
         table.append(f"| {case.title} | {ours} | {one} | {case.calls[1]}: {several} |")
     for _ in range(2):  # the first table loads the kernels
-        parts = parts_of_the_call(robot, kinematics, rows["near"])
+        parts = solves_alone(robot, kinematics, rows["near"])
     return [*table, *parts]
 
 

@@ -86,7 +86,7 @@ class Descent(Library):
                 return False
         return self.is_met()
 
-    def told(self, detail: str) -> str:
+    def described(self, detail: str) -> str:
         """Return the settings with a detail."""
         return f"{detail}, at most {self.steps} steps a start, {self.restarts} random starts"
 
@@ -115,7 +115,7 @@ class Mink(Descent):
             )
             for site in task.sites
         ]
-        self.settings = self.told(f"daqp, gain 1, dt 1, lm_damping {_LM_DAMPING}")
+        self.settings = self.described(f"daqp, gain 1, dt 1, lm_damping {_LM_DAMPING}")
         return True
 
     def aim(self, target: Array) -> None:
@@ -195,7 +195,7 @@ class Pink(Descent):
             )
             for site in task.sites
         ]
-        self.settings = self.told(
+        self.settings = self.described(
             f"daqp, gain 1, dt 1, lm_damping {_LM_DAMPING}, config_limit_gain {_LIMIT_SHARE}"
         )
         return True
@@ -289,7 +289,7 @@ class Placo(Descent):
             self._frame = self._solver.add_frame_task(task.sites[0], np.eye(4))
             self._frame.configure("frame", "soft", 1.0, 1.0)
         self._solver.add_regularization_task(_REGULARISATION)
-        self.settings = self.told(f"soft tasks, regularisation {_REGULARISATION:g}, dt 1")
+        self.settings = self.described(f"soft tasks, regularisation {_REGULARISATION:g}, dt 1")
         return True
 
     def aim(self, target: Array) -> None:

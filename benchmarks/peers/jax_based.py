@@ -6,6 +6,7 @@ import importlib
 import io
 import os
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,14 +36,16 @@ class PyRoki(Library):
         "tyro",
         "viser",
     )
-    sources = {
-        "jaxls": Source(
-            "https://github.com/brentyi/jaxls", "50a58be88c5ef74532f09e3f55268b4f02c490e3"
-        ),
-        "pyroki": Source(
-            "https://github.com/chungmin99/pyroki", "70b30a56b1e1ea83fb4c2cac8fe2c63a0624b9ce"
-        ),
-    }
+    sources = MappingProxyType(
+        {
+            "jaxls": Source(
+                "https://github.com/brentyi/jaxls", "50a58be88c5ef74532f09e3f55268b4f02c490e3"
+            ),
+            "pyroki": Source(
+                "https://github.com/chungmin99/pyroki", "70b30a56b1e1ea83fb4c2cac8fe2c63a0624b9ce"
+            ),
+        }
+    )
     weights = (50.0, 10.0, 100.0)
     """Weights of position, orientation and limits."""
 
@@ -70,10 +73,11 @@ class PyRoki(Library):
         self._link = self._robot.links.names.index(task.sites[0])
         self._solve = self._jax.jit(self.search)
         self._forward = self._jax.jit(self._robot.forward_kinematics)
-        self.settings = f"weights {self.weights} of position, orientation and limits; {self.told()}"
+        weights = f"weights {self.weights} of position, orientation and limits"
+        self.settings = f"{weights}; {self.search_settings()}"
         return True
 
-    def told(self) -> str:
+    def search_settings(self) -> str:
         """Return the settings of the search."""
         return "one start, 64-bit numbers"
 
@@ -138,7 +142,7 @@ class PyRokiBeam(PyRoki):
     best = 4
     last_steps = 10
 
-    def told(self) -> str:
+    def search_settings(self) -> str:
         return (
             f"{self.starts} quasi-random starts with {self.first_steps} steps, then "
             f"{self.last_steps} steps of the best {self.best}; 64-bit numbers"
