@@ -18,7 +18,7 @@ from benchmarks.quantity import Quantity
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEye, HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
-    ANYWHERE,
+    HANDEYE_PRIOR,
     ArmModel,
     CalibrationStation,
     KnownPose,
@@ -125,8 +125,8 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
         ):
             errors.append(_nees(pose.minus(eye), covariance))
         start = _handeye(robot, views, np.zeros(robot.nv))
-        anywhere = KnownPose.within(start.pose_parent_camera, *ANYWHERE)
-        held = KnownPose.within(start.pose_other_board, *ANYWHERE)
+        anywhere = KnownPose.within(start.pose_parent_camera, *HANDEYE_PRIOR)
+        held = KnownPose.within(start.pose_other_board, *HANDEYE_PRIOR)
         drawing = KnownPose.within(_DRAWN, *_MOUNTED)
         known = ((anywhere, held), (camera, held), (camera, drawing))
         for results, (at, on) in zip(zeros.values(), known, strict=True):

@@ -31,7 +31,7 @@ _log = logging.getLogger("robot_ik.camera")
 _POOR_RMS = 1.0
 # Skew of a camera matrix that is rounding, part of the focal length.
 _MAX_SKEW = 1e-9
-# Keys that older versions wrote and that are not used any more.
+# Keys that older versions wrote and that are no longer used.
 _UNUSED_KEYS = ("edge_shift",)
 _MATRIX_KEYS = ("camera_matrix", "K", "M1", "cameraMatrix", "intrinsic_matrix")
 _DISTORTION_KEYS = ("distortion_coefficients", "D", "D1", "dist", "distCoeffs", "dist_coeffs")
@@ -89,7 +89,7 @@ def read_calibration(path: Path) -> dict[str, Any]:
         raise CalibrationError(f"{path}: {error.args[0]}", hint=error.hint or HINT) from None
     for key in _UNUSED_KEYS:
         if key in content:
-            _log.info("%s: the key %s is not used any more and is ignored", path, key)
+            _log.info("%s: the key %s is no longer used and is ignored", path, key)
     rms = fields["rms"]
     if rms is not None and rms > _POOR_RMS:
         _log.warning(
@@ -133,8 +133,8 @@ def _yaml(text: str) -> Any:
 
 
 def _fields(content: Mapping[str, Any]) -> dict[str, Any]:
-    width = _whole(content, "image_width")
-    height = _whole(content, "image_height")
+    width = _integer(content, "image_width")
+    height = _integer(content, "image_height")
     matrix = _numbers(_first(content, _MATRIX_KEYS), "camera matrix")
     if matrix.size != 9:
         raise CalibrationError(f"the camera matrix has {matrix.size} numbers, not 9")
@@ -146,7 +146,7 @@ def _fields(content: Mapping[str, Any]) -> dict[str, Any]:
         )
     coefficients = _numbers(_first(content, _DISTORTION_KEYS), "distortion coefficients")
     model, distortion = _model(content, coefficients)
-    views = [_whole(content, key) for key in ("views", "nframes") if key in content]
+    views = [_integer(content, key) for key in ("views", "nframes") if key in content]
     date = content.get("calibration_time", content.get("calibration_date", ""))
     return {
         "width": width,
@@ -169,8 +169,8 @@ def _first(content: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     for name in names:
         if name in content:
             return content[name]
-    have = ", ".join(map(str, content)) or "nothing"
-    raise CalibrationError(f"it lacks the key {' or '.join(names[:3])}; it has {have}")
+    keys = ", ".join(map(str, content)) or "none"
+    raise CalibrationError(f"it lacks the key {' or '.join(names[:3])}; its keys: {keys}")
 
 
 def _numbers(value: Any, what: str) -> Array:
@@ -185,7 +185,7 @@ def _numbers(value: Any, what: str) -> Array:
     return flat
 
 
-def _whole(content: Mapping[str, Any], key: str) -> int:
+def _integer(content: Mapping[str, Any], key: str) -> int:
     value = _first(content, (key,))
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
         raise CalibrationError(f"{key} must be a whole number, not {shown(value)}")
@@ -195,10 +195,10 @@ def _whole(content: Mapping[str, Any], key: str) -> int:
 def _optional(content: Mapping[str, Any], key: str) -> float | None:
     if key not in content:
         return None
-    found = _numbers(content[key], key)
-    if found.size != 1:
+    numbers = _numbers(content[key], key)
+    if numbers.size != 1:
         raise CalibrationError(f"{key} must be one number, not {shown(content[key])}")
-    return float(found[0])
+    return float(numbers[0])
 
 
 def _model(content: Mapping[str, Any], numbers: Array) -> tuple[str, tuple[float, ...]]:

@@ -5,8 +5,8 @@ the model
 
     light + slope . p + contrast tanh(n1 . p / width) tanh(n2 . p / width),      p = pixel - corner,
 
-fits best. Directions, width, light and contrast are fitted with it by Gauss-Newton over the pixels
-themselves. Nothing is interpolated, so nothing pulls towards pixel centres.
+fits best. Directions, width, light and contrast are fitted with it by Gauss-Newton to the grey
+values of the pixels. No grey value is interpolated, so there is no bias towards pixel centres.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ import numpy as np
 
 from robot_ik.ports import Array, Image, Mask
 
-# Smallest patch that holds nine unknowns, and largest one that is worth its time: radius, px.
+# Smallest radius of a patch with enough pixels for nine unknowns, and largest one, px. Larger
+# patches take more time than their accuracy is worth.
 _MIN_RADIUS = 2.5
 _MAX_RADIUS = 9.0
 _MAX_STEPS = 12
@@ -40,7 +41,8 @@ _SLOPE_SCALE = 8.0
 _MAX_MISFIT = 0.35
 # Smallest contrast of a corner, grey levels. Less is noise.
 _MIN_CONTRAST = 4.0
-# Detectors are seldom a pixel off. A corner that moved farther than this is another one, px.
+# Largest move of a corner from the detector's position, px. Detectors seldom have an error of a
+# pixel. A corner farther away is a different corner.
 _MAX_MOVE = 2.5
 
 
@@ -73,12 +75,12 @@ def refine_corners(
     weighted = values * weights
     light = np.zeros((len(start), 4))
     for step in range(_MAX_STEPS):
-        crossing, slopes, offset = _model(shape, pixels)
+        crossing, derivatives, offset = _model(shape, pixels)
         bases = [np.ones_like(crossing)[..., None], offset / _SLOPE_SCALE, crossing[..., None]]
         linear = np.concatenate(bases, axis=2) * weights[..., None]
         if step == 0:
             light = _solve(linear, weighted, _LINEAR_DAMPING)
-        by_shape = slopes * (light[:, 3, None] * weights)[..., None]
+        by_shape = derivatives * (light[:, 3, None] * weights)[..., None]
         jacobian = np.concatenate([by_shape, linear], axis=2)
         residual = weighted - np.einsum("npk,nk->np", linear, light)
         change = _solve(jacobian, residual, _DAMPING)
@@ -109,8 +111,8 @@ def _directions(start: Array, grid: Array) -> Array | None:
     h = np.asarray(homography, dtype=float)
     p = np.column_stack([grid, np.ones(len(grid))]) @ h.T
     projected = p[:, :2] / p[:, 2:]
-    slopes = h[None, :2, :2] - projected[:, :, None] * h[None, 2:, :2]
-    return np.asarray(slopes / p[:, 2, None, None])
+    numerator = h[None, :2, :2] - projected[:, :, None] * h[None, 2:, :2]
+    return np.asarray(numerator / p[:, 2, None, None])
 
 
 def _patches(gray: Image, start: Array, radius: Array) -> tuple[Array, Array, Array, Mask]:
@@ -139,7 +141,7 @@ def _patches(gray: Image, start: Array, radius: Array) -> tuple[Array, Array, Ar
 
 
 def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
-    """Return the crossing (n, p), its derivatives (n, p, 5) by the shape, the offset (n, p, 2)."""
+    """Return crossing (n, p), its derivatives (n, p, 5) by the shape, and offset (n, p, 2)."""
     offset = pixels - shape[:, None, :2]
     width = shape[:, 4, None]
     across = []

@@ -11,7 +11,7 @@ import numpy as np
 
 # Number of delays that are kept: about the last minute of a camera of 30 Hz.
 _CAPACITY = 2000
-# A longer delay is between the times of two different clocks, s.
+# Largest plausible delay, s. A longer one is the difference of two different clocks.
 MAX_DELAY = 2.0
 # A time may be this far in the future because clocks are read one after the other, s.
 _CLOCK_SLACK = 1e-3

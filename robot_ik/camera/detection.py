@@ -21,7 +21,7 @@ from robot_ik.camera.image import (
     from_reduced,
     marker_dictionary,
     reduced,
-    times_smaller,
+    reduction_factor,
     to_gray,
 )
 from robot_ik.errors import CameraError
@@ -43,7 +43,7 @@ _SMOOTHED_OUTLINE_TOLERANCE = 0.02
 _SMOOTHING_KERNEL = (3, 3)
 # Part of the correctable bits that may be wrong. In small cells black looks narrower than it is,
 # and bits are misread. With all of them, a quarter more small markers are found, and a few false
-# ones. ``corners.py`` verifies the print. Without that check, fewer bits are corrected.
+# ones, which ``corners.py`` removes. Without that check, fewer bits are corrected.
 _CORRECTION_RATE = 1.0
 _STRICT_CORRECTION_RATE = 0.6
 # Samples of a cell along each axis. With OpenCV's 4, cells of 2 px are often misread.
@@ -85,10 +85,10 @@ class MarkerDetector:
     """Detects the markers of one dictionary.
 
     Args:
-        dictionary: OpenCV's name. ``DICT_5X5_50`` had no false finds in our trials, 4X4_250 and
-            16h5 had some.
+        dictionary: OpenCV's name. ``DICT_5X5_50`` had no false detections in our trials, 4X4_250
+            and 16h5 had some.
         ids: Only these are reported; None for all.
-        strict: Correct fewer bits. For finds that are not verified by their print.
+        strict: Correct fewer bits. For detections that are not verified by their print.
 
     Raises:
         CameraError: Unknown dictionary (close names are listed), or an id that it does not have.
@@ -119,13 +119,13 @@ class MarkerDetector:
     def detect(self, image: Image) -> list[Detection]:
         """Return the markers in a picture (h, w) or (h, w, 3) uint8, sorted by id.
 
-        An id comes twice if two copies of the marker are visible. A large picture is also searched
-        at a smaller size, because its edges may be too soft for the thresholds.
+        An id appears twice if two copies of the marker are visible. A large picture is also
+        searched at a smaller size, because its edges may be too soft for the thresholds.
         """
         gray = to_gray(image)
         found = self._wanted(_detect(self._plain, gray))
         found += _new(self._wanted(_detect(self._smoothed, _smooth(gray))), found)
-        if times_smaller(gray) > 1:
+        if reduction_factor(gray) > 1:
             found += _new(self.detect_quickly(gray), found)
         return _sorted(found)
 
@@ -135,7 +135,7 @@ class MarkerDetector:
         It finds markers that are easily visible. A large picture is searched at a smaller size
         only.
         """
-        times = times_smaller(image)
+        times = reduction_factor(image)
         gray = reduced(to_gray(image), times)
         # A reduced picture has little noise.
         searched = _smooth(gray) if times == 1 else gray
@@ -157,7 +157,7 @@ class MarkerDetector:
         return self._quick[key]
 
     def _wanted(self, detections: list[Detection], times: int = 1) -> list[Detection]:
-        """Return those with an id that is searched, and with cells large enough to be read."""
+        """Return the detections with a searched id and with cells large enough to be read."""
         min_side = _MIN_CELL * self.cells * times
         return [
             d
@@ -186,12 +186,13 @@ def guess_dictionary(
 ) -> tuple[str, tuple[int, ...]] | None:
     """Return the dictionary with most markers in some pictures, and their ids.
 
-    Of dictionaries that find equally many, the one with the rarest chance finds is returned: few
-    codes of many bits.
+    Of dictionaries with equally many markers, the one with the fewest false detections by chance is
+    returned: few codes of many bits.
 
     Args:
         images: (h, w) or (h, w, 3) uint8 each.
-        min_count: Smallest number of markers in all pictures. A single one may be a chance find.
+        min_count: Smallest number of markers in all pictures. A single marker may be a false
+            detection.
     """
     pictures = []
     for image in images:
@@ -211,7 +212,7 @@ def guess_dictionary(
 
 
 def ids_text(dictionary: str, ids: Sequence[int]) -> str:
-    """Return the sentence that says which dictionary has the ids in a picture."""
+    """Return a sentence with the dictionary of the ids in a picture."""
     shown = ", ".join(map(str, ids[:_NAMED_IDS]))
     if len(ids) > _NAMED_IDS:
         shown += ", …"
@@ -253,9 +254,9 @@ def _new(detections: list[Detection], known: list[Detection]) -> list[Detection]
     return [d for d in detections if not any(_same_marker(d, other) for other in known)]
 
 
-def _same_marker(one: Detection, other: Detection) -> bool:
-    distance = np.linalg.norm(one.corners.mean(axis=0) - other.corners.mean(axis=0))
-    return one.id == other.id and float(distance) < 0.5 * shortest_side(one.corners)
+def _same_marker(first: Detection, second: Detection) -> bool:
+    distance = np.linalg.norm(first.corners.mean(axis=0) - second.corners.mean(axis=0))
+    return first.id == second.id and float(distance) < 0.5 * shortest_side(first.corners)
 
 
 def _parameters(window: int, tolerance: float, rate: float) -> cv2.aruco.DetectorParameters:

@@ -30,7 +30,7 @@ DEFAULT_TIMEOUT = 2.0
 _OPEN_TIMEOUT = 10.0
 # Longest time that ``close`` waits for the thread, s.
 _CLOSE_TIMEOUT = 1.0
-# A camera sometimes loses a picture. After this many failures in a row it is gone.
+# A camera sometimes loses a picture. After this many failures in a row it counts as disconnected.
 _MAX_FAILURES = 5
 _FRAME_COUNT = cv2.CAP_PROP_FRAME_COUNT
 
@@ -138,11 +138,11 @@ class DeviceSource(FrameSource):
         if size is not None:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        # Fewer buffered pictures, less delay. Drivers that cannot do it ignore it.
+        # Fewer buffered pictures give less delay. Drivers without this setting ignore it.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        self._news = threading.Condition()
+        self._changed = threading.Condition()
         self._latest: Frame | None = None
-        self._given = -1
+        self._last_returned = -1
         self._ended = False
         self._stop = False
         self._thread = threading.Thread(target=self._grab, name=f"camera {device}", daemon=True)
@@ -150,8 +150,8 @@ class DeviceSource(FrameSource):
         self._check_first(size)
 
     def _check_first(self, size: tuple[int, int] | None) -> None:
-        with self._news:
-            self._news.wait_for(lambda: self._latest is not None or self._ended, _OPEN_TIMEOUT)
+        with self._changed:
+            self._changed.wait_for(lambda: self._latest is not None or self._ended, _OPEN_TIMEOUT)
             first = self._latest
         if first is None:
             self.close()
@@ -164,28 +164,28 @@ class DeviceSource(FrameSource):
             raise FrameSizeError(
                 f"camera {self.label} was asked for {size[0]}x{size[1]} px and delivers "
                 f"{first.size[0]}x{first.size[1]} px",
-                hint="request a size that the camera has, and calibrate at that size",
+                hint="request a size that the camera supports, and calibrate at that size",
             )
         self.size = first.size
 
     def _grab(self) -> None:
         sequence = failures = 0
         while not self._stop and failures < _MAX_FAILURES:
-            good, image = self._next_image()
+            success, image = self._next_image()
             stamp = time.monotonic()
-            if not good or image is None:
+            if not success or image is None:
                 failures += 1
                 continue
             failures = 0
-            with self._news:
+            with self._changed:
                 self._latest = Frame(image, stamp, sequence)
-                self._news.notify_all()
+                self._changed.notify_all()
             sequence += 1
         # The reading thread releases the camera: a driver must not be closed during a read.
         self._capture.release()
-        with self._news:
+        with self._changed:
             self._ended = True
-            self._news.notify_all()
+            self._changed.notify_all()
 
     def _next_image(self) -> tuple[bool, Image | None]:
         try:
@@ -194,32 +194,36 @@ class DeviceSource(FrameSource):
             return False, None
 
     def read(self) -> Frame:
-        with self._news:
-            self._news.wait_for(self._has_news, self.timeout)
+        with self._changed:
+            self._changed.wait_for(self._has_new_frame, self.timeout)
             frame = self._latest
-            if frame is not None and frame.sequence > self._given:
-                self._given = frame.sequence
+            if frame is not None and frame.sequence > self._last_returned:
+                self._last_returned = frame.sequence
                 return frame
             ended = self._ended
         if ended:
             raise FrameTimeoutError(
-                f"camera {self.label} stopped delivering pictures after {self._given + 1}",
+                f"camera {self.label} stopped delivering pictures after {self._last_returned + 1}",
                 hint="was it unplugged? Plug it in and open it again; its number may differ",
             )
         raise FrameTimeoutError(
             f"no new picture from camera {self.label} for {self.timeout:g} s",
-            hint="check cable and network, or allow more time",
+            hint="check cable and network, or increase the timeout",
         )
 
     def newest(self) -> Frame | None:
-        with self._news:
-            ended = self._ended and not (self._latest and self._latest.sequence > self._given)
-            if not ended and not self._has_news():
+        with self._changed:
+            ended = self._ended and not (
+                self._latest and self._latest.sequence > self._last_returned
+            )
+            if not ended and not self._has_new_frame():
                 return None
         return self.read()
 
-    def _has_news(self) -> bool:
-        return self._ended or (self._latest is not None and self._latest.sequence > self._given)
+    def _has_new_frame(self) -> bool:
+        return self._ended or (
+            self._latest is not None and self._latest.sequence > self._last_returned
+        )
 
     def close(self) -> None:
         self._stop = True
@@ -268,5 +272,5 @@ def _check_device(device: int | str, path: Path) -> None:
 def _camera_hint() -> str:
     cameras = ", ".join(camera.path for camera in find_cameras())
     if cameras:
-        return f"cameras here: {cameras}"
+        return f"available cameras: {cameras}"
     return "no camera was found; give a picture, a film, a folder or a URL instead"

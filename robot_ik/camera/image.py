@@ -1,4 +1,4 @@
-"""OpenCV without its differences: dictionaries, grey and reduced pictures, picture files.
+"""Dictionaries, grey and reduced pictures, and picture files, for OpenCV 4 and 5.
 
 OpenCV 5 returns (N, 2) and (N,) where 4.x returned (N, 1, 2) and (N, 1). Subtracting one from the
 other broadcasts silently to N x N. Arrays from OpenCV are therefore reshaped.
@@ -32,7 +32,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 # Log level of OpenCV without messages.
 _SILENT = 0
-# Detectors use a neighbourhood that suits pictures up to this longer side, px.
+# Largest longer side of a picture for which the neighbourhood of the detectors is suitable, px.
 LARGE = 3000
 # Longer side of a reduced picture, px.
 _REDUCED_SIZE = 2000
@@ -45,7 +45,7 @@ _NAMED_FILES = 8
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence OpenCV's own messages on stderr. Our errors report the failures."""
+    """Silence the messages of OpenCV on stderr. Exceptions report the failures."""
     # Releases before 4.11 have the same two functions under another name.
     log = getattr(cv2.utils, "logging", cv2)
     before = log.getLogLevel()
@@ -58,7 +58,7 @@ def quiet() -> Iterator[None]:
 
 def dictionary_names() -> tuple[str, ...]:
     """Return the names of the predefined marker dictionaries of the installed OpenCV."""
-    # OpenCV has some names twice, as 36h11 and 36H11.
+    # OpenCV lists some names twice, as 36h11 and 36H11.
     return tuple(sorted({name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}))
 
 
@@ -136,11 +136,16 @@ def to_gray(image: Image) -> Image:
     Raises:
         CameraError: It is not such a picture.
     """
-    known = isinstance(image, np.ndarray)
-    if not known or image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
-        found = f"{image.shape} of {image.dtype}" if known else type(image).__name__
+    is_array = isinstance(image, np.ndarray)
+    if (
+        not is_array
+        or image.dtype != np.uint8
+        or image.ndim < 2
+        or image.shape[2:] not in ((), (3,))
+    ):
+        given = f"{image.shape} of {image.dtype}" if is_array else type(image).__name__
         raise CameraError(
-            f"a picture (height, width, 3) or (height, width) of uint8 is wanted, not {found}",
+            f"expected a picture (height, width, 3) or (height, width) of uint8, got {given}",
             hint='read one: read_image("photo.png"); a Frame has one: frame.image',
         )
     if image.ndim == 2:
@@ -148,7 +153,7 @@ def to_gray(image: Image) -> Image:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
-def times_smaller(image: Image) -> int:
+def reduction_factor(image: Image) -> int:
     """Return the factor by which a picture (h, w, ...) is reduced for a search; 1: not reduced."""
     longer = max(image.shape[:2])
     return 1 if longer <= LARGE else -(-longer // _REDUCED_SIZE)
@@ -196,10 +201,10 @@ def read_image(path: Path | str) -> Image:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise CameraNotFoundError(
-            f"cannot read the picture {path}: {error.strerror}", hint=neighbours(path)
+            f"cannot read the picture {path}: {error.strerror}", hint=missing_path_hint(path)
         ) from None
     image = None
-    if data.size and _is_whole(data.tobytes()):
+    if data.size and _is_complete(data.tobytes()):
         # OpenCV raises if the header states more pixels than a picture may have.
         with quiet(), contextlib.suppress(cv2.error):
             image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -211,10 +216,10 @@ def read_image(path: Path | str) -> Image:
     return np.asarray(image, dtype=np.uint8)
 
 
-def _is_whole(data: bytes) -> bool:
+def _is_complete(data: bytes) -> bool:
     """Return whether a PNG is complete, with correct checksums.
 
-    Of a damaged one libpng writes to stderr.
+    libpng writes to stderr if a PNG is damaged.
     """
     if not data.startswith(_PNG_SIGNATURE):
         return True
@@ -258,7 +263,7 @@ def natural_sort(paths: Iterable[Path]) -> list[Path]:
     return sorted(paths, key=lambda path: (key(path), path.name))
 
 
-def neighbours(path: Path) -> str:
+def missing_path_hint(path: Path) -> str:
     """Return a hint for a missing path: the pictures and films of its folder."""
     folder = path.parent
     if not folder.is_dir():
@@ -267,26 +272,26 @@ def neighbours(path: Path) -> str:
     files = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
     where = "this folder" if folder == Path() else str(folder)
     if not files:
-        return f"{where} holds no pictures or films"
+        return f"{where} contains no pictures or films"
     shown = ", ".join(f.name for f in files[:_NAMED_FILES])
     if len(files) > _NAMED_FILES:
         shown += ", …"
-    return f"{where} holds {shown}"
+    return f"{where} contains {shown}"
 
 
 def write_image(path: Path, image: Image) -> None:
-    """Write a picture in the format of the suffix. The file is whole or not written.
+    """Write a picture atomically, in the format of the suffix.
 
     Raises:
         OutputError: The suffix is not that of a picture, or the folder is missing or not writable.
     """
-    good = False
+    success = False
     data = None
     if path.suffix.lower() in IMAGE_SUFFIXES:
-        good, data = cv2.imencode(path.suffix.lower(), image)
-    if not good or data is None:
+        success, data = cv2.imencode(path.suffix.lower(), image)
+    if not success or data is None:
         raise OutputError(
-            f"cannot write {path}: no kind of picture ends in {path.suffix or 'nothing'!r}",
+            f"cannot write {path}: its suffix {path.suffix!r} is not that of a picture",
             hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}",
         )
     write_atomically(path, np.asarray(data, dtype=np.uint8).tobytes())

@@ -274,7 +274,7 @@ class CameraIntrinsics:
 
     @classmethod
     def load(cls, path: Path | str) -> CameraIntrinsics:
-        """Load a calibration file: own format, OpenCV FileStorage YAML, ROS camera_info YAML.
+        """Load a calibration file of this project, of OpenCV FileStorage or of ROS.
 
         Raises:
             CalibrationError: The file is missing, not a camera file, lacks a key, or is
@@ -290,7 +290,7 @@ class CameraIntrinsics:
         return intrinsics
 
     def save(self, path: Path | str) -> None:
-        """Write a file that OpenCV, ROS and any YAML reader understand. It is whole or not at all.
+        """Write, atomically, a file that OpenCV, ROS and any YAML reader can read.
 
         Raises:
             OutputError: The file cannot be written.

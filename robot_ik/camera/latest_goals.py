@@ -1,4 +1,4 @@
-"""Process pictures beside the control loop, so that no tick of the loop waits for a picture."""
+"""Process pictures in a thread, so that no tick of the control loop waits for a picture."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _CLOSE_TIMEOUT = 5.0
 
 
 class LatestGoals(Closing):
-    """Runs a source of goals beside the control loop.
+    """Runs a source of goals in a thread beside the control loop.
 
-    To take a picture and to find a marker in it takes several periods of a control loop. In real
-    time a thread therefore observes, and each tick of the loop gets the goal for its own time. In
-    virtual time the tick itself observes whenever a picture is due.
+    Taking a picture and finding a marker in it takes several periods of a control loop. In real
+    time a thread therefore observes, and each tick of the loop gets the goal for the time of the
+    tick. In virtual time the tick observes whenever a picture is due.
 
     Args:
         goals: The source. The thread calls its ``observe``, the loop its ``goal_at``.
         clock: Clock of the run.
-        rate_hz: Rate of observations. None, in real time only, for cameras with a rate of their
-            own: as fast as pictures come.
+        rate_hz: Rate of observations. None: as fast as pictures arrive. Real time only, for cameras
+            that have a rate.
 
     Attributes:
         ended: Whether the film is over or the camera has stopped. There are no goals afterwards.
@@ -69,7 +69,7 @@ class LatestGoals(Closing):
 
         Raises:
             CameraError: Any error of ``observe`` except the end of the pictures.
-            MarkerNotFoundError: The policy for a lost target says stop.
+            MarkerNotFoundError: The target is lost and its policy is ``stop``.
         """
         if self._virtual and now >= self._next_time and not self.ended:
             self._next_time = now + self._period

@@ -49,7 +49,7 @@ _STALLED_RESIDUAL = 1e-9
 _INVERSE_STEPS = 40
 # Smallest absolute determinant that is inverted.
 _MIN_DETERMINANT = 1e-12
-# Largest normalised radius: 84 degrees off the axis, where a pinhole picture ends.
+# Largest normalised radius: 84 degrees from the axis.
 _MAX_RADIUS = 10.0
 # Number of radii that are tested for a fold.
 _RADII = 2000

@@ -1,4 +1,4 @@
-"""What a source of goals does when its target is lost."""
+"""Policy of a source of goals for a lost target."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class WhenLost:
     Attributes:
         then: ``hold`` keeps holding. ``park`` moves to ``goal``. ``stop`` raises
             ``MarkerNotFoundError``, which ends the run. The arm's exit policy decides what follows.
-        seconds: Time since the last goal, or since the first look if there was none.
+        seconds: Time since the last goal, or since the first request if there was none.
         goal: Where to park, for example ``PostureGoal(q=robot.home)``.
 
     Raises:

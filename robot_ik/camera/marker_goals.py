@@ -36,8 +36,8 @@ class MarkerGoalSource:
     * None, which means hold, if the target is not visible, ambiguous otherwise, or if there was no
       new picture for half a second. After a while ``when_lost`` applies.
 
-    A picture counts for the time at which it was taken (``Frame.time``, on the clock of the run).
-    A ``MotionFilter`` estimates where the target is at the time of the goal. The weights of the
+    A picture is valid for the time at which it was taken (``Frame.time``, on the clock of the run).
+    A ``MotionFilter`` estimates the pose of the target at the time of the goal. The weights of the
     goals follow from the covariance.
 
     ``poll`` processes a picture and returns the goal. If a picture takes longer than a tick of the
@@ -52,9 +52,9 @@ class MarkerGoalSource:
         pose_target_tool: Wanted pose of the tool in the target's frame.
         frame: Frame of the robot that is the tool.
         motion: Options of the filter; None: each picture is used alone.
-        predict: Whether goals are for the time asked for, or for that of the picture. None: predict
+        predict: Whether goals are for the requested time, or for that of the picture. None: predict
             if the source is live.
-        lead: Time to predict beyond the time asked for, s: the lag of the servos.
+        lead: Time to predict beyond the requested time, s: the lag of the servos.
         when_lost: Policy for a lost target.
         clock: Clock of the run, which also stamps the pictures; None: that of the machine.
 
@@ -116,7 +116,7 @@ class MarkerGoalSource:
         Raises:
             FrameTimeoutError: The source has ended or stopped.
             CalibrationError: The frames do not have the size of the intrinsics.
-            MarkerNotFoundError: The policy for a lost target says stop.
+            MarkerNotFoundError: The target is lost and its policy is ``stop``.
         """
         self.observe(now)
         return self.goal_at(now)
@@ -159,7 +159,7 @@ class MarkerGoalSource:
         """Return the goal for the time ``now``, s, from the pictures processed so far.
 
         Raises:
-            MarkerNotFoundError: The policy for a lost target says stop.
+            MarkerNotFoundError: The target is lost and its policy is ``stop``.
         """
         with self._lock:
             if math.isnan(self._start_time):
@@ -178,7 +178,7 @@ class MarkerGoalSource:
 
     @property
     def measured(self) -> PoseGoal | PositionGoal | None:
-        """Goal for the time of the last picture, without prediction; None if it gave none."""
+        """Goal for the time of the last picture, without prediction; None if the target is lost."""
         with self._lock:
             if not self._is_known or self.last_frame is None:
                 return None

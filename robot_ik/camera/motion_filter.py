@@ -1,4 +1,4 @@
-"""Filter over time-stamped poses of an object, with prediction that knows rest.
+"""Filter over time-stamped poses of an object, without prediction for an object at rest.
 
 ``MotionFilter`` is a Kalman filter with constant velocity, on position and (as error state) on
 orientation. It estimates the pose of an object at any time near the last picture. The horizon of
@@ -24,8 +24,8 @@ from robot_ik.ports import Array
 _POSE = slice(0, 6)
 _RATE = slice(6, 12)
 
-# Speeds at which prediction begins, m/s and rad/s. From twice as much it is complete. Speeds that
-# the filter cannot tell from rest count as rest, too.
+# Speeds at which prediction begins, m/s and rad/s. It is complete from twice these speeds. Speeds
+# that the filter cannot distinguish from rest count as rest, too.
 _REST_SPEED = (0.015, 0.10)
 # Longest time to predict, s.
 _MAX_PREDICTION = 0.15
@@ -39,7 +39,8 @@ _RESTART_TIME = 1.0
 # A speed counts from this many of its standard deviations on. The noise of three axes seldom
 # reaches it.
 _SURE_SIGMAS = 4.0
-# Square of a speed that no camera tells from rest. It keeps the noise of an exact camera regular.
+# Square of a speed that no camera distinguishes from rest. It keeps the covariance of an exact
+# camera regular.
 _TINY_SPEED = 1e-18
 # Weight of the newest observation in the estimate of how well prediction works.
 _NEWEST_WEIGHT = 0.3
@@ -79,13 +80,13 @@ class FilterOptions:
             deviation), m/s and rad/s per root of s. A larger value follows faster motion and trusts
             single pictures more.
         initial_speed_sigma: Standard deviation of an unknown velocity, m/s and rad/s.
-        least_sigma: Smallest standard deviation of an observation, m and rad: print and lens are
+        min_sigma: Smallest standard deviation of an observation, m and rad: print and lens are
             less accurate than the corners.
     """
 
     process_noise: tuple[float, float] = (0.5, 4.0)
     initial_speed_sigma: tuple[float, float] = (1.0, 6.0)
-    least_sigma: tuple[float, float] = (5e-5, 5e-4)
+    min_sigma: tuple[float, float] = (5e-5, 5e-4)
 
 
 class MotionFilter:
@@ -101,15 +102,15 @@ class MotionFilter:
 
     Attributes:
         time: Time of the last observation taken, s; NaN before the first.
-        moving: (2,) how much the object counts as moving and as turning: 0 at rest, 1 when fast
-            enough to predict.
+        moving: (2,) part of the translation and of the rotation that is predicted: 0 at rest, 1 at
+            high speed.
     """
 
     def __init__(self, options: FilterOptions | None = None) -> None:
         self.options = options or FilterOptions()
         # (6, 6) variance that the velocity gains per second.
         self._density = np.diag(np.repeat(np.square(self.options.process_noise), 3))
-        self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
+        self._min_noise = np.diag(np.repeat(np.square(self.options.min_sigma), 3))
         self.reset()
 
     @property
@@ -192,9 +193,9 @@ class MotionFilter:
         return Update.TAKEN
 
     def predict(self, time: float) -> Prediction:
-        """Return the pose at ``time``, moved by the velocity as far as this differs from rest.
+        """Return the pose at ``time``, moved by the velocity times ``moving``.
 
-        A time before the last observation counts as its time.
+        A time before the last observation is treated as the time of that observation.
 
         Raises:
             CameraError: There was no observation, or the time is not finite.
@@ -220,7 +221,8 @@ class MotionFilter:
         rates = self._rate.reshape(2, 3)
         blocks = [self._spreads[1, 6:9, 6:9], self._spreads[1, 9:, 9:]]
         noise = np.stack(blocks) + _TINY_SPEED * np.eye(3)
-        # In the direction of the speed: depth is ten times as noisy as the directions across.
+        # Measured along the direction of the speed: depth is ten times as noisy as the directions
+        # across.
         weighted = np.linalg.solve(noise, rates[..., None])[..., 0]
         sigmas = np.sqrt(np.sum(rates * weighted, axis=1))
         speeds = np.sqrt(np.sum(rates**2, axis=1))
@@ -242,7 +244,7 @@ class MotionFilter:
                 "filtered",
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
-        return noise + self._least_noise
+        return noise + self._min_noise
 
     def _advanced(self, span: float) -> tuple[Pose, Array]:
         """Return pose and ``_spreads`` (2, 12, 12) ``span`` seconds after the last observation."""

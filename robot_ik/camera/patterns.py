@@ -26,29 +26,30 @@ from robot_ik.camera.image import (
     marker_dictionary,
     quiet,
     reduced,
-    times_smaller,
+    reduction_factor,
     to_gray,
     to_reduced,
 )
 from robot_ik.errors import CalibrationError
 from robot_ik.ports import Array, Image
 
-#: Smallest number of corners in a picture. With fewer, a wrong one is not noticed.
+#: Smallest number of corners in a picture. With fewer, a wrong corner is not noticed.
 FEWEST_CORNERS = 6
 #: Side of a marker in squares if it is not given.
 MARKER_SHARE = 0.73
 
-# Width of an edge that is measured well, px. Around much wider ones the fit misses a part.
+# Width of an edge that is measured well, px. The patch of a fit is too small for much wider edges.
 _SHARP_WIDTH = 1.0
-# Radius around a corner without a third edge. ChArUco: in gaps between square and marker. The
-# corner of the nearest marker is 1.41 gaps away, and blur takes a part. Chessboard: in squares.
+# Radius around a corner without a third edge. ChArUco, in gaps between square and marker: the
+# corner of the nearest marker is 1.41 gaps away, and blur needs a part of that. Chessboard, in
+# squares.
 _GAP_REACH = 1.2
 _SQUARE_REACH = 0.45
 # Smallest number of columns and of rows.
 _MIN_COUNT = 3
 # Smallest number of columns and of rows of corners in a picture of a ChArUco board.
 _MIN_LINES = 2
-# Pictures with a pattern after which the other pictures are not searched.
+# Number of pictures with a pattern after which the other pictures are not searched.
 _ENOUGH_VOTES = 3
 # Plausible lengths of a print, metres and millimetres.
 _MIN_LENGTH = 1e-3
@@ -200,7 +201,7 @@ class ChessboardPattern(Pattern):
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = to_gray(image)
-        times = times_smaller(gray)
+        times = reduction_factor(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         flags |= cv2.CALIB_CB_FAST_CHECK
         with quiet():
@@ -215,7 +216,9 @@ class ChessboardPattern(Pattern):
 
 @dataclass(frozen=True)
 class CharucoPattern(Pattern):
-    """A chessboard with markers in its white squares. It is found in part, and its way up is known.
+    """A chessboard with markers in its white squares.
+
+    It is also found if a part of it is hidden, and its orientation is unique.
 
     Attributes:
         columns: Squares in a row, as OpenCV counts them here.
@@ -243,7 +246,7 @@ class CharucoPattern(Pattern):
         _check_length("a marker", self.marker)
         if self.marker >= self.square:
             raise CalibrationError(
-                f"markers of {1e3 * self.marker:g} mm do not go into squares of "
+                f"markers of {1e3 * self.marker:g} mm do not fit into squares of "
                 f"{1e3 * self.square:g} mm",
                 hint="a marker is about three quarters of a square",
             )
@@ -263,11 +266,11 @@ class CharucoPattern(Pattern):
 
     def find(self, image: Image) -> FoundPattern | None:
         gray = to_gray(image)
-        times = times_smaller(gray)
+        times = reduction_factor(gray)
         found = self._find(gray, times)
         columns, rows = self.corners
         if times > 1 and (found is None or len(found.ids) < columns * rows):
-            # A board far away in a large picture is too small in a reduced one.
+            # A distant board in a large picture is too small in the reduced picture.
             at_full_size = self._find(gray, 1)
             if at_full_size is not None and (
                 found is None or len(at_full_size.ids) > len(found.ids)
@@ -327,20 +330,20 @@ def _check_length(name: str, length: float) -> None:
         raise CalibrationError(f"{name} of {length:g} m is not possible", hint=hint)
 
 
-def check_millimetres(name: str, length: float, least: float = 1.0) -> None:
+def check_millimetres(name: str, length: float, minimum: float = 1.0) -> None:
     """Check a length of a print.
 
     Args:
         name: Name of the length in messages.
         length: Length, mm.
-        least: Smallest possible length, mm.
+        minimum: Smallest possible length, mm.
 
     Raises:
         CalibrationError: No print has this length.
     """
-    if not least <= length <= _MAX_LENGTH_MM:
-        hint = f"give {least:g} to {_MAX_LENGTH_MM:g} mm"
-        if least <= 1e3 * length <= _MAX_LENGTH_MM:
+    if not minimum <= length <= _MAX_LENGTH_MM:
+        hint = f"give {minimum:g} to {_MAX_LENGTH_MM:g} mm"
+        if minimum <= 1e3 * length <= _MAX_LENGTH_MM:
             hint = f"{hint}: is {1e3 * length:g} mm meant?"
         raise CalibrationError(f"{name} of {length:g} mm is not possible", hint=hint)
 
@@ -349,8 +352,9 @@ def fitting_pattern(pattern: Pattern, images: Sequence[Image]) -> Pattern | None
     """Return the pattern in pictures: the given one, or a similar one; None if there is none.
 
     Similar ones are a ChArUco board of the old layout, columns and rows exchanged, and one row or
-    column more or less, because a chessboard is easily miscounted. A chance find in one picture is
-    outvoted by the others. Of patterns that are found equally often the first is returned.
+    column more or less, because a chessboard is easily miscounted. The pattern that is found in
+    most pictures is returned, so that a false detection in one picture has no effect. Of patterns
+    that are found equally often the first is returned.
     """
     candidates = (pattern, *_similar(pattern))
     votes = dict.fromkeys(candidates, 0)
@@ -366,7 +370,7 @@ def fitting_pattern(pattern: Pattern, images: Sequence[Image]) -> Pattern | None
 def larger_chessboard(pattern: Pattern, images: Sequence[Image]) -> ChessboardPattern | None:
     """Return the larger chessboard in most pictures, or None if there is none.
 
-    OpenCV also finds a part of a chessboard. Which part differs from picture to picture.
+    OpenCV also finds a part of a chessboard. The part differs from picture to picture.
     """
     if not isinstance(pattern, ChessboardPattern):
         return None
@@ -443,7 +447,9 @@ class PatternRequest:
         check_millimetres("a square", square)
         if self.kind == "chessboard":
             if self.marker_mm is not None:
-                raise CalibrationError("a chessboard has no markers", hint="leave their size out")
+                raise CalibrationError(
+                    "a chessboard has no markers", hint="do not give the size of markers"
+                )
             return ChessboardPattern(columns, rows, square / 1e3)
         marker = self.marker_mm
         if marker is None:

@@ -28,14 +28,15 @@ from robot_ik.ports import Array
 # Rotation matrix (3, 3) and position (3,).
 _Motion = tuple[Array, Array]
 
-# A group is rejected if its points miss by more than this many standard deviations (RMS) ...
+# A group is rejected if its error is above this many standard deviations (RMS) ...
 _OUTLIER_SIGMAS = 4.0
 # ... and by more than this, px, and by more than this factor times the median group.
 _OUTLIER_PIXELS = 0.3
 _OUTLIER_FACTOR = 3.0
-# The set of accepted groups is determined anew this often at most. It settles after one or two.
+# Largest number of times that the set of accepted groups is determined. It settles after one or
+# two.
 _CONSENSUS_ROUNDS = 4
-# A group that misses by more than this factor times the median group, in standard deviations,
+# A group whose error is above this factor times that of the median group, in standard deviations,
 # loses weight.
 _DOUBTFUL_FACTOR = 1.5
 _REWEIGHTINGS = 4
@@ -52,7 +53,7 @@ _MIN_DEPTH = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """A pose that fits.
+    """One fitted pose.
 
     Attributes:
         pose: ``pose_camera_body``.
@@ -98,12 +99,12 @@ class PoseProblem:
         self.size = points.shape[1]
         self.to_pixels = np.asarray(intrinsics.pixel_jacobian(normalized.reshape(-1, 2)))
         # Block diagonal derivative of the pixels of a group by its normalised coordinates.
-        slopes = np.zeros((self.count, self.size, 2, self.size, 2))
+        blocks = np.zeros((self.count, self.size, 2, self.size, 2))
         for k in range(self.size):
-            slopes[:, k, :, k, :] = self.to_pixels[k :: self.size]
+            blocks[:, k, :, k, :] = self.to_pixels[k :: self.size]
         numbers = 2 * self.size
         self.whiteners = np.linalg.solve(
-            np.linalg.cholesky(covariances), slopes.reshape(self.count, numbers, numbers)
+            np.linalg.cholesky(covariances), blocks.reshape(self.count, numbers, numbers)
         )
         if weights is not None:
             self.whiteners *= np.sqrt(weights)[:, None, None]
@@ -120,7 +121,7 @@ class PoseProblem:
         rotation, position = motion
         return linearise_points(self.points, self.normalized, self.whiteners, rotation, position)
 
-    def judge(self, motion: _Motion) -> tuple[Array, Array]:
+    def group_errors(self, motion: _Motion) -> tuple[Array, Array]:
         """Return the RMS distance of the points in px and the sum of squares of each group (m,)."""
         difference = self._differences([motion])[0]
         residual = self.whiteners @ difference.reshape(self.count, -1, 1)
@@ -163,7 +164,7 @@ def linearise_points(
     groups, size, _ = points.shape
     coordinates = 2 * size
     difference = np.empty(coordinates)
-    slopes = np.empty((coordinates, 6))
+    point_jacobian = np.empty((coordinates, 6))
     residual = np.zeros(groups * coordinates)
     jacobian = np.zeros((groups * coordinates, 6))
     for group in range(groups):
@@ -177,32 +178,36 @@ def linearise_points(
             v = (y + position[1]) * inverse_depth
             difference[2 * k] = u - normalized[group, k, 0]
             difference[2 * k + 1] = v - normalized[group, k, 1]
-            _write_slopes(slopes[2 * k], inverse_depth, 0.0, -u * inverse_depth, x, y, z)
-            _write_slopes(slopes[2 * k + 1], 0.0, inverse_depth, -v * inverse_depth, x, y, z)
+            _write_jacobian_row(
+                point_jacobian[2 * k], inverse_depth, 0.0, -u * inverse_depth, x, y, z
+            )
+            _write_jacobian_row(
+                point_jacobian[2 * k + 1], 0.0, inverse_depth, -v * inverse_depth, x, y, z
+            )
         for i in range(coordinates):
             row = group * coordinates + i
             for j in range(coordinates):
                 whitener = whiteners[group, i, j]
                 residual[row] += whitener * difference[j]
                 for axis in range(6):
-                    jacobian[row, axis] += whitener * slopes[j, axis]
+                    jacobian[row, axis] += whitener * point_jacobian[j, axis]
     return residual, jacobian
 
 
 @inlined
-def _write_slopes(
-    slopes: Array, by_x: float, by_y: float, by_z: float, x: float, y: float, z: float
+def _write_jacobian_row(
+    row: Array, by_x: float, by_y: float, by_z: float, x: float, y: float, z: float
 ) -> None:
-    """Write the slopes (6,) of one coordinate by the position and by a rotation vector.
+    """Write the derivatives of one coordinate by position and rotation vector to ``row`` (6,).
 
     d(exp(w) p) / dw = -[p]x with the rotated point p = (x, y, z).
     """
-    slopes[0] = by_x
-    slopes[1] = by_y
-    slopes[2] = by_z
-    slopes[3] = by_z * y - by_y * z
-    slopes[4] = by_x * z - by_z * x
-    slopes[5] = by_y * x - by_x * y
+    row[0] = by_x
+    row[1] = by_y
+    row[2] = by_z
+    row[3] = by_z * y - by_y * z
+    row[4] = by_x * z - by_z * x
+    row[5] = by_y * x - by_x * y
 
 
 def _move(motion: _Motion, step: Array) -> _Motion:
@@ -222,13 +227,13 @@ def fit_pose(
 
     Returns:
         One or two poses, the better one first, and the markers used; None if no pose fits. Markers
-        that contradict the others are not used: half hidden, displaced or misread ones.
+        that contradict the others are not used: partly hidden, displaced or misread markers.
     """
     normalized = np.array([c.normalized for c in corners])
     covariances = np.array([c.covariance for c in corners]) + _MODEL_SIGMA**2 * np.eye(8)
     starts = []
-    for square, seen in zip(points, normalized, strict=True):
-        starts += _square_motions(square, seen)
+    for square, square_normalized in zip(points, normalized, strict=True):
+        starts += _square_motions(square, square_normalized)
     return _fit(PoseProblem(points, normalized, covariances, intrinsics), starts)
 
 
@@ -275,7 +280,7 @@ def _fit(problem: PoseProblem, starts: Sequence[_Motion]) -> tuple[list[PoseFit]
 
 
 def _pose_fit(problem: PoseProblem, fit: Minimum[_Motion]) -> PoseFit:
-    pixel_errors, costs = problem.judge(fit.x)
+    pixel_errors, costs = problem.group_errors(fit.x)
     pose = Pose.from_rotation(*fit.x)
     return PoseFit(pose, fit.covariance, fit.cost, len(fit.residual) - 6.0, pixel_errors, costs)
 
@@ -285,8 +290,8 @@ def _consensus(problem: PoseProblem, starts: Sequence[_Motion]) -> tuple[list[in
     errors = problem.pixel_errors(starts)
     # The median decides: up to half of the groups may be wrong.
     best = int(np.argmin(np.median(errors, axis=1)))
-    # A single marker's tilt is inaccurate, so no group is rejected yet. The better half makes the
-    # first fit.
+    # The tilt of a single marker is inaccurate, so no group is rejected yet. The first fit uses the
+    # better half of the groups.
     order = np.argsort(errors[best], kind="stable")
     half = max((len(order) + 1) // 2, min(2, len(order)))
     used = sorted(order[:half].tolist())
@@ -302,7 +307,7 @@ def _consensus(problem: PoseProblem, starts: Sequence[_Motion]) -> tuple[list[in
 
 def _agreeing(problem: PoseProblem, motion: _Motion) -> list[int]:
     """Return the groups that a pose explains, at least the best one."""
-    pixels, costs = problem.judge(motion)
+    pixels, costs = problem.group_errors(motion)
     limit = max(_OUTLIER_PIXELS, _OUTLIER_FACTOR * float(np.median(pixels)))
     expected = 2.0 * problem.size
     agree = np.flatnonzero((pixels < limit) | (costs < expected * _OUTLIER_SIGMAS**2))
@@ -315,7 +320,7 @@ def _reweighted(problem: PoseProblem, motion: _Motion) -> PoseProblem:
         return problem
     weighted = problem
     for _ in range(_REWEIGHTINGS):
-        sigmas = np.sqrt(problem.judge(motion)[1] / (2.0 * problem.size))
+        sigmas = np.sqrt(problem.group_errors(motion)[1] / (2.0 * problem.size))
         limit = _DOUBTFUL_FACTOR * max(1.0, float(np.median(sigmas)))
         weights = np.minimum(1.0, (limit / np.maximum(sigmas, 1e-12)) ** 2)
         if weights.min() == 1.0:
@@ -364,8 +369,8 @@ def _is_in_front(points: Array, motion: _Motion) -> bool:
     return bool((points.reshape(-1, 3) @ rotation[2] + position[2]).min() > 0.0)
 
 
-def _angle(one: _Motion, other: _Motion) -> float:
-    vector, _ = cv2.Rodrigues(one[0].T @ other[0])
+def _angle(first: _Motion, second: _Motion) -> float:
+    vector, _ = cv2.Rodrigues(first[0].T @ second[0])
     return float(np.linalg.norm(vector))
 
 

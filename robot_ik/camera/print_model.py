@@ -1,14 +1,14 @@
-"""Model of the grey value of a pixel that sees the print of a marker, compiled.
+"""Model of the grey value of a pixel that shows the print of a marker, compiled.
 
-A pixel that sees the print at (u, v), in marker sides from its centre, u to the right and v down,
+A pixel that shows the print at (u, v), in marker sides from its centre, u to the right and v down,
 has the grey value
 
     I(u, v) = dark(u, v) + contrast(u, v) * G(S(u, v), k),        G(S, k) = N(N^-1(S) + k)
 
 S is the print, 0 black and 1 white, blurred by a Gaussian point spread function. N is the normal
 distribution function. The edge shift k moves every edge into the black by k standard deviations of
-the blur: tone curves, bloom and bleeding ink all do that. ``dark`` and ``contrast`` are linear in u
-and v. A sharpened picture has a halo:
+the blur: tone curves, bloom and bleeding ink have this effect. ``dark`` and ``contrast`` are linear
+in u and v. A sharpened picture has a halo:
 
     (1 + halo) * G(S, k) - halo * G(S', k')
 
@@ -74,7 +74,7 @@ PIXEL = np.dtype(
         ("y_by_py", float),
         ("grey", float),
         ("weight", float),  # Number of pixels that it stands for.
-        ("u", float),  # Where it sees the print. Written by ``linearise``.
+        ("u", float),  # Position on the print. Written by ``linearise``.
         ("v", float),
         ("residual", float),  # Grey levels. Written by ``linearise``.
     ]
@@ -88,7 +88,8 @@ _RELATIVE_DAMPING = 1e-10
 _ABSOLUTE_DAMPING = 1e-12
 # Residuals beyond this many standard deviations lose weight (Cauchy weights).
 CAUCHY = 4.0
-# Of the pixels far from any edge, one in this number is kept. They only see dark and contrast.
+# Of the pixels far from any edge, one in this number is kept. They determine only dark and
+# contrast.
 _FLAT_STRIDE = 6
 # A pixel is far from any edge if the print changes by less than this per pixel of blur.
 _FLAT_SLOPE = 0.06
@@ -113,7 +114,7 @@ _MIN_SHARE = 1e-5
 
 @kernel
 def read_pixels(gray, lens, box, stride, reach, homography, pixels):
-    """Write the pixels of a box that see the print into ``pixels``. Return their number.
+    """Write the pixels of a box that show the print into ``pixels``. Return their number.
 
     Args:
         gray: (h, w) uint8.
@@ -220,7 +221,7 @@ def select_pixels(pixels, black, homography, log_blur, shift):
 
 @inlined
 def is_inside_cell(u, v, sigma_u, sigma_v, cells):
-    """Return whether every border of a cell is far. It saves evaluating most pixels."""
+    """Return whether every border of a cell is far. This saves the evaluation of most pixels."""
     x = (u + 0.5) * cells
     y = (v + 0.5) * cells
     far_u = abs(x - math.floor(x + 0.5)) > _FLAT_REACH * sigma_u * cells
@@ -261,7 +262,7 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
     cells_v = np.empty((3, len(black)))
     for p in range(len(pixels)):
         pixel = pixels[p]
-        u, v, sigma_u, sigma_v, r, row_slopes, diagonal_slopes = view_of_print(
+        u, v, sigma_u, sigma_v, r, row_derivatives, diagonal_derivatives = view_of_print(
             pixel, homography, along_rows, along_diagonal
         )
         white, by_u, by_v, by_sigma_u, by_sigma_v, by_r, by_shift = print_value(
@@ -330,12 +331,14 @@ def linearise(pixels, black, homography, unknowns, noise, halo_blur):
         rows[CONTRAST + 2, at] = root_weight * white * v
         if elongated:
             rows[ELONGATION, at] = slope * (
-                by_sigma_u * row_slopes[0] + by_sigma_v * row_slopes[1] + by_r * row_slopes[2]
+                by_sigma_u * row_derivatives[0]
+                + by_sigma_v * row_derivatives[1]
+                + by_r * row_derivatives[2]
             )
             rows[ELONGATION + 1, at] = slope * (
-                by_sigma_u * diagonal_slopes[0]
-                + by_sigma_v * diagonal_slopes[1]
-                + by_r * diagonal_slopes[2]
+                by_sigma_u * diagonal_derivatives[0]
+                + by_sigma_v * diagonal_derivatives[1]
+                + by_r * diagonal_derivatives[2]
             )
         if with_halo:
             rows[HALO, at] = slope * by_halo
@@ -405,7 +408,7 @@ def mirror(matrix):
 
 @inlined
 def view_of_print(pixel, homography, along_rows, along_diagonal):
-    """Return where a pixel sees the print, and what a blur of 1 px is there.
+    """Return the position of a pixel on the print, and the blur of 1 px in print coordinates.
 
     Args:
         pixel: Of ``PIXEL``.
@@ -447,15 +450,15 @@ def view_of_print(pixel, homography, along_rows, along_diagonal):
     sigma_v = math.sqrt(vv)
     inverse = 1.0 / (sigma_u * sigma_v)
     r = uv * inverse
-    row_slopes = ellipse_slopes(uu, vv, r, inverse, uu_by_rows, uv_by_rows, vv_by_rows)
-    diagonal_slopes = ellipse_slopes(
+    row_derivatives = ellipse_derivatives(uu, vv, r, inverse, uu_by_rows, uv_by_rows, vv_by_rows)
+    diagonal_derivatives = ellipse_derivatives(
         uu, vv, r, inverse, uu_by_diagonal, uv_by_diagonal, vv_by_diagonal
     )
-    return u, v, sigma_u, sigma_v, r, row_slopes, diagonal_slopes
+    return u, v, sigma_u, sigma_v, r, row_derivatives, diagonal_derivatives
 
 
 @inlined
-def ellipse_slopes(uu, vv, r, inverse, by_uu, by_uv, by_vv):
+def ellipse_derivatives(uu, vv, r, inverse, by_uu, by_uv, by_vv):
     """Return the changes of log sigma_u, log sigma_v and r with a change of the covariance.
 
     Args:

@@ -1,4 +1,4 @@
-"""Keep a virtual robot on a board from picture to picture.
+"""Draw a virtual robot at a fixed place on a board in every picture.
 
 ``LatencyOptions`` are the measures against delay. ``drawing/drawn_robot.py`` draws the robot.
 """
@@ -86,8 +86,8 @@ class BoardTracker:
 def optical_motion(before: Points, after: Points) -> Array:
     """Return the shift, rotation and zoom (2, 3) in the picture from one observation to the next.
 
-    Least squares over the points in both observations: z' = a z + b with complex pixels. Of a
-    single point only the shift is known.
+    Least squares over the points in both observations: z' = a z + b with complex pixels. A single
+    point determines only the shift.
     """
     common = [point for point in before if point in after]
     if not common:
@@ -167,7 +167,7 @@ class Registrar:
     ) -> tuple[Image, Drawing | None]:
         """Return the picture ``shown`` with the robot at ``qpos`` (nq,), and the drawing.
 
-        The drawing is None if there is no board to stand on.
+        The drawing is None if no board is known.
         """
         pose, motion = self.place(observation, shown)
         if pose is None:
@@ -182,7 +182,7 @@ class Registrar:
     def place(
         self, observation: BoardObservation | None, shown: Frame
     ) -> tuple[Pose | None, Array | None]:
-        """Return ``pose_camera_board`` to draw for, and the motion (2, 3) of the finished drawing.
+        """Return ``pose_camera_board`` for the drawing, and a motion (2, 3) of the finished one.
 
         Either is None if there is none.
         """
@@ -202,7 +202,8 @@ class Registrar:
         after = _points(now.board.points, now.board.pixels)
         if self._filter is None:
             return pose, optical_motion(_points(board.points, board.pixels), after)
-        # The drawing is of the predicted board. Only the error of the prediction is left.
+        # The drawing is of the predicted board. The motion corrects only the error of the
+        # prediction.
         predicted = self._intrinsics.project(pose.apply(now.board.points))
         return pose, optical_motion(_points(now.board.points, predicted), after)
 

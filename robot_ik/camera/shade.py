@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from robot_ik.ports import Array
 
-# Prior standard deviation of the second differences of the factor between nodes. Narrower, it
-# smooths the border of a shadow; wider, the factor follows the noise.
+# Prior standard deviation of the second differences of the factor between nodes. A smaller value
+# smooths the border of a shadow. With a larger value the factor follows the noise.
 _BEND_SIGMA = 0.1
 # Prior standard deviation of the factor of a node. It keeps the system regular.
 _FACTOR_SIGMA = 10.0
@@ -52,10 +52,10 @@ def shade_factors(
         ]
     )
     used = weights > 0.0
-    slopes = (shares * model)[:, used]
-    weighted = slopes * weights[used]
+    jacobian = (shares * model)[:, used]
+    weighted = jacobian * weights[used]
     places = nodes[:, None, used] * side**2 + nodes[None, :, used]
-    products = slopes[:, None] * weighted[None, :]
+    products = jacobian[:, None] * weighted[None, :]
     matrix = np.bincount(places.ravel(), products.ravel(), side**4).reshape(side**2, side**2)
     right = np.bincount(nodes[:, used].ravel(), (weighted * grey[used]).ravel(), side**2)
     # The prior mean is a factor of 1 at each node.

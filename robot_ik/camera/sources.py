@@ -25,8 +25,8 @@ from robot_ik.camera.image import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,
     first_size,
+    missing_path_hint,
     natural_sort,
-    neighbours,
     quiet,
     read_image,
 )
@@ -69,10 +69,10 @@ class Frame:
 
 
 class FrameSource(Closing, ABC):
-    """Gives pictures one by one. A context manager, and an iterator up to the last picture.
+    """Source of pictures. It is a context manager, and an iterator up to the last picture.
 
-    Every source states whether it is live, and a wrapper passes that on: only before a live source
-    an arm is moved and goals are predicted.
+    Every source states whether it is live. A wrapper has the value of the source that it wraps.
+    Arms are moved and goals are predicted only with a live source.
 
     Attributes:
         size: (width, height) of the pictures, px.
@@ -125,14 +125,14 @@ class ImageSource(FrameSource):
     def __init__(self, path: Path | str) -> None:
         self._frame = Frame(read_image(path), time.monotonic(), 0)
         self.size = self._frame.size
-        self._given = False
+        self._was_read = False
 
     @property
     def exhausted(self) -> bool:
-        return self._given
+        return self._was_read
 
     def read(self) -> Frame:
-        self._given = True
+        self._was_read = True
         return self._frame
 
 
@@ -147,12 +147,14 @@ class FolderSource(FrameSource):
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
-            raise CameraNotFoundError(f"there is no folder {self.path}", hint=neighbours(self.path))
+            raise CameraNotFoundError(
+                f"there is no folder {self.path}", hint=missing_path_hint(self.path)
+            )
         files = [f for f in self.path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES]
         self.files = natural_sort(files)
         if not self.files:
             kinds = f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
-            raise CameraNotFoundError(f"the folder {self.path} holds no pictures", hint=kinds)
+            raise CameraNotFoundError(f"the folder {self.path} contains no pictures", hint=kinds)
         self.size = first_size(self.files)
         self._next = 0
         self._start = time.monotonic()
@@ -170,19 +172,21 @@ class FolderSource(FrameSource):
 
 
 class VideoSource(FrameSource):
-    """A film: every picture in turn, as fast as it is read."""
+    """A film: every picture in order, as fast as it is read."""
 
     live = False
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_file():
-            raise CameraNotFoundError(f"there is no film {self.path}", hint=neighbours(self.path))
+            raise CameraNotFoundError(
+                f"there is no film {self.path}", hint=missing_path_hint(self.path)
+            )
         with quiet():
             self._capture: Any = cv2.VideoCapture(str(self.path))
             opened = self._capture.isOpened()
-            good, image = self._capture.read() if opened else (False, None)
-        if not good or image is None:
+            success, image = self._capture.read() if opened else (False, None)
+        if not success or image is None:
             self._capture.release()
             raise CameraNotFoundError(
                 f"{self.path} is not a film that OpenCV can read",
@@ -208,8 +212,8 @@ class VideoSource(FrameSource):
         frame = Frame(image, self._start + self._count / self.rate_hz, self._count)
         self._count += 1
         with quiet():
-            good, following = self._capture.read()
-        self._lookahead = np.asarray(following, dtype=np.uint8) if good else None
+            success, following = self._capture.read()
+        self._lookahead = np.asarray(following, dtype=np.uint8) if success else None
         return frame
 
     def close(self) -> None:
@@ -225,7 +229,7 @@ def require_frame(frame: object) -> None:
     """
     if not isinstance(frame, Frame):
         raise CameraError(
-            f"a Frame is wanted, not {'None' if frame is None else type(frame).__name__}",
+            f"expected a Frame, got {'None' if frame is None else type(frame).__name__}",
             hint='read one: open_source("photo.png").read(); from an array: Frame(image, 0.0, 0)',
         )
 
@@ -269,7 +273,7 @@ def open_source(
 
 
 def _opener(module: str, name: str) -> Callable[..., FrameSource]:
-    """Return the function that opens another kind of source. Its module builds on this one."""
+    """Return the function that opens another kind of source. Its module imports this one."""
     loaded = importlib.import_module(f"robot_ik.camera.{module}")
     opener: Callable[..., FrameSource] = getattr(loaded, name)
     return opener
@@ -282,6 +286,7 @@ def _open_file(text: str) -> FrameSource:
     if not path.exists():
         raise CameraNotFoundError(
             f"there is no camera, file or folder {text!r}",
-            hint=f"give a camera's index (0), picture, film, folder or URL; {neighbours(path)}",
+            hint="give a camera's index (0), picture, film, folder or URL; "
+            f"{missing_path_hint(path)}",
         )
     return VideoSource(path) if path.suffix.lower() in VIDEO_SUFFIXES else ImageSource(path)

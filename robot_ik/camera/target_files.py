@@ -24,7 +24,7 @@ from robot_ik.config import KeyProblem, Position, Several, Table, Wxyz, read_tab
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
-# A square of a board is not smaller, mm. A smaller number is in metres.
+# Smallest length of a board, mm. A smaller number was probably given in metres.
 _MIN_MM = 0.5
 # Largest number of columns and of rows.
 _MAX_COUNT = 100
@@ -110,12 +110,12 @@ def load_bodies(path: Path | str, dictionary: str = DEFAULT_DICTIONARY) -> dict[
           {id = 20, size = 0.07, position = [0, 0, 0.04], wxyz = [1, 0, 0, 0]},
         ]
 
-    Lengths are in metres. ``position`` and ``wxyz`` are ``pose_body_marker``. They may be left out
-    when zero.
+    Lengths are in metres. ``position`` and ``wxyz`` are ``pose_body_marker``. By default the frame
+    of the marker is that of the body.
 
     Args:
         path: The file.
-        dictionary: Dictionary of the bodies that do not name theirs.
+        dictionary: Dictionary of the bodies for which the file gives none.
 
     Raises:
         ConfigError: The file is missing or not TOML, a key is unknown or missing, a value is
@@ -148,7 +148,9 @@ class _BodyTable(Table):
         ids = [m.id for m in self.markers]
         for k, marker_id in enumerate(ids):
             if marker_id in ids[:k]:
-                raise KeyProblem(f"marker {marker_id} comes twice", f"markers[{k}]", "each id once")
+                raise KeyProblem(
+                    f"marker {marker_id} appears twice", f"markers[{k}]", "each id once"
+                )
         try:
             for m in self.markers:
                 marker_points(m.size)

@@ -62,7 +62,7 @@ class Observation:
         rejected: Markers, or corners of a pattern, that were found but contradict the others.
         alternative: The other pose that a flat target allows, or None.
         ambiguity: Error of ``pose`` over the error of ``alternative``, 0 to 1. Near 1 the picture
-            cannot tell them apart.
+            does not distinguish them.
         reprojection_error: RMS distance of the points from their projection, px.
         time: Time of the picture, s, monotonic. NaN if unknown.
 
@@ -330,7 +330,7 @@ class PatternTarget(Target):
 def pose_ambiguity(fits: Sequence[PoseFit]) -> float:
     """Return the ratio of the errors of two poses, the better one first; 0 if there is only one.
 
-    The expected cost is added to both, so that a lucky fit to noise does not look certain.
+    The expected cost is added to both, so that a pose that fits the noise by chance is not certain.
     """
     if len(fits) < 2:
         return 0.0
@@ -354,7 +354,7 @@ def marker_points(size: float) -> Array:
 
 
 def marker(marker_id: int, size: float, dictionary: str = DEFAULT_DICTIONARY) -> MarkerTarget:
-    """Return a single marker. Its frame is the marker's.
+    """Return a target of a single marker. Its frame is that of the marker.
 
     Args:
         marker_id: Id in the dictionary.
@@ -466,7 +466,7 @@ def find_corners(
         max_pixels: See ``refine_markers``.
 
     Returns:
-        Ids and corners, sorted by id. An id comes twice if two copies of the marker are visible.
+        Ids and corners, sorted by id. An id appears twice if two copies of the marker are visible.
 
     Raises:
         CalibrationError: The frame does not have the size of the intrinsics.
@@ -511,7 +511,7 @@ def _refine(
 
 
 def unique(corners: Iterable[tuple[int, Corners]]) -> dict[int, Corners]:
-    """Return corners by id, without ids that come twice: the right copy is unknown."""
+    """Return corners by id, without ids that appear twice: the right copy is unknown."""
     pairs = list(corners)
     copies = Counter(marker_id for marker_id, _ in pairs)
     for marker_id, count in copies.items():

@@ -1,7 +1,7 @@
 """Track targets from frame to frame.
 
-A flat target has two poses that fit nearly as well. The tracker keeps both and chooses with the
-evidence of the last frames, so that noise in one frame does not flip the pose.
+A flat target has two poses that fit nearly equally well. The tracker keeps both and chooses with
+the evidence of the last frames, so that noise in one frame does not flip the pose.
 """
 
 from __future__ import annotations
@@ -111,10 +111,10 @@ class Tracker:
         for target in self.targets:
             if not isinstance(target, MarkerTarget):
                 continue
-            own = [d for d in detections if d.id in target.ids]
-            count = min(len(own), max(1, MAX_FITS * len(own) // len(detections)))
+            detected = [d for d in detections if d.id in target.ids]
+            count = min(len(detected), max(1, MAX_FITS * len(detected) // len(detections)))
             for k in range(count):
-                detection = own[k * len(own) // count]
+                detection = detected[k * len(detected) // count]
                 chosen[id(detection)] = detection
         return list(chosen.values())
 
@@ -135,8 +135,8 @@ class PoseMemory:
         """Return the observation of the more plausible pose, and remember it for the next frame."""
         fits = found.fits
         best = fits[0]
-        # Errors that the covariance of the corners does not explain are in both poses. They prove
-        # less.
+        # Errors that the covariance of the corners does not explain are in both poses. The evidence
+        # is then weaker.
         scale = max(1.0, best.cost / best.redundancy)
         evidence = [-0.5 * (fit.cost - best.cost) / scale for fit in fits]
         odds = [max(value, -_MAX_FRAME_EVIDENCE) for value in evidence]
@@ -176,5 +176,5 @@ def _move_evidence(old: PoseFit, new: PoseFit, gap: float) -> float:
     return max(-0.5 * angle * angle / variance, -_MAX_ROTATION_EVIDENCE)
 
 
-def _angle(one: Pose, other: Pose) -> float:
-    return 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
+def _angle(first: Pose, second: Pose) -> float:
+    return 2.0 * math.acos(min(1.0, abs(float(first.wxyz @ second.wxyz))))

@@ -149,20 +149,14 @@ GROUPS: dict[str, tuple[Row, ...]] = {
             "servo record",
             "Record the arm while a person guides it by hand.",
             "servo_record:ServoRecord",
-            aliases=(
-                "record",
-                "servo teach",
-            ),
+            aliases=("record",),
             mujoco=False,
         ),
         Row(
             "servo replay",
             "Repeat a recording within the limits.",
             "servo_replay:ServoReplay",
-            aliases=(
-                "replay",
-                "servo play",
-            ),
+            aliases=("replay",),
             mujoco=False,
         ),
         Row(
@@ -269,6 +263,7 @@ def make_app() -> App:
         help="Inverse kinematics for robot arms in Python, from camera to servo.",
         help_epilogue=EPILOGUE,
         help_format="plaintext",
+        help_formatter=_render_panel,
         version_flags=VERSION_FLAGS,
         group_commands=Group("Other", sort_key=99),
         group_parameters=Group("Options", sort_key=1),
@@ -316,6 +311,17 @@ def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
         for row in rows:
             prepare_command(command_app(app, row.name))
     return app.generate_completion(shell=shell)
+
+
+def _render_panel(console: Any, options: Any, panel: Any) -> None:
+    """Print a panel of the help. Descriptions of several source lines become one paragraph."""
+    from cyclopts.help import DefaultFormatter  # imports rich
+
+    for entry in panel.entries:
+        text = getattr(entry.description, "primary_renderable", None)
+        if text is not None:
+            entry.description.primary_renderable = type(text)(" ".join(str(text).split()))
+    DefaultFormatter()(console, options, panel)
 
 
 def _default_text(value: object) -> str | None:

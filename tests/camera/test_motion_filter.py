@@ -36,7 +36,7 @@ def test_a_still_target_gives_the_mean_and_is_not_predicted(
     seen = []
     still = MotionFilter(
         FilterOptions(
-            process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), least_sigma=(0.0, 0.0)
+            process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), min_sigma=(0.0, 0.0)
         )
     )
     usual = MotionFilter()
@@ -97,7 +97,7 @@ def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(
 def test_the_covariance_is_honest() -> None:
     """Normalised errors of a walk that is what the filter assumes: six degrees of freedom."""
     rng = np.random.default_rng(3)
-    options = FilterOptions(process_noise=(0.5, 2.0), least_sigma=(0.0, 0.0))
+    options = FilterOptions(process_noise=(0.5, 2.0), min_sigma=(0.0, 0.0))
     squares = []
     for _ in range(6):
         tracked = MotionFilter(options)
@@ -133,7 +133,9 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
     away = Pose((0.2, 0.0, 0.5), rotation_exp([0.0, 2.0, 0.0]))
     assert tracked.update(10 * PERIOD, away, NOISE) is Update.OUTLIER
     assert tracked.predict(10 * PERIOD).pose.position[0] == 0.0
-    assert tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN  # counts anew
+    assert (
+        tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN
+    )  # the count starts again
     said = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
     assert said == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
     assert np.abs(tracked.predict(15 * PERIOD).pose.minus(away)).max() < 1e-9

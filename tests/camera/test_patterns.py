@@ -124,7 +124,7 @@ def test_nothing_fits_an_empty_picture() -> None:
         (lambda: CharucoPattern(8, 6, 30.0, 22.0), "30 m is not possible"),
         (
             lambda: CharucoPattern(8, 6, 0.03, 0.03),
-            "markers of 30 mm do not go into squares of 30 mm",
+            "markers of 30 mm do not fit into squares of 30 mm",
         ),
         (lambda: CharucoPattern(12, 9, 0.03, 0.022), "needs 54 markers; DICT_5X5_50 has 50"),
     ],

@@ -87,7 +87,7 @@ def test_bodies_come_from_a_file(tmp_path: Path) -> None:
         ('name = "flag"', 'name = "cube"', r"two bodies are named 'cube'"),
         ("size = 0.05", "side = 0.05", r"markers\[0\].side: unknown key 'side'"),
         ("size = 0.05", "size = 50", r"body\[1\]: a marker size of 50.0 m"),
-        ("id = 21", "id = 20", r"markers\[1\]: marker 20 comes twice"),
+        ("id = 21", "id = 20", r"markers\[1\]: marker 20 appears twice"),
         ("id = 21", "id = 99", r"body\[0\]: DICT_5X5_50 has no marker 99"),
         ("id = 3", "id = true", r"markers\[0\].id: True is not right; allowed: a"),
         (

@@ -184,7 +184,7 @@ def test_a_camera_that_gives_nothing_is_an_error(
     ("arguments", "words"),
     [
         (["nothing-here"], "there is no camera, file or folder 'nothing-here'"),
-        (["nothing-here"], "folder or URL; this folder holds grey.png, small.png"),
+        (["nothing-here"], "folder or URL; this folder contains grey.png, small.png"),
         (["grey.png"], "there is no ChArUco board of 8x6 squares"),
         (["grey.png", "small.png"], "small.png has 320x240 px, the pictures before it 640x480 px"),
         (

@@ -51,7 +51,7 @@ def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
         (["marker", "--out", "sheet.svg"], ["a sheet is a .pdf"]),
         (["marker", "--id", "99"], ["marker id 99 is not in DICT_5X5_50", "0 to 49"]),
         (["marker", "--dictionary", "5X5_51"], ["unknown marker dictionary", "DICT_5X5_50"]),
-        (["marker", "--body", "body.toml"], ["is no body", "board or cube"]),
+        (["marker", "--body", "body.toml"], ["is not a body", "board or cube"]),
         (["poster"], ["poster"]),
     ],
 )

@@ -43,6 +43,18 @@ class Bed:
         """Return the first view for which ``holds(view)``; fail with ``failure`` after ``LONG``."""
         return wait_for(lambda: view if holds(view := self.view) else None, failure)
 
+    def apply(self, *commands: Command) -> View:
+        """Send commands and return the first view in which all of them have taken effect.
+
+        The next view may be older than the commands. The view after it is not.
+        """
+        for command in commands:
+            self.session.send(command)
+        for _ in range(2):
+            before = self.view
+            self.until(lambda view, before=before: view is not before, "the loop does not draw")
+        return self.until(lambda view: not view.busy, "the commands were never prepared")
+
     def count(self, kind: type[Command]) -> int:
         return sum(isinstance(command, kind) for command in self.sent)
 

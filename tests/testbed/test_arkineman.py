@@ -125,7 +125,7 @@ def test_delay_and_remedies_are_switched_and_shown(window: Window, figure_bed: B
     page = window.page
     window.open_tab("AR")
     page.get_by_role("combobox", name="delay of the tracker").select_option("200")
-    page.get_by_role("switch", name="Delayed video").click(force=True)
+    page.get_by_role("switch", name="Delayed video").click()
     figures = page.locator(".rk-ar-tab .rk-stats")
     page.wait_for_function(
         """() => {
@@ -136,7 +136,7 @@ def test_delay_and_remedies_are_switched_and_shown(window: Window, figure_bed: B
         }"""
     )
     for name in ("Prediction", "Image shift"):
-        page.get_by_role("switch", name=name).click(force=True)
+        page.get_by_role("switch", name=name).click()
         window.blur()
     assert figures.is_visible()
     wanted = {"seconds": 0.2, "sync": "latest", "predict": True, "shift": True}
@@ -145,8 +145,8 @@ def test_delay_and_remedies_are_switched_and_shown(window: Window, figure_bed: B
         lambda: None, lambda: settings() | wanted == settings(), "not all are switched"
     )
     for name in ("Prediction", "Image shift"):
-        page.get_by_role("switch", name=name).click(force=True)
-    page.get_by_role("switch", name="Delayed video").click(force=True)
+        page.get_by_role("switch", name=name).click()
+    page.get_by_role("switch", name="Delayed video").click()
     page.get_by_role("combobox", name="delay of the tracker").select_option("0")
     usual = {"seconds": 0.0, "sync": "tracked", "predict": False, "shift": False}
     window.wait_until(lambda: settings() | usual == settings(), "not all are back")
@@ -274,12 +274,12 @@ def test_the_learned_prior_is_a_goal_of_the_page(window: Window, figure_bed: Bed
     in_mode(figure_bed, "off")
     window.open_tab("Goals")
     switch = window.page.get_by_role("switch", name=NATURAL_POSE)
-    switch.click(force=True)
+    switch.click()
     figure_bed.until(
         lambda view: any(extra.name == NATURAL_POSE and extra.on for extra in view.extras)
     )
     figure_bed.until(lambda view: not view.busy and view.instances[0].able)
-    switch.click(force=True)
+    switch.click()
     figure_bed.until(
         lambda view: not any(extra.name == NATURAL_POSE and extra.on for extra in view.extras)
     )
@@ -287,7 +287,7 @@ def test_the_learned_prior_is_a_goal_of_the_page(window: Window, figure_bed: Bed
 
 def test_robots_are_drawn_as_wire(window: Window, figure_bed: Bed) -> None:
     window.open_tab("Scene")
-    window.page.get_by_role("switch", name="Wire").click(force=True)
+    window.page.get_by_role("switch", name="Wire").click()
     there = "on => Boolean(window.__viserMutable.nodeRefFromName['/robot/wire']) === on"
     window.page.wait_for_function(there, arg=True)
     lines = figure_bed.page._scene._wire._lines.points
@@ -295,5 +295,5 @@ def test_robots_are_drawn_as_wire(window: Window, figure_bed: Bed) -> None:
     ends = lines.reshape(-1, 1, 3)
     nearest = np.linalg.norm(ends - one.xpos, axis=2).min(axis=0)
     assert (nearest[1:] < 1e-3).all(), "the lines do not go from joint to joint"
-    window.page.get_by_role("switch", name="Wire").click(force=True)
+    window.page.get_by_role("switch", name="Wire").click()
     window.page.wait_for_function(there, arg=False)

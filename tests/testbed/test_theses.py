@@ -22,7 +22,6 @@ from robot_ik.testbed.commands import (
     SetMethod,
     SetMotion,
     SetRobot,
-    SetRunning,
     Start,
 )
 from robot_ik.testbed.view import View
@@ -52,18 +51,10 @@ def window(chromium: Any, bench: Bed) -> Iterator[Window]:
 
 def shown(bench: Bed, robot: str, count: int = 1) -> View:
     """Shows a robot as it was loaded, with the ball by hand."""
-    for command in (SetRobot(robot), SetCount(count), SetRunning(True), SetMotion("hand")):  # type: ignore[arg-type]
-        bench.session.send(command)
-    bench.session.send(SetMethod(0, "dls"))
-
-    def is_so(view: View) -> bool:
-        methods = view.instances[0].method == "dls" and not view.busy
-        return view.robot == robot and view.count == count and methods and not view.base
-
-    view = bench.until(is_so, f"{robot} is not shown")
-    bench.session.send(Reset())
-    bench.session.send(SetMotion("hand"))
-    bench.until(lambda view: view.motion == "hand")
+    loaded = bench.apply(SetRobot(robot), SetCount(count), SetMethod(0, "dls"))  # type: ignore[arg-type]
+    assert (loaded.robot, loaded.count, loaded.base) == (robot, count, "")
+    view = bench.apply(Reset(), SetMotion("hand"))
+    assert view.running and view.motion == "hand" and view.instances[0].method == "dls"
     return view
 
 
@@ -103,9 +94,9 @@ def test_each_robot_has_its_method_options_attempts_distance_and_limits(
         field.fill(text)
         field.press("Enter")
         bench.until(lambda view, holds=holds: holds(view.instances[1]), label)
-    second.get_by_role("switch", name="alternative").click(force=True)
+    second.get_by_role("switch", name="alternative").click()
     bench.until(lambda view: dict(view.instances[1].options)["alternative"], "alternative Jacobian")
-    second.get_by_role("switch", name="joint limits").click(force=True)
+    second.get_by_role("switch", name="joint limits").click()
     view = bench.until(lambda view: view.instances[1].limited, "limits are not switched")
     assert not view.instances[0].limited and dict(view.instances[0].options)["damping"] == 0.05
     slider = second.get_by_role("slider", name="damping", exact=True)
@@ -330,7 +321,7 @@ def test_weights_and_priorities_of_goals(window: Window, bench: Bed) -> None:
     weight.fill("0.2")
     weight.press("Enter")
     page.get_by_role("combobox", name="priority of gaze").select_option("5")
-    page.get_by_role("switch", name="hold left_hand").click(force=True)
+    page.get_by_role("switch", name="hold left_hand").click()
 
     def is_so(view: View) -> bool:
         extras = {extra.name: extra for extra in view.extras}
@@ -352,7 +343,7 @@ def test_every_kind_of_goal_is_on_the_page(kind: str, window: Window, bench: Bed
     window.open_tab("Goals")
     window.page.get_by_role("combobox", name="what the ball asks").select_option(kind)
     bench.until(lambda view: view.kind == kind and not view.busy, kind)
-    bench.until(lambda view: view.instances[0].met, "the method does not serve it")
+    bench.until(lambda view: view.instances[0].met, "the method does not support it")
 
 
 def test_stiffness_is_set_by_a_slider(window: Window, bench: Bed) -> None:
@@ -418,10 +409,10 @@ def test_shell_regions_and_test_cube_are_drawn(window: Window, bench: Bed) -> No
         ("Test cube", ("/cube/edges", "/cube/axes", "/cube/marks")),
     ):
         switch = page.get_by_role("switch", name=name, exact=True)
-        switch.click(force=True)
+        switch.click()
         for node in nodes:
             page.wait_for_function("name => window.__viserMutable.nodeRefFromName[name]", arg=node)
-        switch.click(force=True)
+        switch.click()
         for node in nodes:
             page.wait_for_function("name => !window.__viserMutable.nodeRefFromName[name]", arg=node)
 

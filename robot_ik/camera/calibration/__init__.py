@@ -1,1 +1,1 @@
-"""Parameters found from pictures: lens, where a camera is, the zeros of an arm's joints."""
+"""Calibration from pictures: lens, pose of a camera, joint zeros of an arm."""

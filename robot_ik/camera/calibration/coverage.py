@@ -17,15 +17,16 @@ PARTS = (
     ("left", "middle", "right"),
     ("lower left", "lower middle", "lower right"),
 )
-# Number of corners with which a view shows a part.
+# Smallest number of corners in a part of the picture with which a view shows that part.
 _MIN_CORNERS = 2
-# Number of views that cover a part.
+# Smallest number of views that cover a part.
 _MIN_VIEWS = 2
 #: Sides of the board that can tilt away from the camera, and their directions in the picture.
 TILTS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "top": (0.0, -1.0), "bottom": (0.0, 1.0)}
-#: Angle from which on a side is tilted away, degrees.
+#: Smallest angle at which a side counts as tilted away, degrees.
 TILT_DEG = 12.0
-# Ratio of the farthest to the nearest board below which all are at one distance.
+# Smallest ratio of the farthest to the nearest distance of the board. With a smaller ratio all
+# views count as taken at one distance.
 _MIN_DEPTH_RATIO = 1.25
 
 
@@ -52,7 +53,7 @@ class Coverage:
 def cover(
     found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]
 ) -> Coverage:
-    """Return the coverage by some views.
+    """Return the coverage by the views of a calibration.
 
     Args:
         found: The pattern in each view.
@@ -97,7 +98,7 @@ def _missing(parts: NDArray[np.int64], tilts: Array, spacings: Array) -> list[st
     ]
     for side, direction in TILTS.items():
         if not len(tilts) or (tilts @ np.array(direction)).max() < TILT_DEG:
-            missing.append(f"its {side} side tilted away")
+            missing.append(f"the {side} side of the board tilted away")
     if len(spacings) > 1 and spacings.max() < _MIN_DEPTH_RATIO * spacings.min():
-        missing.append("it nearer and farther")
+        missing.append("the board nearer and farther")
     return missing

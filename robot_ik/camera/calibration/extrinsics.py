@@ -1,7 +1,7 @@
 """Pose of a camera seen from the world or from the robot frame that carries it, and its file.
 
-The file is TOML. It names its frames and units, and the calibration of the lens. With another
-calibration the pose is wrong, so the file is refused.
+The file is TOML. It names its frames and units, and the calibration of the lens. The pose is valid
+only with this calibration. Loading it with another one is an error.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from robot_ik.ports import Array
 
 logger = logging.getLogger("robot_ik.camera")
 
-# The stated standard deviation of a pixel weighs as much as this many measured numbers.
+# Weight of the stated standard deviation of a pixel, in measured coordinates.
 _PRIOR = 6.0
 # Corners of a resting board before a resting camera move less than this between pictures, px: a
 # hundred times their noise.
@@ -42,11 +42,11 @@ _MEDIAN_LENGTH = 1.1774
 _MIN_DEPTH = 1e-3
 # Largest number of fits. The weights of the corners change before each.
 _REWEIGHTINGS = 30
-# The weights have settled if the camera moves less than this, metres and rad.
+# The weights have converged if the camera moves less than this, metres and rad.
 _MOVE_TOLERANCE = 1e-8
 # Smallest scale of the distances between pictures, px.
 _MIN_DISTANCE = 0.01
-# Digits after the point, metres, with which a point is the same in two pictures.
+# Points of the board are compared after rounding to this many decimal places of a metre.
 _POINT_DIGITS = 7
 _MADE_BY = "such files are made by: robot-ik camera locate, robot-ik camera handeye"
 
@@ -104,13 +104,13 @@ class CameraExtrinsics:
         """
         if self.parent != parent:
             raise CalibrationError(
-                f"the pose is of a camera seen from {self.parent!r}; wanted is one seen from "
-                f"{parent!r}",
-                hint="a camera beside the arm is seen from 'world', a carried one from its carrier",
+                f"the pose of the camera is given in the frame {self.parent!r}, not in {parent!r}",
+                hint="use 'world' for a camera beside the arm, and the frame that carries it for a "
+                "carried camera",
             )
 
     def save(self, path: Path | str) -> None:
-        """Write the file. It is whole or not written.
+        """Write the file atomically.
 
         Raises:
             OutputError: It cannot be written.
@@ -119,7 +119,7 @@ class CameraExtrinsics:
 
     @classmethod
     def load(cls, path: Path | str, intrinsics: CameraIntrinsics | None = None) -> CameraExtrinsics:
-        """Load the file. Its doubt is logged.
+        """Load the file. Log a warning if the file states a doubt.
 
         Args:
             path: The file.
@@ -172,9 +172,9 @@ def locate_camera(
     """Find the pose of a resting camera from pictures of a resting board.
 
     The pictures are averaged point by point (median, then Cauchy weights). Then one pose is fitted
-    to all points. Averaging removes noise, but no error that all pictures share (print, lens). The
-    covariance is therefore that of the averaged points and does not shrink with the number of
-    pictures.
+    to all points. Averaging removes noise, but not the errors that all pictures share (print,
+    lens). The covariance is therefore that of the averaged points and does not shrink with the
+    number of pictures.
 
     Args:
         views: Observations of the board in one or more pictures.
@@ -187,7 +187,7 @@ def locate_camera(
         CalibrationError: Board or camera moved between the pictures, or the error is too large.
     """
     if not views:
-        raise CameraError("the board was seen in no picture, so the camera's pose is not known")
+        raise CameraError("no picture shows the board, so the pose of the camera is unknown")
     start = robust_mean_pose([view.pose for view in views])
     view = _averaged(views, start)
     points = pose_world_board.apply(view.points)
@@ -206,14 +206,14 @@ def locate_camera(
     depths = camera.inverse().apply(points)[:, 2]
     if not (np.isfinite(pixels) and depths.min() > 0.0):
         raise CameraError(
-            "no pose of the camera explains what was seen of the board",
+            "no pose of the camera fits the observations of the board",
             hint="check the sizes of the board, and that it is flat and completely in the picture",
         )
     median_error = view.sigma * float(np.median(errors))
     if median_error > _MAX_ERROR:
         raise CalibrationError(
-            f"the corners of the board are {median_error:.1f} px off (median) at the best pose of "
-            f"the camera; a few tenths are usual, at most {_MAX_ERROR:g} px are allowed",
+            f"the median reprojection error of the board is {median_error:.1f} px at the best pose "
+            f"of the camera; a few tenths are usual, at most {_MAX_ERROR:g} px are allowed",
             hint="check the sizes of the board as printed, its layout, and the calibration",
         )
     focal = 0.5 * (intrinsics.fx + intrinsics.fy)
@@ -290,7 +290,7 @@ def _averaged(views: Sequence[Observation], start: Pose) -> Observation:
     for view in views:
         for point, pixel in zip(view.points, view.pixels, strict=True):
             pixels_of.setdefault(tuple(np.round(point, _POINT_DIGITS)), []).append(pixel)
-    # Something hid a point that is visible in few pictures.
+    # A point that is visible in few pictures was probably hidden.
     frequent = [point for point, pixels in pixels_of.items() if 2 * len(pixels) >= len(views)]
     points = frequent if len(frequent) >= 4 else list(pixels_of)
     means = []
@@ -302,7 +302,7 @@ def _averaged(views: Sequence[Observation], start: Pose) -> Observation:
         motions.append(motion)
         weights = cauchy_weight(distances / max(motion, _MIN_DISTANCE))
         means.append(np.average(pixels, axis=0, weights=weights))
-    # Of two pictures the residuals show which one is wrong.
+    # Not checked for two pictures: the residuals of the fit show which of them is wrong.
     if len(views) > 2 and np.median(motions) > _MAX_MOTION:
         raise CalibrationError(
             f"the board's corners move by {np.median(motions):.1f} px between the pictures: a pose "
@@ -348,7 +348,7 @@ class _ExtrinsicsFile(Table):
     position: Position
     wxyz: Wxyz
     covariance: Covariance
-    # For readers of the file; the covariance says the same.
+    # For readers of the file. Computed from the covariance.
     sigma_position: float | None = None
     sigma_angle: float | None = None
     residual_px: float

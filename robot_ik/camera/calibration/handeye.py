@@ -1,6 +1,6 @@
 """Hand-eye calibration: the pose of a camera that the arm carries, or that watches a carried board.
 
-A start from the motions alone (AX = XB), then a fit of all corners of all pictures.
+The start values come from the motions alone (AX = XB). Then all corners of all pictures are fitted.
 
 Frames: the *parent* carries the camera, the *other* carries the board. One of the two is the hand:
 
@@ -41,18 +41,21 @@ MIN_VIEWS = 4
 #: Smallest standard deviation of the rotations, rad: about the axis they are spread most about, and
 #: about the second one.
 MIN_SPREAD = np.deg2rad((6.0, 3.0))
-# Rotations by nearly half a circle have no axis that can be told from its opposite, rad.
+# Largest rotation between two views that is used, rad. Near half a turn the sign of the axis is
+# undetermined.
 _MAX_ANGLE = np.deg2rad(170.0)
 # Points nearer than this, or behind the camera, are treated as if they were this far away, metres.
 _MIN_DEPTH = 1e-3
-# A view that contradicts the others by fewer pixels is not an outlier. Print and lens explain it.
+# A view that contradicts the others by fewer pixels is not an outlier. Errors of print and lens can
+# cause it.
 _OUTLIER_PIXELS = 0.3
-# A larger error of a view is not an error of the arm, part of the longer side of the picture: 16 px
+# Largest error of a view that an arm can cause, as a part of the longer side of the picture: 16 px
 # of 640 are 10 mm and more at half a metre.
 _MAX_ERROR = 0.025
-# The stated standard deviation of a pixel weighs as much as this many measured numbers.
+# Weight of the stated standard deviation of a pixel, in measured coordinates.
 _SCALE_PRIOR = 10.0
-# Below this part of redundant numbers the pixels say nothing about their standard deviation.
+# Smallest part of redundant coordinates from which the standard deviation of the pixels is
+# estimated.
 _MIN_REDUNDANCY = 0.1
 # Median of the length of a Gaussian pair, standard deviations.
 _MEDIAN_LENGTH = 1.1774
@@ -65,13 +68,13 @@ _HAND_SOURCES = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1
 
 @dataclass(frozen=True, eq=False)
 class HandEyeSample:
-    """The pose of the resting hand by the servos, and the board in the picture taken there."""
+    """Pose of the resting hand from the servo positions, and the observation of the board there."""
 
     pose_world_hand: Pose
     view: Observation
 
     def pose_parent_other(self, mounting: Mounting) -> Pose:
-        """Return M of the module's docstring."""
+        """Return M of the docstring of the module."""
         return self.pose_world_hand.inverse() if mounting == "eye_in_hand" else self.pose_world_hand
 
 
@@ -172,24 +175,24 @@ def compress(
     """Linearise all views as small Gaussians instead of all corners.
 
     A change of camera or board moves the points of a view exactly as some motion of the hand does.
-    A view is therefore summed up by the twist of the hand that fits it best, with a covariance.
-    Nothing is lost.
+    Each view is therefore reduced to the twist of the hand that fits it best, and its covariance.
+    The reduction loses no information.
 
     Args:
-        mount: Where to linearise.
+        mount: Point of linearisation.
         samples: The views.
         intrinsics: Intrinsics of the pictures.
         weights: (k,) weights of the corners of each view; None for 1.
 
     Returns:
         The views, with the twists of camera and board (12,) as unknowns without prior, and without
-        errors of the arm. Then the length (k,) of the rest of each corner of each view, in standard
-        deviations.
+        errors of the arm. Then the length (k,) of the residual that the twist leaves at each corner
+        of each view, in standard deviations.
     """
     measurements = []
     covariances = []
     rows = []
-    rests = []
+    corner_errors = []
     for k, sample in enumerate(samples):
         residual, shared, hand = view_derivatives(mount, sample, intrinsics)
         w = np.ones(len(residual)) if weights is None else np.repeat(weights[k], 2)
@@ -199,8 +202,8 @@ def compress(
         measurements.append(measurement)
         covariances.append(covariance)
         rows.append(-covariance @ (hand.T @ (w[:, None] * shared)))
-        rest = (residual + hand @ measurement).reshape(-1, 2) / sample.view.sigma
-        rests.append(np.linalg.norm(rest, axis=1))
+        remaining = (residual + hand @ measurement).reshape(-1, 2) / sample.view.sigma
+        corner_errors.append(np.linalg.norm(remaining, axis=1))
     views = LinearViews(
         np.array(measurements),
         np.array(covariances),
@@ -209,7 +212,7 @@ def compress(
         prior=np.zeros((12, 12)),
         prior_error=np.zeros(12),
     )
-    return views, rests
+    return views, corner_errors
 
 
 def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
@@ -231,7 +234,7 @@ def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
         raise CalibrationError(
             f"{len(samples)} views are too few to find how a camera is mounted; at least "
             f"{MIN_VIEWS} are needed",
-            hint="15 views, rotated by 30 degrees and more about two axes, give a good answer",
+            hint="15 views, rotated by 30 degrees and more about two axes, give a good result",
         )
     spread = rotation_spread([sample.pose_world_hand.wxyz for sample in samples])
     first, second = np.degrees(spread[:2])
@@ -247,7 +250,7 @@ def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
             f"the hand was turned about one axis only (standard deviation {first:.1f} degrees "
             f"about it, {second:.1f} about any other; at least "
             f"{np.degrees(MIN_SPREAD[1]):.0f} are needed), so the position of the camera along "
-            "that axis cannot be known",
+            "that axis is undetermined",
             hint=hint,
         )
     return spread
@@ -290,7 +293,7 @@ def start_handeye(samples: Sequence[HandEyeSample], mounting: Mounting) -> Mount
 
 @dataclass(frozen=True)
 class ViewResidual:
-    """How one view fits.
+    """Residual of one view.
 
     Attributes:
         pixels: RMS distance of its corners from their projection, px.
@@ -354,10 +357,10 @@ def solve_handeye(
 ) -> HandEye:
     """Find the pose of a camera from pictures of one board at many poses of the arm.
 
-    All corners are fitted together over both poses. The arm's own error moves all corners of one
-    picture alike. It is therefore told from that of the pixels and estimated from the views, so
-    that the stated uncertainty is consistent with the errors. The bias that all views share
-    (``Observation.bias``) is included.
+    All corners are fitted together over both poses. The error of the arm moves all corners of one
+    picture alike. It is therefore separated from the noise of the pixels and estimated from the
+    views. The stated uncertainty is then consistent with the errors. It includes the bias that all
+    views share (``Observation.bias``).
 
     Args:
         samples: At least 4, rotated about two axes; 15 are good.
@@ -375,10 +378,10 @@ def solve_handeye(
     def linear(
         mount: Mount, weights: Sequence[Array] | None
     ) -> tuple[LinearViews, Sequence[Array]]:
-        views, rests = compress(mount, samples, intrinsics, weights)
-        scale = pixel_scale(rests)
+        views, corner_errors = compress(mount, samples, intrinsics, weights)
+        scale = pixel_scale(corner_errors)
         scaled = replace(views, pixels=scale**2 * views.pixels, sources=sources)
-        return scaled, corner_residuals(rests, scale)
+        return scaled, corner_residuals(corner_errors, scale)
 
     mount, normal = fit_views(linear, start_handeye(samples, mounting), _UNKNOWNS)
     residuals = []
@@ -388,10 +391,10 @@ def solve_handeye(
     require_explained(pixels, [residual.outlier for residual in residuals], intrinsics)
     good = [residual for residual in residuals if not residual.outlier] or residuals
     arm_position, arm_angle = normal.noise.sizes.tolist()
-    # An error that all views share does not show in their scatter, nor does it fall with their
+    # An error that all views share does not show in their scatter and does not decrease with their
     # number.
-    by_bias = np.array([_by_bias(mount, sample, intrinsics) for sample in samples])
-    shared = normal.moved_by(by_bias)
+    bias_twists = np.array([_bias_twist(mount, sample, intrinsics) for sample in samples])
+    shared = normal.moved_by(bias_twists)
     return HandEye(
         mount.pose_parent_camera,
         mount.pose_other_board,
@@ -406,8 +409,8 @@ def solve_handeye(
     )
 
 
-def _by_bias(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> Array:
-    """Return the twist of the hand (6,) that a view asks for if its corners lie outwards."""
+def _bias_twist(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> Array:
+    """Return the twist of the hand (6,) that the bias of the corners of a view causes."""
     view = sample.view
     if view.bias == 0.0:
         return np.zeros(6)
@@ -429,33 +432,33 @@ def require_explained(
         intrinsics: Intrinsics of the pictures.
 
     Raises:
-        CalibrationError: Half of the views are far off, or outliers.
+        CalibrationError: Half of the views have a large error, or more than half are outliers.
     """
     limit = _MAX_ERROR * max(intrinsics.size)
     median = float(np.median(np.nan_to_num(pixels, nan=np.inf)))
     if median <= limit and 2 * sum(outliers) <= len(outliers):
         return
     raise CalibrationError(
-        f"no answer explains what was seen: half of the {len(outliers)} views are {median:.1f} px "
-        f"off and more (an arm explains at most {limit:.0f} px), {sum(outliers)} contradict the "
-        "others",
+        f"no result explains the views: the median error of {len(outliers)} views is "
+        f"{median:.1f} px (an arm causes at most {limit:.0f} px), and {sum(outliers)} views "
+        "contradict the others",
         hint="check which of camera and board the arm carries, that the pictures belong to these "
         "joint angles, the board's sizes, and the camera's calibration",
     )
 
 
-def pixel_scale(rests: Sequence[Array]) -> float:
+def pixel_scale(corner_errors: Sequence[Array]) -> float:
     """Return the standard deviation of the pixels in units of the stated one.
 
-    It is robust, and with few numbers it stays near 1.
+    The estimate is robust. With few corners it stays near 1.
 
     Args:
-        rests: Second result of ``compress``.
+        corner_errors: Second result of ``compress``.
     """
-    lengths = np.concatenate(rests)
+    lengths = np.concatenate(corner_errors)
     robust = float(np.median(lengths)) / _MEDIAN_LENGTH
-    # The fit of six numbers a view took a part of the variance.
-    redundancy = 2.0 * len(lengths) - 6.0 * len(rests)
+    # The fit of six unknowns per view removes a part of the variance.
+    redundancy = 2.0 * len(lengths) - 6.0 * len(corner_errors)
     share = redundancy / (2 * len(lengths))
     if share < _MIN_REDUNDANCY:
         return 1.0
@@ -463,9 +466,9 @@ def pixel_scale(rests: Sequence[Array]) -> float:
     return float(np.sqrt(squares / (_SCALE_PRIOR + redundancy)))
 
 
-def corner_residuals(rests: Sequence[Array], scale: float) -> list[Array]:
-    """Return the rests of ``compress`` in standard deviations of one coordinate."""
-    return [rest / np.sqrt(2.0) / scale for rest in rests]
+def corner_residuals(corner_errors: Sequence[Array], scale: float) -> list[Array]:
+    """Return the corner errors of ``compress`` in standard deviations of one coordinate."""
+    return [errors / np.sqrt(2.0) / scale for errors in corner_errors]
 
 
 def _residual(

@@ -2,7 +2,7 @@
 
 Self-calibration fits all corners of all pictures together, over the joint offsets and the poses of
 camera and board. What is known of the poses enters as a prior with its covariance. A change of
-offsets moves the hand, so all unknowns enter the six numbers that sum up a view
+offsets moves the hand, so all unknowns act on the six numbers to which a view is reduced
 (``handeye.compress``). Offsets that the views cannot tell from other unknowns are held at 0 and
 reported.
 
@@ -46,11 +46,11 @@ from robot_ik.robot import Robot
 
 #: Numbers of the two poses: the camera's twist, then the board's.
 POSES = 12
-#: Standard deviations of the poses by hand-eye calibration before the zeros are known, each axis, m
-#: and rad.
-ANYWHERE = (0.05, math.radians(5.0))
-# A view that contradicts the others by less than this is not an outlier, metres. Print and lens
-# explain it.
+#: Standard deviations of the poses from hand-eye calibration before the zeros are known, each axis,
+#: m and rad.
+HANDEYE_PRIOR = (0.05, math.radians(5.0))
+# A view that contradicts the others by less than this is not an outlier, metres. Errors of print
+# and lens can cause it.
 _OUTLIER_DISTANCE = 5e-4
 # Standard deviation of a combination of offsets up to which it is determined, rad.
 _MAX_SIGMA = math.radians(0.25)
@@ -94,7 +94,7 @@ class KnownPose:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationStation:
-    """The joint angles ``q`` (nq,) of the resting arm by its servos, and the board in a picture."""
+    """Joint angles ``q`` (nq,) of the resting arm from its servos, and the board in a picture."""
 
     q: Array
     view: Observation
@@ -161,7 +161,7 @@ class ArmModel:
         The unknowns are the joint offsets and the poses (nv + 12,). The source of the arm's error
         is an error of each joint.
         """
-        views, rests = compress(state.mount, self.samples(state), self.intrinsics, weights)
+        views, corner_errors = compress(state.mount, self.samples(state), self.intrinsics, weights)
         by_joint = np.array([self._hand_jacobian(state, view) for view in self.views])
         n = self.robot.nv
         prior = np.zeros((n + POSES, n + POSES))
@@ -170,7 +170,7 @@ class ArmModel:
         prior_error = np.zeros(n + POSES)
         prior_error[n : n + 6] = state.mount.pose_parent_camera.minus(self.camera.pose)
         prior_error[n + 6 :] = state.mount.pose_other_board.minus(self.board.pose)
-        scale = pixel_scale(rests)
+        scale = pixel_scale(corner_errors)
         views = LinearViews(
             views.pseudo_measurement,
             scale**2 * views.pixels,
@@ -179,7 +179,7 @@ class ArmModel:
             prior=prior,
             prior_error=prior_error,
         )
-        return views, corner_residuals(rests, scale)
+        return views, corner_residuals(corner_errors, scale)
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """Return the twist of the hand, in its own axes, by the joints (6, nv)."""
@@ -191,12 +191,12 @@ class ArmModel:
 
 @dataclass(frozen=True, eq=False)
 class PoseError:
-    """Distance of the board from its pose by the joints, in one view.
+    """Difference of a measured pose of the board from its pose by the joint angles.
 
     Attributes:
-        position: (3,) of the board (eye in hand: the camera) by the joints, world, metres.
-        vector: (3,) from there to its position in the picture, world, metres.
-        angle: The same for the orientation, rad.
+        position: (3,) of the board (eye in hand: the camera) from the joint angles, world, metres.
+        vector: (3,) from ``position`` to the position measured in the picture, world, metres.
+        angle: Angle between the two orientations, rad.
         sigma: Standard deviation of the measured position, metres: root of the sum over the axes.
         sigma_angle: The same for the orientation, rad.
         outlier: Whether it contradicts all others and has almost no weight.
@@ -227,7 +227,7 @@ def pose_error(
 
     Args:
         model: The arm.
-        state: Where to evaluate it.
+        state: The unknowns.
         view: Index of the view.
         covariance: (6, 6) of the twist of the hand, in its axes, between picture and joints.
         contradicts: Whether the view contradicts the others.
@@ -255,18 +255,18 @@ def pose_error(
 
 
 def measure_errors(model: ArmModel) -> tuple[PoseError, ...]:
-    """Return the errors of the arm as it is, without a fit."""
+    """Return the errors of the arm without a fit of its offsets."""
     state = model.start()
-    # The covariance of corners and poses is linear at the pose of the hand by the picture.
+    # The covariances are linearised at the pose of the hand that fits the picture.
     samples = []
     for view in model.views:
         samples.append(HandEyeSample(state.mount.pose_world_hand(view.view.pose), view.view))
-    views, rests = compress(state.mount, samples, model.intrinsics)
+    views, corner_errors = compress(state.mount, samples, model.intrinsics)
     known = np.zeros((POSES, POSES))
     known[:6, :6] = model.camera.covariance
     known[6:, 6:] = model.board.covariance
     by_poses = views.rows @ known @ views.rows.transpose(0, 2, 1)
-    covariances = views.pixels * pixel_scale(rests) ** 2 + by_poses
+    covariances = views.pixels * pixel_scale(corner_errors) ** 2 + by_poses
     return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(samples)))
 
 
@@ -315,7 +315,7 @@ class ZeroOffsets:
 
 
 def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
-    """Fit the offsets by which the joints are ahead of their servos.
+    """Fit the zero offsets of the joints: true joint angle minus angle of the servo.
 
     Args:
         model: The arm and its measurements.
@@ -347,13 +347,13 @@ def fit_zero_offsets(model: ArmModel, hold: Sequence[str] = ()) -> ZeroOffsets:
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
         unknowns = np.array([*free, *range(robot.nv, robot.nv + POSES)])
-        # Each fit begins at the start: an offset without information may have gone anywhere.
+        # Each fit begins at the start, because an offset without information may have drifted.
         state, normal = fit_views(model.linear, model.start(), unknowns)
         worst = find_unobservable(normal, robot.joints, _MAX_SIGMA)
         if worst is None:
-            # With all joints held the errors of the arm are wanted, however large.
-            judge = not set(hold) >= set(robot.joints)
-            return _result(model, state, normal, unobservable, judge=judge)
+            # If the caller holds all joints, it measures the errors of the arm. Any size is valid.
+            check_fit = not set(hold) >= set(robot.joints)
+            return _result(model, state, normal, unobservable, check_fit=check_fit)
         unobservable.append(worst)
         held.add(worst.joint)
 
@@ -364,7 +364,7 @@ def _result(
     normal: NormalEquations,
     unobservable: list[Unobservable],
     *,
-    judge: bool,
+    check_fit: bool,
 ) -> ZeroOffsets:
     n = model.robot.nv
     errors = []
@@ -376,7 +376,7 @@ def _result(
     mount = state.mount
     residuals = [mount.residual(sample, model.intrinsics) for sample in model.samples(state)]
     outliers = [error.outlier for error in errors]
-    if judge:
+    if check_fit:
         require_explained(
             [rms_distance(residual) for residual in residuals], outliers, model.intrinsics
         )
@@ -419,8 +419,8 @@ def doubted_zeros(
         return {}
     kinds = zip(robot.joints, robot.tree.kind, strict=True)
     slides = [name for name, kind in kinds if kind == SLIDE]
-    camera = KnownPose.within(result.pose_parent_camera, *ANYWHERE)
-    board = KnownPose.within(result.pose_other_board, *ANYWHERE)
+    camera = KnownPose.within(result.pose_parent_camera, *HANDEYE_PRIOR)
+    board = KnownPose.within(result.pose_other_board, *HANDEYE_PRIOR)
     model = ArmModel(robot, frame, intrinsics, views, camera, board, result.mounting)
     try:
         fit = fit_zero_offsets(model, slides)

@@ -1,11 +1,11 @@
 """Least squares of hand-eye calibration and joint zeros, with errors of pixels and of the arm.
 
-Each view is summed up by the twist of the hand that its picture asks for, e_i (6,). A step x of the
-unknowns leaves e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki. P_i is that of the
-pixels and is known. G_ki is that of a source of the arm's own error (position and angle of the
-hand, or its joints). The size s_k of a source is the same for all views and is estimated by
-restricted maximum likelihood. A view that contradicts the others has less weight. Prior knowledge
-of the unknowns enters with its covariance.
+Each view is reduced to the twist of the hand that fits its picture best, e_i (6,). A step x of the
+unknowns changes it to e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki. P_i is the
+known covariance from the pixels. G_ki is the covariance of a source of the arm's error (position
+and angle of the hand, or its joints). The size s_k of a source is the same for all views and is
+estimated by restricted maximum likelihood. A view that contradicts the others has less weight.
+Prior knowledge of the unknowns enters with its covariance.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class LinearViews:
     """All views, linear at one state, and the prior of the m unknowns.
 
     Attributes:
-        pseudo_measurement: (n, 6) twist of the hand, in its axes, that each picture asks for.
-        pixels: (n, 6, 6) its covariance by the corners alone.
-        rows: (n, 6, m) its derivative by the unknowns.
-        sources: (k, n, 6, 6) its covariance by each source of the arm's error, of size 1.
+        pseudo_measurement: (n, 6) twist of the hand, in its axes, that fits each picture best.
+        pixels: (n, 6, 6) its covariance from the noise of the corners alone.
+        rows: (n, 6, m) its derivative with respect to the unknowns.
+        sources: (k, n, 6, 6) its covariance from each source of the arm's error, of size 1.
         prior: (m, m) information on the unknowns.
         prior_error: (m,) unknowns minus their prior means.
     """
@@ -102,7 +102,7 @@ class LeftOut:
 
     Attributes:
         step: (m,) step of the unknowns to the fit without the view.
-        pseudo_measurement: (6,) twist that the picture asks for then.
+        pseudo_measurement: (6,) twist that fits the picture best after this step.
         covariance: (6, 6) expected covariance of the twist.
         sigmas: Its length in standard deviations.
     """
@@ -151,23 +151,23 @@ class NormalEquations:
         return self._spread_out(inverse(self.matrix))
 
     def moved_by(self, errors: Array) -> Array:
-        """Return the error (m,) of the unknowns by ``errors`` (n, 6) of the pseudo-measurements."""
+        """Return the error (m,) of the unknowns that ``errors`` (n, 6) of the twists cause."""
         weighted = np.linalg.solve(self.noise.covariances, errors[..., None])[..., 0]
         by_view = np.einsum("nik,ni->nk", self.views.rows, weighted)
         return np.asarray(self.covariance @ (self.noise.weights @ by_view))
 
     def left_out(self, view: int) -> LeftOut:
-        """Return how one view fits all others."""
+        """Compare one view with the fit to all others."""
         _, scale = _balanced(self.matrix)
         outer = np.outer(scale, scale)
         others = (self.matrix - self.parts[view]) / outer + _NO_PRIOR * np.eye(len(scale))
         covariance = np.linalg.inv(others) / outer
         step = self._with_fixed(covariance @ (self.right - self.rights[view]))
         rows = self.views.rows[view]
-        rest = self.views.pseudo_measurement[view] + rows @ step
+        residual = self.views.pseudo_measurement[view] + rows @ step
         expected = self.noise.covariances[view] + rows @ self._spread_out(covariance) @ rows.T
-        sigmas = float(np.sqrt(max(rest @ np.linalg.solve(expected, rest), 0.0)))
-        return LeftOut(step, rest, expected, sigmas)
+        sigmas = float(np.sqrt(max(residual @ np.linalg.solve(expected, residual), 0.0)))
+        return LeftOut(step, residual, expected, sigmas)
 
     def _with_fixed(self, step: Array) -> Array:
         """Return the step (m,) of all unknowns for a step (f,) of the free unknowns."""
@@ -272,7 +272,7 @@ def cauchy_weight(residuals: Array) -> Array:
 def estimate_noise(
     views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None
 ) -> ArmNoise:
-    """Estimate the sizes of the arm's error and the weights of the views, in turns.
+    """Estimate the sizes of the arm's error and the weights of the views, alternately.
 
     Plain maximum likelihood would find an arm that is too accurate, because the unknowns are fitted
     to the same views. Restricted likelihood corrects that. Source: Patterson & Thompson, Recovery
@@ -290,8 +290,9 @@ def estimate_noise(
         sizes = _most_likely(views, free, weights, before)
         covariances = views.covariances(sizes)
         step = normal_equations(views, ArmNoise(sizes, covariances, weights), free).step()
-        rest = views.pseudo_measurement + views.rows @ step
-        squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
+        residuals = views.pseudo_measurement + views.rows @ step
+        weighted = np.linalg.solve(covariances, residuals[..., None])[..., 0]
+        squares = np.einsum("ni,ni->n", residuals, weighted)
         weights = np.minimum(1.0, (_FREEDOM + _TWIST) / (_FREEDOM + squares))
         before = ArmNoise(sizes, covariances, weights)
     if before is None:
@@ -352,6 +353,6 @@ def _balanced(matrix: Array, more: float = 0.0) -> tuple[Array, Array]:
 
 
 def inverse(matrix: Array) -> Array:
-    """Return the inverse of a positive matrix whose unknowns have different units."""
+    """Return the inverse of a positive definite matrix whose unknowns have different units."""
     scaled, scale = _balanced(matrix)
     return np.asarray(np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale))

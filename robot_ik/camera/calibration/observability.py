@@ -1,4 +1,6 @@
-"""Joint offsets that the views cannot tell from each other or from the poses of camera and board.
+"""Joint offsets that the views do not determine.
+
+The views cannot separate them from each other, or from the poses of camera and board.
 
 Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration
 methods, Int. J. Robotics Research 15(6), 1996. The singular values of the information matrix are
@@ -25,10 +27,10 @@ class Unobservable:
     """A combination of joint offsets that the views do not determine.
 
     Attributes:
-        joint: Joint that is held at 0 for it.
+        joint: Joint that is held at 0 because of it.
         joints: Names of the free joints, in the order of ``direction``.
         direction: (n,) the combination, of length 1.
-        poses: (12,) twists of camera and board that look the same as the combination, per rad.
+        poses: (12,) twists of camera and board with the same effect on the views, per rad.
         sigma: Its standard deviation, rad; infinite if the views contain no information on it.
     """
 
@@ -40,15 +42,15 @@ class Unobservable:
 
 
 def joint_information(normal: NormalEquations, joints: int) -> tuple[Array, Array, Array]:
-    """Return the information on the joint offsets after the poses took their share.
+    """Return the information on the joint offsets, with the poses eliminated (Schur complement).
 
     Args:
         normal: Normal equations with a prior of the poses, so that these are always determined.
-        joints: Number of unknowns that are joints. The first of the free ones are.
+        joints: Number of unknowns that are joints. They are the first unknowns.
 
     Returns:
-        Singular values, 1/rad^2, the largest first; directions as columns; (poses, joints) how the
-        poses follow each joint without a change in the views.
+        Singular values, 1/rad^2, the largest first; directions as columns; (poses, joints) change
+        of the poses that compensates a change of each joint in the views.
     """
     h = normal.matrix
     count = int(np.sum(normal.free < joints))

@@ -12,7 +12,7 @@ from robot_ik.ports import Array
 
 # Rounds of reweighting. The mean settles after about five.
 _ROUNDS = 10
-# Smallest scale with which a distance is compared, metres and radians.
+# Smallest scale of the distances, metres and rad.
 _MIN_SCALE = 1e-9
 # The median of |x| of a Gaussian is 1 / 1.4826 standard deviations.
 _MEDIAN_TO_SIGMA = 1.4826
@@ -45,7 +45,7 @@ def robust_mean_pose(poses: Sequence[Pose]) -> Pose:
     It starts at the pose with the least sum of distances to all others. Weights are Cauchy's, in
     units of the median distance.
     """
-    distances = np.array([[one.distance(other) for other in poses] for one in poses])
+    distances = np.array([[pose.distance(other) for other in poses] for pose in poses])
     scale = np.maximum(np.median(distances, axis=(0, 1)), _MIN_SCALE)
     mean = poses[int(np.argmin((distances / scale).sum(axis=(1, 2))))]
     for _ in range(_ROUNDS):
@@ -58,7 +58,7 @@ def robust_mean_pose(poses: Sequence[Pose]) -> Pose:
 
 
 def rotation_spread(rotations: Sequence[Array]) -> Array:
-    """Return how widely rotations (unit quaternions (4,)) are spread.
+    """Return the spread of rotations (unit quaternions (4,)).
 
     Returns:
         (3,) standard deviations in rad about the three principal axes, the largest first. Rotations

@@ -37,21 +37,21 @@ _NEW_POSITION = 0.12
 _NEW_SCALE = 1.2
 _NEW_TILT = 9.0
 # Number of pictures without the pattern after which similar patterns are tried. That takes a
-# second, and a live board is often just not visible yet.
+# second. In the first pictures of a camera the board is often not visible yet.
 _UNMATCHED = 12
 # Factor by which that number grows after each trial.
-_PATIENCE = 4
+_UNMATCHED_GROWTH = 4
 # Number of pictures in which similar patterns are tried while more pictures follow.
 _IDENTIFIED = 3
-# Number of markers that make a ChArUco board. Fewer may be chance finds on a chessboard.
+# Smallest number of markers of a ChArUco board. Fewer may be false detections on a chessboard.
 _BOARD_MARKERS = 4
-# Number of pictures without the pattern, and of missing views, that are named.
+# Largest number of pictures without the pattern, and of missing views, that a message names.
 _NAMED = 5
 _NAMED_MISSING = 3
 
 
 class ViewGatherer:
-    """Takes views one by one.
+    """Gathers the views of a calibration one at a time.
 
     Args:
         pattern: The pattern in the pictures.
@@ -99,7 +99,7 @@ class ViewGatherer:
             raise FrameSizeError(
                 f"{name} has {frame.size[0]}x{frame.size[1]} px, the pictures before it "
                 f"{self.size[0]}x{self.size[1]} px",
-                hint="a calibration is for one picture size: calibrate each size by itself",
+                hint="a calibration is for one picture size: calibrate each size separately",
             )
         found = self.pattern.find(frame.image)
         if found is None:
@@ -119,7 +119,7 @@ class ViewGatherer:
         return True
 
     def finish(self) -> None:
-        """Check what was found in the pictures and add notices.
+        """Check the views and add notices.
 
         Raises:
             CalibrationError: No picture shows the pattern. The hint says what they show.
@@ -132,7 +132,7 @@ class ViewGatherer:
             if len(self._names_without) > _NAMED:
                 names += ", …"
             count = len(self._names_without)
-            self.notices.append(f"not seen well enough in {count} of the pictures: {names}")
+            self.notices.append(f"the pattern was not found in {count} of the pictures: {names}")
 
     @property
     def coverage(self) -> Coverage:
@@ -148,7 +148,7 @@ class ViewGatherer:
         self._unmatched.append(image)
         self._unmatched_count += 1
         if not self._is_found and self._unmatched_count == self._identify_at:
-            self._identify_at *= _PATIENCE
+            self._identify_at *= _UNMATCHED_GROWTH
             self._identify_pattern(last=False)
 
     def _identify_pattern(self, *, last: bool) -> None:
@@ -158,7 +158,7 @@ class ViewGatherer:
         if is_charuco and other == replace(self.pattern, legacy=True):  # type: ignore[call-arg]
             self.pattern = other
             self.notices.append(
-                "the board has the layout of OpenCV before 4.6 (legacy pattern): taken as such"
+                "the board has the layout of OpenCV before 4.6 (legacy pattern), which is used"
             )
             self._names_without.clear()
             for number, image in enumerate(images):
@@ -177,7 +177,7 @@ class ViewGatherer:
             )
 
     def _check_counts(self) -> None:
-        """Report a miscounted chessboard that was found in part, or by chance."""
+        """Add a notice for a miscounted chessboard that was found in part, or by chance."""
         larger = larger_chessboard(self.pattern, self._first)
         if larger is not None:
             self.notices.append(
@@ -213,13 +213,13 @@ def _hint_when_missing(pattern: Pattern, images: Sequence[Image]) -> str:
     """Return what to check if neither the pattern nor a similar one was found."""
     if not isinstance(pattern, CharucoPattern):
         return (
-            "it must be in view as a whole, with a white margin; check --columns and --rows, light "
-            "and focus"
+            "the whole pattern must be in view, with a white margin; check --columns and --rows, "
+            "light and focus"
         )
     guess = guess_dictionary(images[-_IDENTIFIED:], min_count=_BOARD_MARKERS)
     if guess is None:
         return (
-            "no markers are visible; if it is a chessboard, give --pattern chessboard; else check "
+            "no markers are visible; for a chessboard give --pattern chessboard; otherwise check "
             "light and focus"
         )
     name, ids = guess
@@ -248,7 +248,7 @@ def _guess_pose(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, floa
 
 
 def missing_text(missing: Sequence[str]) -> str:
-    """Return the views that are missing, in short."""
+    """Return the first missing views as text."""
     if not missing:
         return "nothing is missing"
     text = "still to show: " + "; ".join(missing[:_NAMED_MISSING])

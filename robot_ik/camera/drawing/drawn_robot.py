@@ -24,7 +24,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Mask
 
-# Part of the light that a shadow takes.
+# Part of the light that a shadow removes.
 SHADOW_STRENGTH = 0.42
 # Cosine between the light of shadows and the normal of the plane, at least. Longer shadows would
 # leave the picture.
@@ -36,7 +36,7 @@ _COARSE = 3
 # Standard deviation of a blur on its own lattice, px. Less would show the lattice.
 _BLUR_PIXELS = 4.0
 # Factor of inverse depth by which an object must be nearer than the plane to hide a shadow on it.
-# What stands on the plane does not hide the plane where it stands.
+# An object that stands on the plane does not hide the plane under it.
 _NEARER = 1.005
 
 
@@ -67,12 +67,12 @@ class DrawnRobot:
 
     Attributes:
         model: The robot.
-        pose_board_base: Where its world frame is, seen from the board (x right, y up, z out of the
-            print).
+        pose_board_base: Pose of its world frame in the frame of the board (x right, y up, z out of
+            the print).
         scale: Drawn size over true size.
         occluders: Real objects in the frame of the board. They hide the robot and are not drawn.
         occluder_geoms: (ngeom,) geoms of the robot's own model that are such objects.
-        shadow: Whether the robot throws a shadow on the plane of the board.
+        shadow: Whether the robot casts a shadow on the plane of the board.
     """
 
     model: mujoco.MjModel
@@ -117,8 +117,8 @@ class DrawnRobot:
         buffer = SurfaceBuffer(box)
         if objects is not None and self.occluders is not None:
             buffer.fill(objects, geom_paint(self.occluders, occluders=True))
-        own = False if self.occluder_geoms is None else self.occluder_geoms
-        buffer.fill(faces, geom_paint(self.model, occluders=own))
+        hidden_geoms = False if self.occluder_geoms is None else self.occluder_geoms
+        buffer.fill(faces, geom_paint(self.model, occluders=hidden_geoms))
         robot = (buffer.layer(), 1.0)
         if not self.shadow:
             return Drawing((robot,))
@@ -135,7 +135,7 @@ def cast_shadow(
     pose_camera_plane: Pose,
     softness: float = _SOFTNESS,
 ) -> Layer:
-    """Draw the soft shadow that faces throw on the plane z = 0 of a frame.
+    """Draw the soft shadow that faces cast on the plane z = 0 of a frame.
 
     Args:
         faces: Of the robot, in the picture.
@@ -155,10 +155,10 @@ def cast_shadow(
     points = faces.points - fall[:, None] * direction
     pixels, inverse, within = project(points, intrinsics)
     within &= faces.within
-    # Faces behind the plane throw no shadow on it.
+    # Faces behind the plane cast no shadow on it.
     above = np.asarray(height > 0.0)
     corners_above = np.logical_or.reduce(above[faces.faces], axis=1)
-    throwing = corners_above & np.logical_and.reduce(within[faces.faces], axis=1)
+    casting = corners_above & np.logical_and.reduce(within[faces.faces], axis=1)
     # Vertices beside the lens have meaningless pixels.
     rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
     height_px = float(np.ptp(rows)) if len(rows) else 0.0
@@ -167,7 +167,7 @@ def cast_shadow(
         faces,
         pixels=(pixels + 0.5) / _COARSE - 0.5,
         inverse=inverse,
-        chosen=faces.chosen[throwing[faces.chosen]],
+        chosen=faces.chosen[casting[faces.chosen]],
         within=within,
     )
     width, picture_height = intrinsics.size

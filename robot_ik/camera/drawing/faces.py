@@ -1,4 +1,4 @@
-"""Faces of a MuJoCo model where a calibrated camera sees them: placed, lit, projected and clipped.
+"""Faces of a MuJoCo model in the picture of a calibrated camera: placed, lit, projected, clipped.
 
 Vertices go through the lens model itself, so a drawing lies on the raw, distorted picture.
 """
@@ -30,7 +30,8 @@ EMPTY: Box = (0, 0, 0, 0)
 NEAR = 0.02
 # Faces beyond this part of the radius at which a lens model folds back are clipped.
 _SAFE_RADIUS = 0.98
-# Clipped faces are cut this part of the view outside it, where the lens model still holds.
+# Faces are clipped at this distance outside the view, as a part of the view. The lens model is
+# still valid there.
 _CLIP_MARGIN = 0.06
 # Direction to the light in the camera frame (x right, y down, z forward): above, left, behind the
 # lens. Every drawing is lit from the side of the viewer.
@@ -55,7 +56,7 @@ class Faces:
         chosen: (k,) the faces to fill.
         geom: (f,) geom id of each face in the model.
         lit: (f, 4, 2) diffuse light and highlight at the corners of faces that show their outside.
-        within: (v,) whether the lens can see the vertex. The pixels of other vertices mean nothing.
+        within: (v,) whether the lens can see the vertex. The pixels of other vertices are invalid.
         mesh: The faces before clipping, in geom frames.
     """
 
@@ -125,7 +126,7 @@ def faces_in_picture(
     *,
     planes: bool = False,
 ) -> Faces:
-    """Return the faces of the model where this camera sees them.
+    """Return the faces of the model in the picture of a camera.
 
     Round geoms are cut so finely that their corners are not visible.
 
@@ -157,8 +158,8 @@ def faces_in_picture(
         _HALFWAY @ rotation,
         lit,
     )
-    every = np.arange(len(mesh.faces))
-    faces = Faces(points, pixels, inverse, mesh.faces, every, mesh.face_geom_id, lit, within, mesh)
+    chosen = np.arange(len(mesh.faces))
+    faces = Faces(points, pixels, inverse, mesh.faces, chosen, mesh.face_geom_id, lit, within, mesh)
     return faces if inside else _clipped(faces, intrinsics)
 
 
@@ -180,7 +181,7 @@ def bounding_box(faces: Faces, width: int, height: int, margin: int = 3) -> Box:
 
 
 def _clipped(faces: Faces, intrinsics: CameraIntrinsics) -> Faces:
-    """Return the faces with those cut that leave the part of space which the lens can see."""
+    """Return the faces, with those clipped that leave the part of space that the lens can see."""
     planes = view_planes(intrinsics)
     inside = faces.points @ planes[:, :3].T + planes[:, 3] >= 0.0
     some_inside = np.logical_or.reduce(inside[faces.faces], axis=1)
@@ -203,13 +204,13 @@ def _clipped(faces: Faces, intrinsics: CameraIntrinsics) -> Faces:
     origin = np.concatenate(origins)
     fan = np.concatenate(fans)
     flat = np.repeat(faces.lit[origin].mean(axis=1, keepdims=True), 4, axis=1)
-    whole = np.flatnonzero(touching & visible)
+    unclipped = np.flatnonzero(touching & visible)
     return Faces(
         np.concatenate([faces.points, extra]),
         np.concatenate([faces.pixels, pixels]),
         np.concatenate([faces.inverse, inverse]),
         np.concatenate([faces.faces, fan]),
-        np.concatenate([whole, len(faces.faces) + np.arange(len(fan))]),
+        np.concatenate([unclipped, len(faces.faces) + np.arange(len(fan))]),
         np.concatenate([faces.geom, faces.geom[origin]]),
         np.concatenate([faces.lit, flat]).astype(np.float32),
         np.concatenate([faces.within, np.ones(len(extra), dtype=bool)]),
@@ -219,7 +220,7 @@ def _clipped(faces: Faces, intrinsics: CameraIntrinsics) -> Faces:
 
 @lru_cache(maxsize=16)
 def view_planes(intrinsics: CameraIntrinsics) -> Array:
-    """Return the planes (5, 4) round the view: near, left, right, top, bottom.
+    """Return the planes (5, 4) around the view: near, left, right, top, bottom.
 
     A point p is inside where n . p + d >= 0 for each plane (n, d).
     """
@@ -278,9 +279,9 @@ def through_lens(points, lens, near, limit, pixels, inverse, within):
         points: In the camera frame, metres.
         lens: The camera as a ``lens_vector``.
         near: Points nearer than this are not within the view, metres.
-        limit: Nor are points farther off the axis than this part of their depth. They are moved
-            there.
-        pixels: Where the points are in the picture.
+        limit: Points farther off the axis than this part of their depth are not within the view
+            either. They are moved to this distance.
+        pixels: Pixels of the points.
         inverse: One over their depth, 1 / m.
         within: Whether the lens can see them.
     """
@@ -302,7 +303,7 @@ def through_lens(points, lens, near, limit, pixels, inverse, within):
 
 
 @kernel
-def light_corners(normals, faces, owner, pixels, every, light, half, lit):
+def light_corners(normals, faces, owner, pixels, both_sides, light, half, lit):
     """Write diffuse light and highlight at the corners of faces to ``lit`` (f, 4, 2).
 
     Args:
@@ -310,7 +311,7 @@ def light_corners(normals, faces, owner, pixels, every, light, half, lit):
         faces: (f, 4) rows of ``pixels`` (v, 2).
         owner: (f,) geom of each face.
         pixels: (v, 2) vertices in the picture.
-        every: Whether to light faces that show their inside too.
+        both_sides: Whether to light also faces that show their inside.
         light: (g, 3) unit direction to the light in the frame of each geom.
         half: (g, 3) the direction half way between light and viewer.
         lit: Written. Faces that show their inside keep their old values.
@@ -320,14 +321,14 @@ def light_corners(normals, faces, owner, pixels, every, light, half, lit):
         b = faces[f, 1]
         c = faces[f, 2]
         d = faces[f, 3]
-        if not every and turn(pixels, a, b, c) >= 0.0 and turn(pixels, a, c, d) >= 0.0:
+        if not both_sides and turn(pixels, a, b, c) >= 0.0 and turn(pixels, a, c, d) >= 0.0:
             continue
         g = owner[f]
         for k in range(4):
             n = normals[f, k]
             diffuse = n[0] * light[g, 0] + n[1] * light[g, 1] + n[2] * light[g, 2]
             shine = n[0] * half[g, 0] + n[1] * half[g, 1] + n[2] * half[g, 2]
-            # The light reaches round the surface, so that the dark side is not flat.
+            # The diffuse light wraps around the surface, so that the dark side has shading.
             wrapped = 0.5 + 0.5 * diffuse
             lit[f, k, 0] = _AMBIENT + (1.0 - _AMBIENT) * wrapped * wrapped
             power = max(shine, 0.0)

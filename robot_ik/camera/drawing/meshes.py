@@ -38,7 +38,7 @@ _USUAL_SEGMENTS = ((0.015, 12), (0.04, 16), (np.inf, 24))
 # Half side of an endless plane (size 0), metres, and the most faces along a side of a plane.
 _ENDLESS_HALF = 2.0
 _MOST_PLANE_FACES = 24
-# Vertices closer together than this part of the size of a mesh are one.
+# Vertices closer together than this part of the size of a mesh are merged.
 _WELD = 1e-7
 # Clustering begins with cells of this part of a mesh, and stops at the second number.
 _FINEST_CELLS = 64
@@ -148,11 +148,11 @@ class ModelMesh:
 
 @dataclass(frozen=True)
 class _ModelCache:
-    """What is kept of a model for drawing.
+    """Cached data of a model for drawing.
 
     Attributes:
         data: Scratch memory for MuJoCo.
-        segments: (ngeom,) faces that a round geom needs where a metre is a pixel; else 0.
+        segments: (ngeom,) faces round a round geom at a scale of 1 px per metre; 0 for other geoms.
         radius: (ngeom,) extent of round geoms across their z axis, metres.
         reach: (ngeom,) extent of long round geoms along it, metres.
         parts: Faces by geom and number of segments.
@@ -180,11 +180,11 @@ def cached_mesh(
     counts = segments or (0,) * model.ngeom
     known = _model_cache(model).parts
     geoms = visible_geoms(model, planes=planes)
-    nothing = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
+    empty = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
     for g in geoms:
         if (g, counts[g]) not in known:
-            known[g, counts[g]] = triangulate(model, g, counts[g]) or nothing
-    parts = [known[g, counts[g]] for g in geoms] or [nothing]
+            known[g, counts[g]] = triangulate(model, g, counts[g]) or empty
+    parts = [known[g, counts[g]] for g in geoms] or [empty]
     vertex_counts = [len(part.vertices) for part in parts]
     face_counts = [len(part.faces) for part in parts]
     first_vertex = np.cumsum([0, *vertex_counts[:-1]])
@@ -204,7 +204,7 @@ def cached_mesh(
 
 
 def geom_rgba(model: mujoco.MjModel) -> Array:
-    """Return the colours (ngeom, 4), 0 to 1. A geom's material wins over its own rgba."""
+    """Return the colours (ngeom, 4), 0 to 1. The material of a geom overrides its rgba."""
     rgba = np.array(model.geom_rgba, dtype=float)
     material = np.array(model.geom_matid)
     colours = np.array(model.mat_rgba, dtype=float).reshape(-1, 4)
@@ -213,10 +213,10 @@ def geom_rgba(model: mujoco.MjModel) -> Array:
 
 
 def visible_geoms(model: mujoco.MjModel, *, planes: bool = False) -> list[int]:
-    """Return the ids of the geoms that a camera sees.
+    """Return the ids of the visible geoms.
 
     These are the geoms of the groups 0 to 2 that are not fully transparent. Planes (floors) are
-    included on demand.
+    included if ``planes`` is set.
     """
     rgba = geom_rgba(model)
     plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -249,7 +249,7 @@ def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: floa
     """
     cache = _model_cache(model)
     nearest = centres[:, 2] - cache.reach * np.abs(axes[:, 2]) - cache.radius
-    # A geom at the lens or behind it is cut like one at half its radius.
+    # A geom at the lens or behind it is treated as if it were at half its radius.
     scale = focal / np.maximum(nearest, 0.5 * np.maximum(cache.radius, 1e-9))
     levels = np.array(SEGMENTS)
     level = np.searchsorted(levels, cache.segments * np.sqrt(scale))
@@ -315,7 +315,7 @@ def _model_cache(model: mujoco.MjModel) -> _ModelCache:
     return _ModelCache(mujoco.MjData(model), segments, radius, reach, {})
 
 
-# The same robot comes as many models: loaded again, with markers, on a table.
+# Several models contain the same robot: loaded again, with markers, on a table.
 @lru_cache(maxsize=512)
 def _primitive(kind: int, size: tuple[float, ...], segments: int) -> GeomMesh | None:
     if kind in _FLAT:

@@ -13,7 +13,7 @@ from robot_ik.ports import Array
 _DEPTH_SLACK = 0.01
 # Distance of the points along a line whose visibility is tested, px.
 _STEP = 2.0
-# The most pieces of one line.
+# Largest number of pieces of one line.
 _MOST_PIECES = 1000
 
 

@@ -77,7 +77,7 @@ def draw_robot(
     style: Style = "solid",
     line_colour: Colour = WHITE,
 ) -> Image:
-    """Draw the model where this camera would see it.
+    """Draw the model as this camera would see it.
 
     Args:
         image: (height, width, 3) as the camera delivers it, with its distortion.
@@ -245,9 +245,9 @@ def before_after(
         x = margin + k * (_VIEW_WIDTH + _VIEW_GAP)
         sheet[top : top + len(view), x : x + _VIEW_WIDTH] = view
         sheet[bottom : bottom + 6, x : x + _VIEW_WIDTH] = accent
-        heading, *rest = text.split("\n")
+        heading, *lines = text.split("\n")
         write(sheet, heading, (x, bottom + 40), 24, DARK, bold=True)
-        for j, line in enumerate(rest):
+        for j, line in enumerate(lines):
             y = bottom + 69 + _CAPTION_HEIGHT * j
             write(sheet, line, (x, y), 19, _CAPTION_COLOUR)
     write(sheet, footer, (margin, height - margin // 2 - 8), 17, _FOOTER_COLOUR)

@@ -1,7 +1,7 @@
 """Paint faces of MuJoCo models into pictures, without OpenGL.
 
-A ``SurfaceBuffer`` keeps the nearest surface at several samples of each pixel. Surfaces that pass
-through each other are cut where they do, and outlines are smooth.
+A ``SurfaceBuffer`` keeps the nearest surface at several samples of each pixel. Surfaces that
+intersect are cut at their intersection, and outlines are smooth.
 """
 
 from __future__ import annotations
@@ -143,8 +143,8 @@ def geom_paint(
         occluders: (ngeom,) geoms, or all of them, that hide other surfaces and are not drawn.
     """
     paint = np.full((model.ngeom, 4), 255.0, dtype=np.float32)
-    own = geom_rgba(model)[:, 2::-1]
-    lifted = own + _DARKEST * (1.0 - own.max(axis=1, keepdims=True, initial=0.0))
+    colours = geom_rgba(model)[:, 2::-1]
+    lifted = colours + _DARKEST * (1.0 - colours.max(axis=1, keepdims=True, initial=0.0))
     paint[:, :3] = 255.0 * lifted if tint is None else tint
     paint[np.broadcast_to(occluders, model.ngeom)] = 0.0
     return paint

@@ -1,10 +1,9 @@
-"""Prints, rectangles of ink on paper: laid flat as a page, or as a camera sees them.
+"""Prints: rectangles of ink on paper, drawn as a flat page or as a camera sees them.
 
-The value of every pixel is the exact mean of what falls on it, not a mean of samples. Flat, a
-pixel is a box among the borders of the print's cells. Before a camera it is a parallelogram on the
-paper, whose ink is an integral along its outline (Green's theorem). The map from picture to paper
-is linear within a pixel, so an edge is exact to 1e-4 px, and to 2e-4 px on a print that is tilted
-by 60 degrees.
+The value of every pixel is the exact mean over its area, not a mean of samples. On a flat page a
+pixel is a box. In the picture of a camera it is a parallelogram on the paper, whose ink is an
+integral along its outline (Green's theorem). The map from picture to paper is linear within a
+pixel, so an edge is exact to 1e-4 px, and to 2e-4 px on a print that is tilted by 60 degrees.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ PRINT_MARKER = Pose.from_rotation(np.diag([1.0, -1.0, -1.0]))
 #: Subpixels per pixel, along each axis, where the outline of an object in front crosses a pixel.
 SUBPIXELS = 4
 
-# A place beyond every sheet, metres.
+# Coordinate outside every sheet, metres.
 _BEYOND_PLACE = 1e6
-# Points nearer to the lens than this are not seen, metres.
+# Points nearer to the lens than this are not drawn, metres.
 _NEAR = 0.02
-# Borders closer together than this part of the paper are one.
+# Borders closer together than this part of the paper are merged.
 _SAME_BORDER = 1e-9
 # Ink of a cell beyond the paper: more than any sum of the ink of other cells.
 _BEYOND_INK = 1e6
@@ -66,7 +65,7 @@ class Print:
         """Return the paper with rectangles on it.
 
         Args:
-            boxes: (n, 4) x, y, width, height. What is beyond the paper is cut off.
+            boxes: (n, 4) x, y, width, height. The parts beyond the paper are cut off.
             paper: x, y, width, height.
             ink: (n,) of each rectangle; default: black. The darker one of overlapping rectangles
                 shows.
@@ -126,7 +125,7 @@ class Print:
         """Return the exact mean ink of pixels and the part of them that is paper, each (n,).
 
         Args:
-            at: (2, n) where the centres of the pixels are on the paper.
+            at: (2, n) positions of the centres of the pixels on the paper.
             by_pixel: (2, 2, n) derivative of x and y by the pixel's column and row.
         """
         across = 0.5 * by_pixel[:, 0]
@@ -159,8 +158,8 @@ class Print:
         """Return the integrals (t, n) of some of ``below`` (t, ...) by x around quadrilaterals.
 
         Args:
-            tables: What is integrated.
-            corners: (2, 4, n) in turn.
+            tables: Tables to integrate.
+            corners: (2, 4, n) in order along the outline.
             first: (2, n) the first border that a quadrilateral may cross, of columns and of rows.
             count: The largest number of borders that it crosses, in either direction.
         """
@@ -189,8 +188,8 @@ class Print:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPrint:
-    """A print as it falls on the pixels of ``box``.
+class ProjectedPrint:
+    """A print in the pixels of ``box``.
 
     Attributes:
         box: (x0, y0, x1, y1) pixels, half open.
@@ -232,21 +231,21 @@ def marker_print(
 
 
 def blank_paper(side: float, ink: float = 0.0) -> Print:
-    """Return a square of one tone round its middle, metres."""
+    """Return a square of one tone, in metres from its middle."""
     edges = np.array([-0.5 * side, 0.5 * side])
     return Print(edges, edges, np.full((1, 1), ink))
 
 
-def see_print(
+def project_print(
     sheet: Print, pose_camera_print: Pose, field: RayField, blocked: Blocker | None = None
-) -> SeenPrint | None:
+) -> ProjectedPrint | None:
     """Project a print.
 
     Args:
         sheet: In metres.
         pose_camera_print: The print (x right, y down, z into the paper) seen from the camera.
         field: Rays of the camera.
-        blocked: Tells where objects are in front. None: there are none.
+        blocked: Whether objects are in front of points. None: no objects.
 
     Returns:
         None if the face of the print is turned away or outside the picture.
@@ -271,7 +270,7 @@ def see_print(
     paper = np.clip(paper, 0.0, 1.0)
     visible = float(paper.sum() / max(total, 1e-9))
     tone = np.clip(ink / np.maximum(paper, 1e-9), 0.0, 1.0)
-    return SeenPrint(box, paper, tone, visible, depth)
+    return ProjectedPrint(box, paper, tone, visible, depth)
 
 
 def print_box(sheet: Print, pose_camera_print: Pose, field: RayField) -> Box | None:
@@ -302,9 +301,9 @@ def print_box(sheet: Print, pose_camera_print: Pose, field: RayField) -> Box | N
 def _borders(
     start: float, length: float, lower: Array, upper: Array
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Return the borders of cells along one side of the paper.
+    """Return the borders of cells along one side of the paper, and the borders of each box.
 
-    And the numbers (n, 2) of the borders between which each box lies.
+    The second result (n, 2) has the indices of the two borders between which each box lies.
     """
     ends = np.clip(np.stack([lower, upper], axis=1), start, start + length)
     every = np.unique(np.concatenate([ends.ravel(), [start, start + length]]))
@@ -318,10 +317,10 @@ def _cell_places(borders: Array, at: Array) -> Array:
 
 
 def _on_plane(normalized: Array, pose_camera_print: Pose) -> tuple[Array, Array, Array]:
-    """Return where rays (..., 2) meet the plane of a print: x, y, depth (...).
+    """Return the points in which rays (..., 2) meet the plane of a print: x, y, depth (...).
 
-    They are NaN where a ray does not meet it. The products are done by columns, because OpenBLAS
-    spreads a product of so narrow an array over all cores, which takes longer.
+    They are NaN where a ray does not meet it. The products are computed by columns, because
+    OpenBLAS spreads a product of so narrow an array over all cores, which takes longer.
     """
     a = normalized[..., 0]
     b = normalized[..., 1]
@@ -336,7 +335,7 @@ def _on_plane(normalized: Array, pose_camera_print: Pose) -> tuple[Array, Array,
 def _fill_uniform(
     sheet: Print, at: tuple[Array, Array], slopes: Array, usable: Mask, ink: Array, paper: Array
 ) -> Mask:
-    """Write ``ink`` and ``paper`` of pixels (h, w) with one tone; return which have several."""
+    """Write ``ink`` and ``paper`` of pixels (h, w) with one tone. Return the mask of the others."""
     x_across, x_down, y_across, y_down = slopes
     half_x = 0.5 * (np.abs(x_across) + np.abs(x_down))
     half_y = 0.5 * (np.abs(y_across) + np.abs(y_down))
@@ -385,7 +384,7 @@ def _hide(
     centres = np.stack([columns + box[0], rows + box[1]], axis=1).astype(float)
     pixels = (centres[:, None] + offsets).reshape(-1, 2)
     x, y, far = _on_plane(field.points(pixels), pose_camera_print)
-    # Subpixels whose rays do not meet the plane see none of it.
+    # Subpixels whose rays do not meet the plane show none of it.
     at = np.nan_to_num(np.stack([x, y]), nan=_BEYOND_PLACE)
     slopes = np.repeat(by_pixel[..., rows, columns] / SUBPIXELS, len(offsets), axis=-1)
     part_ink, part_paper = sheet.mean(at, slopes)

@@ -13,8 +13,8 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+#: Values of ``MUJOCO_GL`` that switch OpenGL off.
 GL_OFF = ("disable", "disabled", "off", "false", "0")
-"""Values of ``MUJOCO_GL`` that switch OpenGL off."""
 
 # Drawing one picture is the only proof that a context works; 16 x 16 pixels are enough.
 _RENDER_CODE = """
@@ -32,7 +32,7 @@ print((GL.glGetString(GL.GL_RENDERER) or b"").decode())
 renderer.close()
 """
 
-# A hidden window with a context: what the passive viewer will ask for.
+# A hidden window with a context, as the passive viewer opens it.
 _WINDOW_CODE = """
 import warnings
 warnings.simplefilter("ignore")
@@ -42,24 +42,28 @@ if not glfw.init():
 glfw.window_hint(glfw.VISIBLE, False)
 window = glfw.create_window(32, 32, "probe", None, None)
 if not window:
-    raise SystemExit("the display gives no OpenGL window")
+    raise SystemExit("the display cannot open an OpenGL window")
 print("display opened")
 """
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What a child process found out."""
+    """Result of a check in a child process.
 
-    ok: bool  # it ran to its end
-    text: str  # its output when it did; else the last line of its complaint
-    late: bool = (
-        False  # it was stopped because its time was over, which proves nothing on a busy machine
-    )
+    Attributes:
+        ok: Whether the process ended without an error.
+        text: Its output; after an error the last line of its error output.
+        late: Whether it was stopped at the time limit. On a busy machine this proves nothing.
+    """
+
+    ok: bool
+    text: str
+    late: bool = False
 
 
 def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | None = None) -> Probe:
-    """Runs Python ``code`` in a child process that is killed after ``timeout`` seconds."""
+    """Run Python ``code`` in a child process that is killed after ``timeout`` seconds."""
     try:
         done = subprocess.run(
             # -P: the current folder must not shadow a package.
@@ -75,8 +79,10 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
     except subprocess.TimeoutExpired as stopped:
         # On POSIX the output of a killed child arrives as bytes even in text mode.
         raw: object = stopped.stdout
-        said = raw.decode(errors="replace") if isinstance(raw, bytes) else str(raw or "")
-        return Probe(False, f"{said.strip()}\nno answer within {timeout:.1f} s".strip(), late=True)
+        output = raw.decode(errors="replace") if isinstance(raw, bytes) else str(raw or "")
+        return Probe(
+            False, f"{output.strip()}\nno answer within {timeout:.1f} s".strip(), late=True
+        )
     except OSError as reason:
         return Probe(False, f"no child process: {reason}")
     if done.returncode == 0:
@@ -96,7 +102,7 @@ def probe_gl(backend: str, *, timeout: float = 6.0) -> Probe:
 
 
 def probe_display(*, timeout: float = 6.0) -> Probe:
-    """Opens a hidden OpenGL window in a child process, as the viewer will."""
+    """Open a hidden OpenGL window in a child process, as the viewer does."""
     if sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     ):

@@ -29,10 +29,11 @@ class RayField:
         x = np.linspace(-1.0, w, max(4, int(np.ceil(w / _NODE_DISTANCE)) + 1))
         y = np.linspace(-1.0, h, max(4, int(np.ceil(h / _NODE_DISTANCE)) + 1))
         grid = np.stack(np.meshgrid(x, y), axis=-1)
-        # The lens model has no ray for corners beyond its range. The optical axis is harmless.
+        # The lens model has no ray for corners beyond its range. They get the ray along the optical
+        # axis.
         normalized = np.nan_to_num(intrinsics.undistort(grid.reshape(-1, 2))).reshape(*grid.shape)
-        # X/Z + i Y/Z of every pixel centre and of one more pixel all round, so that one gather
-        # fetches both.
+        # X/Z + i Y/Z of every pixel centre and of a border of one pixel. Complex numbers allow one
+        # lookup for both coordinates.
         columns = _cubic_weights(x, np.arange(-1.0, w + 1)).T
         rows = _cubic_weights(y, np.arange(-1.0, h + 1))
         self._map = np.empty((h + 2, w + 2), dtype=np.complex128)
@@ -44,9 +45,10 @@ class RayField:
         return _pairs(self._map[y0 + 1 : y1 + 1, x0 + 1 : x1 + 1])
 
     def points(self, pixels: Array) -> Array:
-        """Return normalized coordinates (n, 2) of pixels (n, 2) in the picture or just beside it.
+        """Return normalized coordinates (n, 2) of pixels (n, 2).
 
-        They are linear between pixel centres. A lens bends by a few 1e-3 px within a pixel.
+        The pixels may be up to one pixel outside the picture. The coordinates are linear between
+        pixel centres. A lens bends by a few 1e-3 px within a pixel.
         """
         w, h = self.intrinsics.size
         left = np.clip(np.floor(pixels[:, 0]).astype(np.int64), -1, w - 1)
@@ -70,8 +72,8 @@ def ray_field(intrinsics: CameraIntrinsics) -> RayField:
 def world_directions(pose_world_camera: Pose, normalized: Array) -> Array:
     """Return world directions (..., 3) of normalized coordinates (..., 2).
 
-    Their component along the optical axis is 1. The product is done column by column: OpenBLAS
-    spreads so narrow a product over all cores, which takes five times as long.
+    Their component along the optical axis is 1. The product is computed by columns, because
+    OpenBLAS spreads a product of so narrow an array over all cores, which takes five times as long.
     """
     x = normalized[..., 0]
     y = normalized[..., 1]

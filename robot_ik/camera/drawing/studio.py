@@ -1,6 +1,6 @@
 """Pictures of models on an empty floor: for films, the gallery and the synthetic camera.
 
-The floor fades into a wall. It shows the soft shadows of what stands on it.
+The floor fades into a wall. It shows the soft shadows of the bodies on it.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -27,8 +27,8 @@ from robot_ik.ports import Image
 
 Tone = tuple[float, float, float]
 
-# The camera counts as at least this high above the floor, or below it, metres.
-_LOWEST = 1e-3
+# Smallest height of the camera above or below the floor for the width of borders of tiles, metres.
+_MIN_HEIGHT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Room:
         tile_side: Side of a tile, metres; 0 for a floor without tiles.
         fade_start: Distance from the subject at which the floor begins to fade into the wall,
             metres.
-        fade_end: Distance at which only the wall is left, metres.
+        fade_end: Distance beyond which only the wall is visible, metres.
     """
 
     wall: Tone
@@ -61,7 +61,7 @@ def tiled_room(extent: float, tile_side: float) -> Room:
     """Return the room of films.
 
     Args:
-        extent: Size of what is filmed, metres. The floor reaches several times as far.
+        extent: Size of the filmed bodies, metres. The floor reaches several times as far.
         tile_side: Side of a tile, metres.
     """
     return Room(
@@ -120,10 +120,10 @@ def photograph(
     """Take a picture of bodies in a room.
 
     Args:
-        bodies: They hide each other, and each throws a shadow on the floor.
+        bodies: They hide each other, and each casts a shadow on the floor.
         intrinsics: Lens of the picture.
         pose_world_camera: OpenCV camera axes seen from the world of the studio.
-        room: What is behind the bodies.
+        room: Floor and wall behind the bodies.
         floor: Height of the floor, metres.
         subject: (x, y) of the middle of the floor.
     """
@@ -172,7 +172,7 @@ def empty_room(
     floor: float,
     subject: tuple[float, float],
 ) -> Float32:
-    """Return the (cached) light (h, w, 3), 0 to 1, of a room without anything in it."""
+    """Return the (cached) light (h, w, 3), 0 to 1, of a room without bodies."""
     width, height = intrinsics.size
     light = np.empty((height, width, 3), dtype=np.float32)
     _paint_room(
@@ -222,7 +222,7 @@ def _paint_room(rays, rotation, eye, middle, tones, tile_side, fade, focal, ligh
                 wall *= wall * (3.0 - 2.0 * wall)
                 if tile_side > 0.0 and wall < 1.0:
                     # Length of the pixel on the floor along the view. Borders are that soft.
-                    width = depth * depth / (max(abs(drop), _LOWEST) * focal)
+                    width = depth * depth / (max(abs(drop), _MIN_HEIGHT) * focal)
                     tile = _tile_share(x, y, tile_side, width)
             for k in range(3):
                 tone = tones[0, k] + tile * (tones[1, k] - tones[0, k])

@@ -31,7 +31,7 @@ _CAPITALS = 0.72
 # Weights of the outline font.
 _REGULAR = 400
 _BOLD = 700
-# Bold strokes of smaller letters run into each other, px.
+# Smallest size of bold letters, px. Bold strokes of smaller letters run into each other.
 _SMALLEST_BOLD = 16
 
 

@@ -1,7 +1,7 @@
 """Software rasteriser: fill triangles into a depth buffer, with smooth shading.
 
 A buffer has several samples per pixel along each axis. The mean of the samples of a pixel gives
-smooth outlines. The nearest surface wins at each sample, in whatever order the faces come.
+smooth outlines. Each sample keeps the nearest surface, whatever the order of the faces.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -16,7 +16,8 @@ from robot_ik.kernels.jit import inlined, kernel, outlined
 # Triangles are widened by this, in samples. Rounding then leaves no cracks between neighbours.
 _SEAM = 2e-4
 # Two surfaces count as equally far if their inverse depths differ by less than this factor. The
-# first one wins. Coplanar surfaces then show no patches, although the lens bends planes slightly.
+# first one is kept. Coplanar surfaces then show no patches, although the lens bends planes
+# slightly.
 _SAME_DEPTH = 1.0 + 2e-5
 # Triangles with less than twice this area, in squared samples, are not drawn.
 _SMALLEST_AREA = 1e-9
@@ -36,7 +37,7 @@ def fill_faces(
         geom: (f,) row of each face in ``paint``.
         lit: (f, 4, 2) diffuse light and highlight at the corners.
         paint: (g, 4) float32 BGR of 0 to 255, and opacity: 255, or 0 for an occluder. An occluder
-            hides what is behind it and is not drawn. Its colour is black.
+            hides the surfaces behind it and is not drawn. Its colour is black.
         gloss: Strength of the highlights, 0 to 255.
         corner: (2,) column and row of the first pixel of the buffers.
         scale: Samples per pixel along each axis.
@@ -87,7 +88,7 @@ def _span(value, slope, first, last):
 
 @inlined
 def _byte(value):
-    """Return a positive float32 as uint8, at most 255. The way through int32 is the fast one."""
+    """Return a positive float32 as uint8, at most 255. The conversion through int32 is faster."""
     return np.uint8(np.int32(min(value, np.float32(255.0))))
 
 

@@ -1,4 +1,4 @@
-"""The net of a cube: what is cut, folded and glued."""
+"""The net of a cube: lines to cut and to fold, and tabs to glue."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TABBED: tuple[tuple[Step, Step], ...] = (
     ((0, 1), (0, 1)),
     ((-1, 0), (-1, 0)),
 )
-# Depth of a tab in edges, and at most, mm.
+# Depth of a tab, in edges, and its largest depth, mm.
 _TAB = 0.2
 _DEEPEST_TAB = 10.0
 # A dash and the gap after it, mm.

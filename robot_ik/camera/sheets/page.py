@@ -40,7 +40,7 @@ class TextLine:
 
 @dataclass(frozen=True, eq=False)
 class PrintedPage:
-    """What is printed.
+    """Content of a printed page.
 
     Attributes:
         width: Of the paper, mm.
@@ -61,7 +61,7 @@ class PrintedPage:
 
 
 def write_sheet(page: PrintedPage, path: Path) -> None:
-    """Write the page as PDF, whole or not at all.
+    """Write the page as PDF, atomically.
 
     Raises:
         OutputError: The name does not end in .pdf, or the folder is missing.
@@ -74,7 +74,7 @@ def write_sheet(page: PrintedPage, path: Path) -> None:
 def pdf_bytes(page: PrintedPage) -> bytes:
     """Return a PDF 1.4 of one page.
 
-    Its drawing is in millimetres. It asks the viewer not to scale the page.
+    Its drawing is in millimetres. A viewer preference turns the scaling of the page off.
     """
     scale = f"{_POINTS_PER_MM:.9f} 0 0 -{_POINTS_PER_MM:.9f} 0 {page.height * _POINTS_PER_MM:.6f}"
     lines = [f"{scale} cm"]

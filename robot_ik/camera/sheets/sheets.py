@@ -36,7 +36,7 @@ PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}
 
 #: Edge of a cube, in markers. It leaves white round the markers.
 CUBE_EDGE = 1.25
-# Side of a marker or square, mm, at least.
+# Smallest side of a marker or square, mm.
 _SMALLEST_MM = 3.0
 # The command that finds a board or cube as one body, with the file that --body writes.
 _BODY_USE = "robot-ik camera detect 0 --intrinsics camera.yaml --bodies body.toml"
@@ -66,7 +66,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class SheetRequest:
-    """What is to be printed. None stands for the usual value.
+    """Request for a sheet. None stands for the default.
 
     Attributes:
         kind: Of the sheet.
@@ -74,7 +74,7 @@ class SheetRequest:
             (charuco 30, chessboard 25).
         columns: Board: markers (2). Patterns: as in ``PatternRequest``.
         rows: The same downwards.
-        id: Ids of the markers. A board counts on from the first one.
+        id: Ids of the markers. The ids of a board are consecutive from the first one.
         dictionary: Of the markers.
         gap_mm: White between markers.
         marker_mm: Side of the markers of a charuco board.
@@ -125,7 +125,7 @@ class SheetRequest:
 
 @dataclass(frozen=True, eq=False)
 class Block(PrintedPage):
-    """A print with the white that it needs, before it is put on a page.
+    """A print with its white margin, before it is placed on a page.
 
     Attributes:
         use: The command that uses it.
@@ -140,8 +140,8 @@ def make_sheet_page(request: SheetRequest) -> PrintedPage:
     """Lay a sheet out.
 
     Raises:
-        CameraError: It does not fit (the hint says what would), or there is no such marker or
-            dictionary.
+        CameraError: It does not fit (the hint says what fits), or the marker or the dictionary does
+            not exist.
         CalibrationError: No marker or square has this size.
     """
     if request.page not in PAPERS:
@@ -156,7 +156,7 @@ def make_sheet_page(request: SheetRequest) -> PrintedPage:
     if request.gap < quiet and request.kind in ("marker", "board"):
         raise CameraError(
             f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",
-            hint=f"the white round a marker must be a cell wide: at least {quiet:.1f} mm",
+            hint=f"the white around a marker must be a cell wide: at least {quiet:.1f} mm",
         )
     laid_out = _laid_out(request)
     if laid_out is None:
@@ -183,8 +183,8 @@ def body_of(request: SheetRequest) -> MarkerTarget:
         return marker_grid(columns, rows, size, gap, request.marker_ids[0], request.dictionary)
     if request.kind == "cube":
         return marker_cube(request.marker_ids, size, request.edge / 1e3, request.dictionary)
-    problem = f"a sheet of kind {request.kind!r} is no body"
-    raise CameraError(problem, hint="bodies are printed as board or cube")
+    problem = f"a sheet of kind {request.kind!r} is not a body"
+    raise CameraError(problem, hint="print a board or cube")
 
 
 def body_file(request: SheetRequest, name: str) -> str:
@@ -341,7 +341,7 @@ def _printable_area(paper: Area) -> Area:
 
 
 def _does_not_fit(request: SheetRequest) -> CameraError:
-    """Return the error that says what would fit."""
+    """Return the error for a print that is too large, with a hint about what fits."""
     upright = PAPERS[request.page]
     block = MAKERS[request.kind](request, _printable_area(upright))
     areas = " or ".join(
@@ -356,12 +356,12 @@ def _does_not_fit(request: SheetRequest) -> CameraError:
     return CameraError(
         f"{block.about} needs {block.width:.0f}x{block.height:.0f} mm; "
         f"{request.page} has room for {areas} mm",
-        hint=", or ".join(hints) or "take fewer or smaller ones",
+        hint=", or ".join(hints) or "print fewer or smaller markers or squares",
     )
 
 
 def _fitting_size(request: SheetRequest) -> float | None:
-    """Return the largest smaller size, mm, that fits the page. None: there is none."""
+    """Return the largest size below the requested one, mm, that fits the page, or None."""
     start = np.floor(request.size / _HINT_STEP - 1e-6) * _HINT_STEP
     for size in np.arange(start, _SMALLEST_HINT, -_HINT_STEP).tolist():
         share = size / request.size
@@ -424,7 +424,7 @@ def _bar(x: float, y: float, *, upright: bool = False) -> Array:
 
 
 def _command(request: SheetRequest) -> str:
-    """Return the command that makes the sheet, without the usual values."""
+    """Return the command that makes the sheet, without options that have their default."""
     text = f"robot-ik camera print {request.kind}"
     for option in fields(request)[1:]:
         value = getattr(request, option.name)

@@ -1,4 +1,4 @@
-"""A camera that exists only in numbers: exact optics, known truth, the interface of a real one.
+"""Synthetic camera with exact optics, known truth and the interface of a real camera.
 
 It shows a robot, a table and printed markers through a distorting lens, with blur and noise. A
 callable gives the true configuration of the robot, so a fault of the arm shows in the picture.
@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper, marker_print
+from robot_ik.camera.drawing.prints import PRINT_MARKER, ProjectedPrint, blank_paper, marker_print
 from robot_ik.camera.image import Float32, marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
@@ -37,7 +37,7 @@ Condition = Literal["printed", "blank", "covered"]
 _NOISE_MARGIN = 256
 # Ink of the grey patch that covers a marker. Its reflectance is 0.45.
 _PATCH_INK = (PAPER - 0.45) / (PAPER - INK)
-# A marker does not count as visible in the truth if less than this part of it is seen.
+# A marker does not count as visible in the truth if less than this part of it is visible.
 _VISIBLE_PART = 0.02
 # White paper round a marker, in cells. Detectors take the outline of the paper for that of the
 # marker if it is much nearer.
@@ -56,7 +56,7 @@ class SyntheticMarker:
         id: In the dictionary.
         size: Side of the black border, metres.
         pose: In the world, or seen from ``frame``. A callable returns it for a time in seconds.
-        frame: Robot frame that carries the marker. None: it stands in the world.
+        frame: Robot frame that carries the marker. None: it is fixed in the world.
         dictionary: OpenCV's name of the dictionary.
         margin: White paper beyond the border, metres. Default: 1.5 cells.
         condition: ``printed``, ``blank`` (only white paper) or ``covered`` (by a grey patch).
@@ -77,7 +77,7 @@ class SyntheticMarker:
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """What the synthetic camera looks at.
+    """Scene of a synthetic camera.
 
     Attributes:
         robot: The robot, or a model of objects that do not move.
@@ -85,7 +85,7 @@ class SyntheticScene:
         pose_world_camera: OpenCV camera axes seen from the world, or from ``camera_frame``.
         markers: Each id once per dictionary.
         table: None for no table.
-        camera_frame: Robot frame that carries the camera. None: it stands in the world.
+        camera_frame: Robot frame that carries the camera. None: it is fixed in the world.
 
     Raises:
         CameraError: A marker appears twice.
@@ -103,7 +103,7 @@ class SyntheticScene:
         names = [(m.dictionary, m.id) for m in self.markers]
         if len(set(names)) != len(names):
             problem = f"a marker appears twice in the scene: {sorted(names)}"
-            raise CameraError(problem, hint="give each marker its own id")
+            raise CameraError(problem, hint="give each marker a different id")
 
     def with_marker(self, *ids: int, **changes: Any) -> SyntheticScene:
         """Return the scene with some fields of these markers changed, e.g. ``condition``.
@@ -132,7 +132,7 @@ class SyntheticScene:
         return self.placed(self.pose_world_camera, self.camera_frame, q)
 
     def placed(self, pose: Pose, frame: str | None, q: Array) -> Pose:
-        """Return the world pose of an object that stands, or is carried by a ``frame`` at ``q``.
+        """Return the world pose of an object that is fixed, or carried by a ``frame`` at ``q``.
 
         Raises:
             CameraError: A frame of a scene without a robot.
@@ -155,7 +155,7 @@ class SyntheticSource(FrameSource):
             must stay the same.
         true_q: Returns the true configuration (nq,) of the robot, at each picture.
         seed: Of the sensor noise. Picture k of two sources with one seed is the same.
-        sensor: What the camera makes of the light. Default: a webcam.
+        sensor: Model of the sensor. Default: a webcam.
         clock: Gives ``Frame.time``. Default: the machine's monotonic clock.
     """
 
@@ -184,11 +184,11 @@ class SyntheticSource(FrameSource):
         Its ``truth`` is a dict:
 
         * ``q`` (nq,) and ``pose_world_camera``,
-        * ``pose_camera_marker`` and ``pose_world_marker``: by id, of the markers that are seen,
+        * ``pose_camera_marker`` and ``pose_world_marker``: by id, of the visible markers,
         * ``corners``: by id, (4, 2) pixels in OpenCV's order,
-        * ``visible``: by id, the part that is seen, 0 to 1.
+        * ``visible``: by id, the visible part, 0 to 1.
         """
-        # A sensor has its noise at once, so the noise is made before the clock is read.
+        # The computation of the noise must not delay the picture, so it precedes the clock reading.
         noise = None
         if self._sensor.noise > 0:
             noise = _sensor_noise(self.size, self._seed, self._sequence)
@@ -205,7 +205,7 @@ class SyntheticSource(FrameSource):
         return frame
 
     def _scene_from(self, camera: Pose) -> PaintedScene:
-        """Return the scene seen from a camera pose, the last one if the camera stands still."""
+        """Return the scene from a camera pose. It is cached for a camera that does not move."""
         if self._painted is None or self._painted[0] != camera:
             scene = self.scene
             painted = PaintedScene(scene.model, scene.intrinsics, camera, scene.table)
@@ -213,26 +213,26 @@ class SyntheticSource(FrameSource):
         return self._painted[1]
 
     def _truth(
-        self, q: Array, camera: Pose, poses: list[Pose], sheets: list[SeenPrint | None]
+        self, q: Array, camera: Pose, poses: list[Pose], sheets: list[ProjectedPrint | None]
     ) -> dict[str, object]:
         lens = self.scene.intrinsics
         inverse = camera.inverse()
-        seen = [
+        visible = [
             (marker, pose, sheet.visible)
             for marker, pose, sheet in zip(self.scene.markers, poses, sheets, strict=True)
             if sheet is not None and sheet.visible > _VISIBLE_PART and marker.condition == "printed"
         ]
         corners = {
             m.id: lens.project(inverse.compose(pose).apply(marker_points(m.size)))
-            for m, pose, _ in seen
+            for m, pose, _ in visible
         }
         return {
             "q": q,
             "pose_world_camera": camera,
-            "pose_world_marker": {m.id: pose for m, pose, _ in seen},
-            "pose_camera_marker": {m.id: inverse.compose(pose) for m, pose, _ in seen},
+            "pose_world_marker": {m.id: pose for m, pose, _ in visible},
+            "pose_camera_marker": {m.id: inverse.compose(pose) for m, pose, _ in visible},
             "corners": corners,
-            "visible": {m.id: part for m, _, part in seen},
+            "visible": {m.id: part for m, _, part in visible},
         }
 
 

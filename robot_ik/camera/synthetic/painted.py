@@ -28,9 +28,9 @@ from robot_ik.camera.drawing.prints import (
     SUBPIXELS,
     Blocker,
     Print,
-    SeenPrint,
+    ProjectedPrint,
     print_box,
-    see_print,
+    project_print,
 )
 from robot_ik.camera.drawing.rays import ray_field, world_directions
 from robot_ik.camera.drawing.studio import Room, empty_room
@@ -105,16 +105,16 @@ class Exposure:
 
     Attributes:
         light: (h, w, 3) BGR, 1 is white in full light.
-        sheets: Each print as it fell on pixels; None if it is turned away or outside the picture.
+        sheets: Each projected print; None if it is turned away or outside the picture.
     """
 
     light: Float32
-    sheets: list[SeenPrint | None]
+    sheets: list[ProjectedPrint | None]
 
 
 @dataclass(frozen=True, eq=False)
 class _Surroundings:
-    """What does not move before a camera that stands still. The arrays must not be changed.
+    """The static part of the picture of a camera at rest. The arrays must not be changed.
 
     Attributes:
         light: (h, w, 3) of floor, wall and table.
@@ -128,7 +128,7 @@ class _Surroundings:
 
 
 class PaintedScene:
-    """A model among still surroundings before one camera.
+    """A model in static surroundings, in the picture of one camera.
 
     Args:
         model: The robot or the objects.
@@ -157,7 +157,7 @@ class PaintedScene:
         """Paint the robot at its true configuration ``qpos`` (model.nq,) and the sheets."""
         light = self._surroundings.light.copy()
         faces = faces_in_picture(self._model, qpos, self._lens, self._camera)
-        shadow = cast_shadow(faces, self._lens, self._seen(self._ground), _ROOM_SOFTNESS)
+        shadow = cast_shadow(faces, self._lens, self._in_camera(self._ground), _ROOM_SOFTNESS)
         self._shade_ground(light, shadow)
         box = bounding_box(faces, *self._lens.size)
         robot = Layer.empty()
@@ -169,11 +169,11 @@ class PaintedScene:
             view = light[y0:y1, x0:x1]
             view *= 1.0 - _share(robot.coverage)[..., None]
             view += _share(robot.colour)
-        seen = [self._add(light, sheet, faces, robot, behind, shadow) for sheet in sheets]
-        return Exposure(light, seen)
+        projected = [self._add(light, sheet, faces, robot, behind, shadow) for sheet in sheets]
+        return Exposure(light, projected)
 
-    def _seen(self, pose_world: Pose) -> Pose:
-        """Return a pose of the world as the camera sees it."""
+    def _in_camera(self, pose_world: Pose) -> Pose:
+        """Return a world pose in the frame of the camera."""
         return self._camera.inverse().compose(pose_world)
 
     def _shade_ground(self, light: Float32, shadow: Layer) -> None:
@@ -204,25 +204,25 @@ class PaintedScene:
         robot: Layer,
         behind: Float32,
         shadow: Layer,
-    ) -> SeenPrint | None:
+    ) -> ProjectedPrint | None:
         """Paint one sheet over the light, in place, where nothing hides it."""
-        pose = self._seen(placed.pose_world)
+        pose = self._in_camera(placed.pose_world)
         box = print_box(placed.sheet, pose, self._field)
         if box is None:
             return None
         blocker = self._blocker(faces, _intersection(box, robot.box))
-        seen = see_print(placed.sheet, pose, self._field, blocker)
-        if seen is None:
+        projected = project_print(placed.sheet, pose, self._field, blocker)
+        if projected is None:
             return None
-        x0, y0, x1, y1 = seen.box
-        tone = (PAPER + (INK - PAPER) * seen.ink) * float(light_on(-pose.rotation[:, 2]))
+        x0, y0, x1, y1 = projected.box
+        tone = (PAPER + (INK - PAPER) * projected.ink) * float(light_on(-pose.rotation[:, 2]))
         if not placed.on_robot:
-            tone *= 1.0 - SHADOW_STRENGTH * self._shadow_on(placed, faces, shadow, seen.box)
-        cover = seen.coverage[..., None].astype(np.float32)
+            tone *= 1.0 - SHADOW_STRENGTH * self._shadow_on(placed, faces, shadow, projected.box)
+        cover = projected.coverage[..., None].astype(np.float32)
         view = light[y0:y1, x0:x1]
-        beside = _beside(view, seen, robot, behind, on_robot=placed.on_robot)
+        beside = _beside(view, projected, robot, behind, on_robot=placed.on_robot)
         view[:] = beside * (1.0 - cover) + cover * tone[..., None].astype(np.float32)
-        return seen
+        return projected
 
     def _shadow_on(
         self, placed: PlacedPrint, faces: Faces, ground_shadow: Layer, box: Box
@@ -232,11 +232,11 @@ class PaintedScene:
         height = float(plane.position[2] - self._ground.position[2])
         shadow = ground_shadow
         if not (abs(height) < _ON_TABLE and plane.rotation[2, 2] > _LEVEL):
-            shadow = cast_shadow(faces, self._lens, self._seen(plane), _ROOM_SOFTNESS)
+            shadow = cast_shadow(faces, self._lens, self._in_camera(plane), _ROOM_SOFTNESS)
         return _cropped(_share(shadow.coverage), shadow.box, box)
 
     def _blocker(self, faces: Faces, box: Box) -> Blocker:
-        """Return a function that tells which points of paper the robot or the table hides."""
+        """Return a function that returns the points of paper that the robot or the table hides."""
         buffer = SurfaceBuffer(box, SUBPIXELS)
         if box != EMPTY:
             buffer.fill(faces, self._paint)
@@ -269,25 +269,25 @@ class PaintedScene:
 
 
 def _beside(
-    view: Float32, seen: SeenPrint, robot: Layer, behind: Float32, *, on_robot: bool
+    view: Float32, projected: ProjectedPrint, robot: Layer, behind: Float32, *, on_robot: bool
 ) -> Float32:
-    """Return what shows in the part of each pixel (h, w, 3) that a sheet leaves.
+    """Return the light (h, w, 3) in the part of each pixel that a sheet does not cover.
 
-    At the robot's outline that is the robot alone for a sheet behind it, and what is behind the
-    robot for a sheet that ends where the robot ends.
+    At the outline of the robot that is the robot alone for a sheet behind it, and the background of
+    the robot for a sheet that ends where the robot ends.
     """
-    box = _intersection(seen.box, robot.box)
+    box = _intersection(projected.box, robot.box)
     if box == EMPTY:
         return view
-    edge = _cropped(_share(robot.coverage), robot.box, seen.box)
-    mixed = (edge > 0) & (edge < 1) & (seen.coverage > 0) & (seen.coverage < 1)
+    edge = _cropped(_share(robot.coverage), robot.box, projected.box)
+    mixed = (edge > 0) & (edge < 1) & (projected.coverage > 0) & (projected.coverage < 1)
     if not mixed.any():
         return view
     result = view.copy()
     if on_robot:
-        result[mixed] = _cropped(behind, robot.box, seen.box)[mixed]
+        result[mixed] = _cropped(behind, robot.box, projected.box)[mixed]
     else:
-        colour = _cropped(_share(robot.colour), robot.box, seen.box)
+        colour = _cropped(_share(robot.colour), robot.box, projected.box)
         result[mixed] = colour[mixed] / edge[mixed][:, None]
     return result
 

@@ -18,7 +18,7 @@ from robot_ik.camera.drawing.prints import (
     Print,
     blank_paper,
     marker_print,
-    see_print,
+    project_print,
 )
 from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -124,7 +124,7 @@ def photograph(
         canvas: (h, w) light, 0 to 255.
         centre: (2,) pixel through which the edge of a shadow goes, if the sensor model has one.
         rng: For the direction of the light, and for noise.
-        sensor: What the camera makes of the light.
+        sensor: Model of the sensor.
     """
     height, width = canvas.shape
     direction = rng.uniform(0, 2 * np.pi)
@@ -200,7 +200,7 @@ def render_pattern(
         camera: The optics.
         pose: ``pose_camera_board``.
         rng: For light and noise.
-        sensor: What the camera makes of the light.
+        sensor: Model of the sensor.
     """
     canvas = np.full((camera.height, camera.width), 0.5 * (sensor.black + sensor.white))
     _lay(canvas, pattern_print(pattern), pose, camera, sensor)
@@ -254,12 +254,12 @@ def _lay(
     canvas: Array, sheet: Print, pose: Pose, camera: CameraIntrinsics, sensor: SensorModel
 ) -> None:
     """Lay a print at ``pose`` (``pose_camera_print``) over the light (h, w), in place."""
-    seen = see_print(sheet, pose, ray_field(camera))
-    if seen is not None:
-        x0, y0, x1, y1 = seen.box
+    projected = project_print(sheet, pose, ray_field(camera))
+    if projected is not None:
+        x0, y0, x1, y1 = projected.box
         view = canvas[y0:y1, x0:x1]
-        tone = sensor.white + (sensor.black - sensor.white) * seen.ink
-        view += seen.coverage * (tone - view)
+        tone = sensor.white + (sensor.black - sensor.white) * projected.ink
+        view += projected.coverage * (tone - view)
 
 
 def _wall(camera: CameraIntrinsics, rng: np.random.Generator, sensor: SensorModel) -> Array:

@@ -1,8 +1,8 @@
-"""What a camera makes of the light that falls on its sensor, from a linear camera to a webcam.
+"""Model of the sensor and the image processing of a camera, from a linear camera to a webcam.
 
-Light passes bloom and blur of the lens, colour filter and noise of the sensor, demosaicing, a tone
-curve, sharpening and JPEG, in this order. The light is a picture, and each step changes it as a
-camera does. No edge is modelled here.
+The steps are bloom and blur of the lens, colour filter and noise of the sensor, demosaicing, a tone
+curve, sharpening and JPEG, in this order. Each step changes the picture as a camera does. No edge
+is modelled here.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ TONES: dict[str, Callable[[Array], Array]] = {
 
 @dataclass(frozen=True)
 class SensorModel:
-    """The errors of a picture.
+    """Parameters of lens, sensor and image processing.
 
     Attributes:
         blur: Standard deviation of the optical blur, px.
@@ -68,7 +68,7 @@ class SensorModel:
         white: Paper in full light, in the same unit.
         tone: Name of the tone curve, of ``TONES``.
         exposure: Factor of the light. Light beyond the range of the sensor is white.
-        bayer: Whether the sensor sees one colour per pixel (RGGB) and interpolates the others.
+        bayer: Whether the sensor measures one colour per pixel (RGGB) and interpolates the others.
         sharpening: Strength of the unsharp mask: 0.6 is mild, 1.5 strong.
         bloom: Part of the light that the lens scatters.
         jpeg: Quality, 0 to 100. None: not compressed.
@@ -174,7 +174,7 @@ def _demosaiced(
 ) -> NDArray[np.uint16]:
     """Return the picture of a sensor with a colour filter.
 
-    Each pixel sees one colour, with its noise, and takes the others from its neighbours.
+    Each pixel measures one colour, with noise, and gets the others from its neighbours.
     """
     mosaic = np.array(light if light.ndim == 2 else light[..., 1], dtype=np.float32)
     if light.ndim == 3:
@@ -183,8 +183,8 @@ def _demosaiced(
         mosaic[1::2, 1::2] = light[1::2, 1::2, 0]
     raw = _raw(mosaic)
     if unit_noise is not None and noise > 0.0:
-        own = np.asarray(unit_noise if unit_noise.ndim == 2 else unit_noise[..., 0])
-        noisy = raw + noise * own * _noise_table(tone)[raw]
+        pixel_noise = np.asarray(unit_noise if unit_noise.ndim == 2 else unit_noise[..., 0])
+        noisy = raw + noise * pixel_noise * _noise_table(tone)[raw]
         raw = np.clip(np.rint(noisy), 0, _RAW).astype(np.uint16)
     colours = cv2.demosaicing(raw, cv2.COLOR_BayerRGGB2BGR)
     if light.ndim == 3:

@@ -1,6 +1,6 @@
-"""Sources that move an object before a synthetic camera, such as ``synthetic:orbit``.
+"""Sources with a moving object in front of a synthetic camera, such as ``synthetic:orbit``.
 
-They need no robot, camera or display. The ``truth`` of each frame holds what trackers must not use.
+They need no robot, camera or display. Trackers must not use the ``truth`` of the frames.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _ORBIT_DICTIONARY = "DICT_5X5_50"
 _ORBIT_PERIOD = 4.0
 # Pictures for which a board is held in one place, so that a program can tell rest from motion.
 _HELD = 3
-# Options of a source are smaller than this.
+# Upper bound of an option of a source.
 _LARGEST_OPTION = 1e9
 
 #: Pictures (height, width) uint8 without an end, each with its truth.
@@ -66,14 +66,14 @@ class MovingOptions:
 
 
 class MovingSource(FrameSource):
-    """An object that moves before ``STANDARD_CAMERA``: 640 x 480 px, 30 pictures a second.
+    """An object that moves in front of ``STANDARD_CAMERA``: 640 x 480 px, 30 pictures a second.
 
     Args:
         options: Length, seed and noise.
         show: Returns the pictures.
     """
 
-    #: It shows no arm. Like a film, it goes on only when it is read.
+    #: Like a film, it advances only when it is read.
     live = False
 
     def __init__(
@@ -130,13 +130,13 @@ def open_moving(text: str) -> MovingSource:
             problem = f"{key}={value!r} of a synthetic source must be a number"
             raise CameraNotFoundError(problem) from None
         if not 0 <= given[key] < _LARGEST_OPTION:
-            problem = f"{key}={value} of a synthetic source cannot be negative or endless"
+            problem = f"{key}={value} of a synthetic source must be from 0 to {_LARGEST_OPTION:g}"
             raise CameraNotFoundError(problem)
     return MovingSource(MovingOptions(**given), _SCENES[name])
 
 
 def _orbit(rng: np.random.Generator, sensor: SensorModel) -> Pictures:
-    """Show marker 7 of DICT_5X5_50, 50 mm, from all round; truth: ``pose_camera_marker``."""
+    """Show marker 7 of DICT_5X5_50, 50 mm, from all directions; truth: ``pose_camera_marker``."""
     for index in itertools.count():
         phase = 2 * np.pi * index / _RATE_HZ / _ORBIT_PERIOD
         tilt = np.deg2rad(30.0 + 15.0 * np.sin(0.37 * phase))

@@ -74,7 +74,8 @@ def test_only_what_is_still_and_new_is_taken(gatherer: ViewGatherer) -> None:
     assert show(255, 0) == [False, False], "lost in between: not known to be still"
     assert [v.name for v in gatherer.views] == ["1", "3", "5", "6", "7"]
     missing = gatherer.coverage.missing
-    assert "its top side tilted away" not in missing and "its left side tilted away" in missing
+    assert "the top side of the board tilted away" not in missing
+    assert "the left side of the board tilted away" in missing
     assert missing_text(missing).startswith("still to show: the board in the upper")
 
 
@@ -167,7 +168,7 @@ def test_pictures_without_the_board_are_named(gatherer: ViewGatherer) -> None:
     for image, name in ((0, "good"), (255, "wall"), (0, "again")):
         gatherer.offer(frame(image), name, selective=False)
     gatherer.finish()
-    assert gatherer.notices == ["not seen well enough in 1 of the pictures: wall"]
+    assert gatherer.notices == ["the pattern was not found in 1 of the pictures: wall"]
 
 
 def test_pictures_of_another_board_with_the_same_markers_are_no_calibration() -> None:

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from robot_ik.camera.drawing.prints import Print, SeenPrint, blank_paper, marker_print, see_print
+from robot_ik.camera.drawing.prints import (
+    Print,
+    ProjectedPrint,
+    blank_paper,
+    marker_print,
+    project_print,
+)
 from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose, rotation_exp
@@ -13,8 +19,8 @@ LENS = CameraIntrinsics(320, 240, 1000.0, 1000.0, 160.0, 120.0)
 BENT = CameraIntrinsics(320, 240, 400.0, 400.0, 158.0, 121.0, (-0.18, 0.06, 0.0006, -0.0004, 0.0))
 
 
-def seen(sheet: Print, pose: Pose, lens: CameraIntrinsics = LENS) -> SeenPrint:
-    print_ = see_print(sheet, pose, ray_field(lens))
+def seen(sheet: Print, pose: Pose, lens: CameraIntrinsics = LENS) -> ProjectedPrint:
+    print_ = project_print(sheet, pose, ray_field(lens))
     assert print_ is not None
     return print_
 
@@ -70,15 +76,20 @@ def test_a_tilted_marker_under_a_lens_is_the_mean_of_very_many_rays(tilt: float)
 
 def test_a_print_is_seen_from_its_front_only_and_not_beside_the_picture() -> None:
     field = ray_field(LENS)
-    assert see_print(blank_paper(0.04), Pose((0, 0, 1), rotation_exp([0, np.pi, 0])), field) is None
-    assert see_print(blank_paper(0.04), Pose((0.5, 0, 1)), field) is None
-    assert see_print(blank_paper(0.04), Pose((0, 0, -1)), field) is None
+    assert (
+        project_print(blank_paper(0.04), Pose((0, 0, 1), rotation_exp([0, np.pi, 0])), field)
+        is None
+    )
+    assert project_print(blank_paper(0.04), Pose((0.5, 0, 1)), field) is None
+    assert project_print(blank_paper(0.04), Pose((0, 0, -1)), field) is None
 
 
 def test_what_is_in_front_takes_its_share_of_every_pixel() -> None:
     field = ray_field(LENS)
     pose = Pose((0, 0, 1))
-    found = see_print(blank_paper(0.04), pose, field, lambda pixels, depth: pixels[:, 0] < 165.25)
+    found = project_print(
+        blank_paper(0.04), pose, field, lambda pixels, depth: pixels[:, 0] < 165.25
+    )
     assert found is not None
     row = found.coverage[120 - found.box[1], 160 - found.box[0] :][:8]
     # By quarters of a pixel, at the middles of which it is asked: 5.25 mm leaves one quarter of

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.corners import refine_markers
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, see_print
+from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, project_print
 from robot_ik.camera.drawing.rays import ray_field
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -100,7 +100,7 @@ def test_a_sheet_is_painted_like_an_average_of_very_many_samples() -> None:
     field = ray_field(LENS)
     pose = Pose((0.02, -0.03, 0.8), rotation_exp([2.6, 0.3, 0.4]))
     sheet = marker_print("DICT_5X5_50", 7, 0.05, 0.05 / 7)
-    painted = see_print(sheet, pose.compose(PRINT_MARKER), field)
+    painted = project_print(sheet, pose.compose(PRINT_MARKER), field)
     assert painted is not None
     x0, y0, x1, y1 = painted.box
     grey = (1 - painted.coverage) * 0.5 + painted.coverage * (PAPER + (INK - PAPER) * painted.ink)
