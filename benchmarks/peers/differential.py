@@ -162,7 +162,7 @@ class MinkRestarts(Mink):
     """mink with random starts, for arms."""
 
     steps = 15
-    restarts = 100
+    restarts = 30
 
 
 class Pink(Descent):
@@ -259,7 +259,7 @@ class PinkRestarts(Pink):
     """pink with random starts, for arms."""
 
     steps = 15
-    restarts = 100
+    restarts = 30
 
 
 class Placo(Descent):

@@ -33,11 +33,15 @@ PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL
 
 ROBOTS = {"puma560": "PUMA 560", "ur5e": "UR5e", "panda": "Panda"}
 BENCHES = ("methods", "kernels", "batch")
+
 SOLVES = 0.99
 """Share of problems that a contestant must solve to be compared as the best."""
 
 CLOSED_FORMS = ("robot_ik_analytic", "eaik", "ssik", "rtb_analytic")
 """Contestants that use nothing but a closed form."""
+
+VARIANTS = ("robot_ik_lm", "robot_ik_analytic")
+"""Our contestants beside the default."""
 
 NEAREST = ("robot_ik", "placo", "mink", "pink", "pyroki")
 """Contestants whose answer is near a pose out of reach. The others give up."""
@@ -152,9 +156,12 @@ def comparison(data: Data) -> str:
         f"the contestants a loop of plain Python took {min(speeds):.0f} … {max(speeds):.0f} µs, "
         f"which shows how much the speed of the machine varied."
     )
+    names_by_reason: dict[str, list[str]] = {}
     for name, reason in asked["missing"].items():
-        text += f" Not measured: `{name}` ({reason})."
-    return filled_line(text)
+        names_by_reason.setdefault(reason, []).append(f"`{name}`")
+    for reason, names in names_by_reason.items():
+        text += f" Not measured: {', '.join(names)} ({reason})."
+    return filled_line(f"{text} {asked.get('note', '')}".strip())
 
 
 def on_machine(about: dict[str, Any]) -> str:
@@ -252,11 +259,12 @@ def peers_exact(data: Data) -> str:
 def ratios(data: Data) -> str:
     """Return the table of our times and those of the best other library, in the same run."""
     peers = data["peers"]
+    any_method = {name: peers[name] for name in peers if name not in VARIANTS}
     numeric_names = [name for name in peers if name not in CLOSED_FORMS]
     rows = []
     for robot, title in ROBOTS.items():
         case = f"cold {title}, any method: mean"
-        rows.append(ratio(case, of_set(peers, robot, "cold"), "mean_us"))
+        rows.append(ratio(case, of_set(any_method, robot, "cold"), "mean_us"))
     for robot, title in ROBOTS.items():
         numeric = of_set({name: peers[name] for name in numeric_names}, robot, "cold")
         numeric.pop("robot_ik", None)  # it uses the closed form if there is one
