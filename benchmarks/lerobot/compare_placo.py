@@ -5,8 +5,8 @@
     python benchmarks/lerobot/compare_placo.py ENV/bin/python --write
 
 Both get the same targets and starts. MuJoCo measures the pose of every answer. A time is that of
-all calls for a target. A second table splits the time of our call. ``--write`` puts the tables into
-docs/how-to/lerobot.md. The calls of placo are LeRobot's, see ``placo_worker.py``.
+all calls for a target. A second table has the solve alone. ``--write`` puts the tables into
+docs/how-to/lerobot.md. The calls of placo are those of LeRobot, see ``placo_worker.py``.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     python -P -m benchmarks.peers.worker LIBRARY FOLDER SECONDS
 
 LIBRARY is a row of ``LIBRARIES`` or FILE.py:CLASS. FOLDER holds the files of ``tasks``. Solutions
-and times go into ``solutions.npz`` and ``report.json`` in it. Nothing is judged here. A time is
-that of a whole call: an array in, joint angles out, with all conversions, restarts and limits.
+and times go into ``solutions.npz`` and ``report.json`` in it. ``judge`` checks them. A time is that
+of a whole call: an array in, joint angles out, with all conversions, restarts and limits.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _WARM_UP = 5
 """Solves before each set whose times do not count."""
 
 _LEAST_PROBLEMS = 20
-"""Least number of problems of a set, also beyond its time."""
+"""Smallest number of problems of a set, even after its time is over."""
 
 _COMMIT_DIGITS = 8
 """Digits of a commit in a version."""
