@@ -10,12 +10,12 @@ DOCS_STAMP := $(VENV)/.docs
 MAKE_VENV := .ci/make_venv
 
 # A sourced ROS set-up puts its own packages and pytest plugins in front of ours; without bytecode on disk
-# each of the hundreds of programs that the tests start would read all sources anew.
+# each of the hundreds of programs that the tests start would compile all sources again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 # The matrices here are small: OpenBLAS's threads would only wait for each other.
 export OPENBLAS_NUM_THREADS := 1
 
-# An editable install remembers where it was made: a moved checkout, or another PYTHON, is installed anew.
+# An editable install has the path of its checkout: after a move, or with another PYTHON, it is installed again.
 ifneq ($(shell cat $(STAMP) 2>/dev/null),$(CURDIR))
 STALE := FORCE
 endif
@@ -104,7 +104,7 @@ imports: $(STAMP)
 format: $(STAMP)
 	@$(PY) .ci/check_style.py --format
 
-# -E reads every page anew, -W makes a warning an error.
+# -E reads every page again, -W makes a warning an error.
 docs: $(DOCS_STAMP)
 	@$(PY) -m sphinx -E -W --keep-going -q -d build/doctrees -c docs . build/site
 	@echo 'build/site/index.html'

@@ -52,7 +52,7 @@ BETTER_PERIOD = 0.2
 """Seconds between searches for a branch with a better orientation."""
 
 BETTER_ANGLE = math.radians(1.0)
-"""rad. A branch is better if its orientation is nearer by this."""
+"""rad. A branch is better if its orientation error is smaller by this."""
 
 SAME_POSITION = 1e-6
 """m. Positions whose errors differ by less are equally near."""
@@ -155,8 +155,9 @@ class FollowTick:
         solution: The solution. None while the position is kept.
         q: The command (nq,): towards ``solution.q``, as far as the joints may move in one period.
         capped: Whether the command stopped short of ``solution.q``.
-        better: A solution on another branch whose orientation is nearer by ``BETTER_ANGLE`` or
-            more. It is searched a few times a second, and only for arms with five joints.
+        better: A solution on another branch whose orientation error is smaller by
+            ``BETTER_ANGLE`` or more. It is searched a few times a second, and only for arms with
+            five joints.
         measured: The measured joint angles (nq,) after the command. None without a source.
     """
 
@@ -184,7 +185,7 @@ class FollowReport:
         statuses: Number of solutions by the name of their ``Status``.
         duration: Seconds from the first tick to the last.
         overruns: Number of ticks that were late by a period or more.
-        last: The last solution. None if there never was a goal.
+        last: The last solution. None if the source never gave a goal.
         better: The last ``FollowTick.better`` that is not None.
         tracking_error: Largest distance (nq,) of measured from commanded. None without a source.
     """
@@ -248,7 +249,7 @@ def execute(
 
     Args:
         trajectory: The trajectory. Each sample is one tick.
-        sinks: Each gets each sample, in order. ``q`` is read-only.
+        sinks: Each sink receives each sample, in order. ``q`` is read-only.
         source: Usually the arm. It is read once before the start and after every tick.
         clock: None takes the clock of an arm among ``source`` and ``sinks``, else the machine's.
         on_tick: Called after each tick. It must be quick.
@@ -372,10 +373,10 @@ def follow(
     has a better orientation. ``FollowTick.better`` is the pose of that branch.
 
     With ``collisions`` each tick is one step of differential inverse kinematics that keeps the
-    margin: the joints slow down in front of an obstacle and slide along it, and give way to an
+    margin: the joints slow down in front of an obstacle and slide along it, and move away from an
     obstacle that comes nearer (``scene.move``). ``solver`` is not used then. The status of a tick
-    is ITERATION_LIMIT on the way, CONVERGED at the goal, and BLOCKED_BY_COLLISION where collisions
-    hold every step back.
+    is CONVERGED at the goal, BLOCKED_BY_COLLISION if collisions hold every step back, and otherwise
+    ITERATION_LIMIT.
 
     Goals may change their targets and weights in each tick. A goal of another kind or frame, or
     with a weight that becomes zero or was zero, builds a new problem, which compiles its method
@@ -384,7 +385,7 @@ def follow(
     Args:
         robot: From ``load_robot``.
         goals: Where goals come from. None from it repeats the last command.
-        sinks: Each gets each command, in order; ``q`` is read-only.
+        sinks: Each sink receives each command, in order. ``q`` is read-only.
         solver: A name in ``SOLVERS`` or a solver.
         start: (nq,) where the arm is; None reads it from ``source`` once, unclipped.
         tolerance: When a solution counts as converged.
@@ -394,7 +395,7 @@ def follow(
         speed: Part of the velocity limits to use, above 0 and up to 1.
         until: Called after each tick; True ends the loop.
         source: Usually the arm: read after every tick.
-        on_tick: Called after each tick; must be quick.
+        on_tick: Called after each tick. It must be quick.
         collisions: Condition that every command must keep.
         **options: Options of the solver by name.
 
@@ -460,7 +461,7 @@ class _FollowState:
         self._collisions = collisions
         self._limited: LimitedStep | None = None
         if collisions is not None:
-            # Here: it loads the compiled collision checks, 0.05 s that few callers need.
+            # Imported here, because it loads the compiled collision checks: 0.05 s.
             from robot_ik.collision.avoidance import require_same_robot
 
             require_same_robot(robot, collisions)
@@ -495,7 +496,7 @@ class _FollowState:
             )
         self._kinds = kinds
         if self._collisions is not None:
-            # Here: it loads the compiled collision checks, 0.05 s that few callers need.
+            # Imported here, because it loads the compiled collision checks: 0.05 s.
             from robot_ik.solvers.limited_step import LimitedStep
 
             self._limited = LimitedStep(self._problem, self._collisions, self._largest_allowed)
@@ -531,7 +532,7 @@ class _FollowState:
         return solution, is_capped
 
     def better_branch(self, solution: Solution | None) -> Solution | None:
-        """Return a solution on another branch with a clearly nearer orientation, or None."""
+        """Return a solution on another branch with a smaller orientation error, or None."""
         report = self.report
         if self._search is None or solution is None:
             return None
@@ -554,7 +555,7 @@ class _FollowState:
 
 
 def _frozen(q: ArrayLike) -> Array:
-    """Return a read-only copy, because a sink that wrote into it would move the arm."""
+    """Return a read-only copy. A sink that wrote into the command would move the arm."""
     copy = np.array(q, dtype=float)
     copy.flags.writeable = False
     return copy

@@ -104,7 +104,7 @@ class Library:
     settings = ""
 
     def setup(self, task: Task) -> bool:
-        """Import the library and read the robot. Return False if it cannot serve the task."""
+        """Import the library and read the robot. Return False if it does not support the task."""
         raise NotImplementedError
 
     def solve(self, target: Array, start: Array) -> Array | None:

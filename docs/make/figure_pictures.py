@@ -48,7 +48,7 @@ def frames_for(abilities: Abilities, ball: tuple[float, float, float]) -> list[F
 
 
 def hand_error(figure: Figure, frame: FigureFrame) -> float:
-    """Return the distance of the ball and the acting hand, m."""
+    """Return the distance between the ball and the acting hand, m."""
     hand = figure.hands[frame.decision.arm or "right"]
     return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
@@ -56,7 +56,7 @@ def hand_error(figure: Figure, frame: FigureFrame) -> float:
 def strip(
     figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
 ) -> Image:
-    """Return some of the frames (n, nq) beside each other, painted."""
+    """Return a picture of ``count`` of the frames (n, nq) beside each other."""
     optics = portrait_lens(2 * _STRIP_WIDTH, 560)
     indices = np.linspace(0, len(q) - 1, count).astype(int)
     rows = q[indices].copy()

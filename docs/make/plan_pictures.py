@@ -109,7 +109,7 @@ def coloured(scene: rik.Scene) -> mujoco.MjModel:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera, and what it shows.
+    """A camera, the robot and the shelf.
 
     Attributes:
         scene: The robot and the shelf.
@@ -138,7 +138,7 @@ class View:
         return cls(scene, model, optics, camera, tools)
 
     def picture(self, q: NDArray[np.float64]) -> Image:
-        """Return the robot at ``q`` (nq,) with the way of the tool, BGR."""
+        """Return the robot at ``q`` (nq,) with the path of the tool, BGR."""
         body = Body(self.model, self.scene.robot.qpos(q))
         photo = photograph([body], self.optics, self.camera, SEAMLESS, floor=0.0, subject=SHELF[:2])
         image = photo.image.copy()
@@ -149,7 +149,7 @@ class View:
 
 
 def still(scene: rik.Scene, trajectory: rik.Trajectory) -> Image:
-    """Return the arm at the start, on the way and at the goal, side by side."""
+    """Return pictures of the arm at the start, half-way and at the goal, side by side."""
     view = View.of(scene, trajectory, PICTURE_SIZE)
     times = trajectory.duration * np.array(SHOWN)
     return np.concatenate([view.picture(trajectory.at(t)) for t in times], axis=1)

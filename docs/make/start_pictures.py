@@ -88,7 +88,7 @@ def run(command: str, *, code: int = 0) -> str:
     """Run a command of the pages and return what it printed.
 
     Raises:
-        SystemExit: It ended with another exit code.
+        SystemExit: The exit code is not the expected one.
     """
     words = shlex.split(command)
     program = {"robot-ik": ["-m", "robot_ik"], "python": []}[words[0]]
@@ -126,7 +126,7 @@ def served(command: str) -> Iterator[None]:
 
 
 def with_ball(robot: rik.Robot, position: tuple[float, ...], radius: float) -> mujoco.MjModel:
-    """Return the model with a ball that touches nothing."""
+    """Return the model with a ball that has no contacts."""
     spec = mujoco.MjSpec.from_file(str(robot.path))
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,

@@ -1,4 +1,4 @@
-"""Makes the pictures of the page's gallery: `python docs/make/thumbnails.py [NAME …]`.
+"""Make the pictures of the page's gallery: `python docs/make/thumbnails.py [NAME …]`.
 
 Each is a robot in the pose of its gallery scene, cut out of its background, for light and dark.
 """

@@ -44,7 +44,7 @@ RANDOM_PERIOD = 3.0
 
 @dataclass(frozen=True)
 class FigureRequest:
-    """What the figure is shown.
+    """A request for a run of the figure.
 
     Attributes:
         balls: Positions of the ball, m. Each is kept until the figure does nothing any more.

@@ -325,6 +325,7 @@ def carry_out(cell: Cell, report: ReachReport, terminal: Terminal) -> None:
     report.solved = solve(cell, report.goal)
     solution = report.solved.solution
     tolerance = accepted_error(cell, report.seen, solution)
+    report.accepted = tolerance
     report.prediction = predict(cell, report.goal, report.seen, solution, terminal)
     if setup.guard is not None:
         plan_motion(cell, report.goal, solution)  # a blocked motion is refused before torque is on

@@ -21,7 +21,7 @@ TIME = "time_s"
 """Column of the time since the start, s. It is the first column of every table."""
 
 ROBOT = "robot"
-"""Column of the index of the robot, if several stand side by side."""
+"""Column of the index of the robot, if there are several side by side."""
 
 COMMANDED = "commanded."
 """Start of the column of a commanded position. The name of the joint follows."""
@@ -49,7 +49,7 @@ class Moment:
         measured: Measured positions (n,), in the same units.
         goal: Goal in the world.
         text: Event at this time. Empty if there is none.
-        robot: Index of the robot, if several stand side by side.
+        robot: Index of the robot, if there are several side by side.
         extra: Values of further columns by name. MCAP files do not contain them.
     """
 

@@ -30,10 +30,9 @@ Measured = Callable[[], Mapping[str, float]]
 
 
 class Recording(Closing):
-    """A file that takes moments until it is closed.
+    """A file to which moments are written until it is closed.
 
-    If the file cannot be written any more, as on a full disk, it is removed. A partial file would
-    be damaged.
+    If writing fails, as on a full disk, the file is removed, because a partial file is invalid.
 
     Args:
         path: The file.
@@ -142,7 +141,8 @@ _INFO = 20
 class McapRecording(Recording):
     """An MCAP file with the topics ``/joint_commands``, ``/joint_states``, ``/goal``, ``/rosout``.
 
-    If several robots stand side by side, the topics of robot 1 are below ``/robot_1``, and so on.
+    If there are several robots side by side, the topics of robot 1 are below ``/robot_1``, and so
+    on.
     """
 
     def __init__(self, path: Path, table: JointTable) -> None:
@@ -213,7 +213,7 @@ def require_recording(path: Path) -> None:
         MissingExtraError: The suffix is ``.mcap``, but the extra ``record`` is not installed.
     """
     if path.suffix not in SUFFIXES:
-        problem = f"the format is not clear from the name {path.name!r}"
+        problem = f"the name {path.name!r} has no known suffix"
         allowed = " or ".join(SUFFIXES)
         raise ConfigError(problem, file="command line", key="--record", allowed=allowed)
     if path.suffix == ".mcap":

@@ -26,7 +26,7 @@ LIMIT_ROUNDING = 1e-9
 """rad or m. By rounding, a solution at a limit may be this far beyond it."""
 
 MAX_SAMPLES = 10_000_000
-"""Samples of a move: more than a day at 100 Hz."""
+"""Largest number of samples of a move: more than a day at 100 Hz."""
 
 COUNT_ROUNDING = 1e-12
 """Relative rounding error of a duration, which must not add a sample."""
@@ -156,8 +156,8 @@ def checked_samples(
 class Trajectory:
     """Joint vectors at increasing times, with straight lines between the samples.
 
-    Straight lines stay inside joint limits and never exceed the largest velocity. Their corners are
-    as sharp as the sampling is coarse, so plan at the rate at which you send.
+    Straight lines stay inside joint limits and never exceed the largest velocity. A coarse sampling
+    has sharp corners, so plan at the rate at which you send.
 
     Attributes:
         times: Seconds (n,), strictly increasing, n >= 1. Read-only.
@@ -323,7 +323,7 @@ def joint_move(
 
     Raises:
         TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
-        MotionBlockedError: The motion would touch: when, which pair, how deep.
+        MotionBlockedError: Parts would touch. The error has the time, the pair and the depth.
         UnsupportedJointError: The robot has ball or free joints.
     """
     first = joint_vector(robot, start, "start")
@@ -359,15 +359,15 @@ def joint_move(
 def certified_trajectory(
     trajectory: Trajectory, robot: Robot, collisions: CollisionAvoidance | None
 ) -> Trajectory:
-    """Return a trajectory with its certificate; without a condition the trajectory as it is.
+    """Return a trajectory with its certificate; without a condition the same trajectory.
 
     Raises:
-        MotionBlockedError: The motion would touch.
+        MotionBlockedError: Parts would touch.
         OptionError: The condition is for another robot.
     """
     if collisions is None:
         return trajectory
-    # Here, because they load the kernels of collision checks, 50 ms.
+    # Imported here, because they load the kernels of collision checks: 50 ms.
     from robot_ik.collision.avoidance import require_same_robot
     from robot_ik.motion.certificate import certify
 

@@ -133,7 +133,9 @@ def test_an_outlier_is_left_out_and_a_marker_put_elsewhere_is_found_again() -> N
     away = Pose((0.2, 0.0, 0.5), rotation_exp([0.0, 2.0, 0.0]))
     assert tracked.update(10 * PERIOD, away, NOISE) is Update.OUTLIER
     assert tracked.predict(10 * PERIOD).pose.position[0] == 0.0
-    assert tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN  # counts anew
+    assert (
+        tracked.update(11 * PERIOD, Pose((0.0, 0.0, 0.5)), NOISE) is Update.TAKEN
+    )  # the count starts again
     said = [tracked.update((12 + k) * PERIOD, away, NOISE) for k in range(4)]
     assert said == [Update.OUTLIER, Update.OUTLIER, Update.RESTARTED, Update.TAKEN]
     assert np.abs(tracked.predict(15 * PERIOD).pose.minus(away)).max() < 1e-9

@@ -99,6 +99,18 @@ def test_an_unreachable_goal(robot_ik: Any) -> None:
     assert "nearest" in run.err and "Traceback" not in run.err
 
 
+def test_a_solution_within_the_uncertainty_of_the_marker_is_accepted(
+    arms: dict[str, Path], robot_ik: Any
+) -> None:
+    """The marker is measured beside the plane of the arm, within its standard deviation."""
+    run = robot_ik("reach", "--bus", "none", "--robot", arms["planar"], "--out", "planar")
+    solver = next(line for line in run.out.splitlines() if line.startswith("solver"))
+    error = next(line for line in run.out.splitlines() if line.startswith("error"))
+    assert run.code == 0 and "result     REACHED" in run.out
+    assert "exact goal not met (" in solver
+    assert "; allowed " in error and "(3 σ of the marker)" in error
+
+
 def test_a_missing_marker(robot_ik: Any) -> None:
     run = robot_ik("reach", *SIM, "--fault", "blank-marker")
     assert run.code == 1 and "marker 7" in run.err and "in view: 20, 23" in run.err

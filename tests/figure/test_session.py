@@ -278,7 +278,7 @@ def test_the_lion_is_a_figure_of_the_command(
         ("--ball 0 inf 0", "--ball"),
         ("--camera synthetic --path circle", "--camera: --path is given, too"),
         ("--camera synthetic --ball 0.5 0 1", "--camera: --ball is given, too"),
-        ("--record frames.txt", "the format is not clear"),
+        ("--record frames.txt", "has no known suffix"),
         ("--robot-pose nan 0 0", "--robot-pose"),
         ("--robot-pose 0 0 1", "--robot-pose"),
         ("--seconds 0", "--seconds"),

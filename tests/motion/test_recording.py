@@ -65,7 +65,7 @@ def test_the_mcap_reader_reads_back_an_mcap_file(tmp_path: Path) -> None:
 
 
 def test_an_unknown_suffix_is_rejected(tmp_path: Path) -> None:
-    message = r"format is not clear from the name 'a\.txt'; allowed: \.csv"
+    message = r"the name 'a\.txt' has no known suffix; allowed: \.csv"
     with pytest.raises(ConfigError, match=message):
         open_recording(tmp_path / "a.txt", JOINTS).__enter__()
 
@@ -103,7 +103,7 @@ def test_an_unknown_suffix_of_the_recording_is_rejected_before_the_film_begins(
     tmp_path: Path,
 ) -> None:
     film_file = tmp_path / "a.mp4"
-    with pytest.raises(ConfigError, match="the format is not clear"):
+    with pytest.raises(ConfigError, match="has no known suffix"):
         film(CommandLog(Start("puma560"), ()), film_file, record=tmp_path / "a.txt", seconds=1.0)
     assert not film_file.exists()
 

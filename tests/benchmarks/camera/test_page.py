@@ -52,7 +52,7 @@ def test_rows_that_were_not_measured_are_named_on_the_page(pages: types.ModuleTy
             assert f"| **{row.about}** | not measured | |" in page
 
 
-@pytest.mark.soak  # it measures them anew
+@pytest.mark.soak  # it measures them again
 def test_the_remedies_are_those_of_today() -> None:
     data = json.loads((DOCS / "camera.json").read_text(encoding="utf-8"))
     reported = {one["quantity"]: one["value"] for one in data["rows"]["latency"]["figures"]}
