@@ -10,7 +10,7 @@ Every file must follow the rules in pyproject.toml (ruff check and ruff format) 
 
 Usage:
     python .ci/check_style.py             check all files
-    python .ci/check_style.py --format    mend what ruff can mend
+    python .ci/check_style.py --format    apply the fixes of ruff and format all files
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-#: A table needs this many numbers before its own layout is worth more than that of the formatter.
+#: Smallest number of numbers in a table that may have its own layout.
 TABLE_NUMBERS = 4
 
 ADVICE = {
     "ARG": "remove the argument, or start its name with an underscore if a caller passes it",
     "D": "write a Google docstring: one summary line, then Args, Returns and Raises",
     "E501": "break the line; `make format` breaks code, text and comments are broken by hand",
-    "E70": "write one statement a line",
+    "E70": "write one statement per line",
     "FMT": "run `make format`",
     "I001": "run `make format`",
-    "STY001": "write one assignment a line",
+    "STY001": "write one assignment per line",
     "STY002": "remove the banner; split the file if it needs headings",
     "STY003": "remove the comment and let the formatter lay the statement out",
 }
@@ -49,7 +49,7 @@ _RUFF_LINE = re.compile(r"(?P<path>.+?):(?P<line>\d+):\d+: (?P<rule>[A-Z]+\d+|[\
 
 @dataclass(frozen=True, order=True)
 class Finding:
-    """One place that does not follow a rule. Line 0 stands for the whole file."""
+    """One violation of a rule. Line 0 means the whole file."""
 
     path: str
     line: int
@@ -62,7 +62,7 @@ class Finding:
 
 
 def check_source(path: str, source: str) -> list[Finding]:
-    """Return what the rules STY001 to STY003 find in the text of one Python file."""
+    """Return the findings of the rules STY001 to STY003 in the text of one Python file."""
     tree = ast.parse(source, filename=path)
     findings = [
         Finding(path, node.lineno, "STY001", "several values are assigned in one statement")
@@ -219,7 +219,7 @@ class Checker:
         self.root = root
 
     def check(self) -> list[Finding]:
-        """Return what does not follow the rules, in all files."""
+        """Return the findings in all files."""
         findings = [*self._ruff_check(), *self._ruff_format()]
         for path in self._ruff("check", "--show-files", "."):
             name = (
@@ -234,7 +234,7 @@ class Checker:
         return sorted(findings)
 
     def format(self) -> None:
-        """Mend what ruff can mend, and lay out all files."""
+        """Apply the fixes of ruff and format all files."""
         self._ruff("check", "--fix")
         self._ruff("format")
 
@@ -259,7 +259,7 @@ class Checker:
 
 
 def advice(rules: set[str]) -> list[str]:
-    """Return what to write instead, for the rules that were found."""
+    """Return advice for the rules that were found."""
     return [
         f"  {start}: {text}"
         for start, text in ADVICE.items()
@@ -270,7 +270,7 @@ def advice(rules: set[str]) -> list[str]:
 def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(description="Check the style of the source files.")
-    parser.add_argument("--format", action="store_true", help="lay out all files")
+    parser.add_argument("--format", action="store_true", help="format all files")
     options = parser.parse_args(arguments)
     checker = Checker(root)
     if options.format:

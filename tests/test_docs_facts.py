@@ -93,7 +93,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_tables() -> None:
 
 
 def test_the_output_of_make_reach_equals_that_of_the_page(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], real_time: None
 ) -> None:
     page = ROOT / "docs" / "reference" / "reach.md"
     (shown,) = [block for block in blocks(page) if block.text.startswith("reach ")]

@@ -112,10 +112,12 @@ def table_text(joints: Sequence[str], moments: Iterable[Moment], extra: Sequence
     table = JointTable(joints, extra)
     header = table.header
     rows = [table.row(moment) for moment in moments]
+    unused: dict[str, object] = dict.fromkeys(header, "")
+    unused[ROBOT] = 0
     used = [
         k
         for k, name in enumerate(header)
-        if name == TIME or any(row[k] not in ("", 0 if name == ROBOT else "") for row in rows)
+        if name == TIME or any(row[k] != unused[name] for row in rows)
     ]
     return csv_text([header[k] for k in used], ([row[k] for k in used] for row in rows))
 

@@ -76,7 +76,7 @@ def test_it_walks_to_a_ball_and_reaches_it(abilities: Abilities) -> None:
     assert measure.inside >= 0.93
 
 
-def test_a_walk_left_for_another_ball_ends_with_its_next_steps(abilities: Abilities) -> None:
+def test_a_walk_interrupted_by_another_ball_ends_with_its_next_steps(abilities: Abilities) -> None:
     session = FigureSession(abilities)
     session.set_ball((5.0, 0.0, 1.2))
     frames = play(session, 3.0)
@@ -112,7 +112,7 @@ def test_passive_mode_acts_on_the_frozen_ball(abilities: Abilities) -> None:
     assert session.figure.stance(session.step().q) == pytest.approx([2.0, 1.0, 1.5])
 
 
-def test_a_ball_that_moves_far_while_a_walk_is_planned_is_decided_upon_again(
+def test_a_ball_that_moves_far_during_the_planning_of_a_walk_gets_a_new_decision(
     abilities: Abilities,
 ) -> None:
     session = FigureSession(abilities)
@@ -139,14 +139,14 @@ def frames_of(abilities: Abilities, ball: tuple[float, float, float]) -> bytes:
 def test_the_same_balls_give_the_same_frames_beside_other_sessions(abilities: Abilities) -> None:
     """Frames do not depend on when the planner's thread is ready."""
     balls = [(0.5, 0.2, 1.4), (2.0, 0.5, 1.2), (0.2, -0.2, 2.35)]
-    alone = [frames_of(abilities, ball) for ball in balls]
+    separate = [frames_of(abilities, ball) for ball in balls]
     others = [Abilities(abilities.figure.duplicate(), abilities.maps) for _ in range(len(balls))]
     with ThreadPoolExecutor(len(balls)) as pool:
         together = list(pool.map(frames_of, others, balls))
-    assert together == alone
+    assert together == separate
 
 
-def test_a_closed_session_leaves_no_thread(abilities: Abilities) -> None:
+def test_a_closed_session_has_no_thread(abilities: Abilities) -> None:
     """The thread of the planner ends with the session."""
     code = (
         "import gc, threading\n"
@@ -252,7 +252,7 @@ def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(
         rows = list(csv.DictReader(file))
     ball = [float(rows[-1][f"goal_{axis}"]) for axis in "xyz"]
     scale = 0.40 / 1.75
-    # The board, on which the figure stands, moves by some centimetres.
+    # The board under the figure moves by some centimetres.
     assert np.abs(np.array(ball) - np.array([0.20, 0.10, 0.28]) / scale).max() < 0.35, ball
     assert main([*argv, "--video", str(tmp_path / "ar")]) == 0
     assert len(list((tmp_path / "ar").glob("*.png"))) == 3
